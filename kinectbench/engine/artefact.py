@@ -38,7 +38,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 5,
     "pairs": 3,
     "suggest": 7,
-    "publish": 42,
+    "publish": 43,
     "synthesize": 2,
     "score": 11,
     "baselines": 3,
