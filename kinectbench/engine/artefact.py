@@ -41,7 +41,7 @@ VERSIONS: dict[str, int] = {
     "publish": 43,
     "synthesize": 2,
     "score": 11,
-    "baselines": 3,
+    "baselines": 4,
 }
 
 
