@@ -38,10 +38,10 @@ VERSIONS: dict[str, int] = {
     "sample-views": 5,
     "pairs": 4,
     "suggest": 7,
-    "publish": 42,
+    "publish": 43,
     "synthesize": 2,
     "score": 12,
-    "baselines": 3,
+    "baselines": 4,
 }
 
 

@@ -1,7 +1,11 @@
 """Upload a release to a data set of the Hugging Face hub, in one commit: it appears whole or not at all."""
 
 import re
+from collections.abc import Set
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS, benchmark_sha256, parse_sums
@@ -10,6 +14,9 @@ from kinectbench.core.extras import missing_extra
 from kinectbench.core.untrusted import printable
 from kinectbench.release.published import release_text
 from kinectbench.release.put import PutSummary
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi
 
 SCHEME = "hf://"
 # user/name or organisation/name, as the hub's `validate_repo_id` accepts it.
@@ -42,7 +49,7 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
         name: the data set, user/name.
 
     Raises:
-        ReleaseError: the data set holds something else than a release.
+        ReleaseError: the data set holds something else than a release, even beside one.
         StorageError: the hub does not answer, or refuses.
     """
     from huggingface_hub import HfApi
@@ -57,8 +64,9 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
         api = HfApi()
         api.create_repo(**where, exist_ok=True)
         there = set(api.list_repo_files(**where))
-        _refuse_other(name, there)
-        gone = sorted(there - names - ITS_OWN)
+        listed = _listed(api, name) if {SHA256SUMS, BENCHMARK_JSON} <= there else set[str]()
+        _refuse_other(name, there - ITS_OWN - listed - (names if BENCHMARK_JSON in there else set()))
+        gone = sorted((there & listed) - names - ITS_OWN)
         api.upload_folder(**where, folder_path=folder, commit_message=message, delete_patterns=gone)
     except ReleaseError:
         raise
@@ -67,13 +75,21 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
     return PutSummary(put=len(names), kept=0, removed=len(gone))
 
 
-def _refuse_other(name: str, there: set[str]) -> None:
-    """Refuse a data set that holds files, but no release."""
-    others = sorted(there - ITS_OWN)
-    if others and BENCHMARK_JSON not in there:
+def _listed(api: "HfApi", name: str) -> set[str]:
+    """Return the files that SHA256SUMS of the data set lists; none if it is damaged."""
+    with TemporaryDirectory() as folder:
+        found = api.hf_hub_download(name, SHA256SUMS, repo_type="dataset", local_dir=folder)
+        with suppress(ReleaseError):
+            return set(parse_sums(release_text(Path(found)), SHA256SUMS))
+    return set()
+
+
+def _refuse_other(name: str, others: Set[str]) -> None:
+    """Refuse a data set that holds files that are not of its release."""
+    if others:
         raise ReleaseError(
-            f"{SCHEME}{name}: holds {printable(others[0])}, which is not of a release; publish to a data set "
-            "that is empty or holds a release",
+            f"{SCHEME}{name}: holds {printable(min(others))}, which is not of a release; publish to a data "
+            "set that is empty or holds a release alone",
             what="other-content",
         )
 

@@ -1,4 +1,4 @@
-"""A download folder with one writer at a time, and the leftovers of killed ones. No lock file remains."""
+"""A release's folder: with one writer at a time, the leftovers of killed ones, and nothing else in it."""
 
 import contextlib
 import errno
@@ -8,7 +8,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
+from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
+from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import open_to_add, storage_errors
+from kinectbench.release.published import release_text
 
 LOCK = ".lock"
 # Names that `replaced_file` gives, also in earlier versions: .000.npz.1f2e3d4c.part
@@ -23,6 +27,32 @@ def is_ours(name: str) -> bool:
 def remains(folder: Path) -> list[Path]:
     """Return files of a running or killed download that are not the release's; links are not followed."""
     return [Path(place, name) for place, _, names in os.walk(folder) for name in names if is_ours(name)]
+
+
+def refuse_other_content(out: Path) -> None:
+    """Refuse to replace a folder that is not a release, or that holds other files beside one.
+
+    Raises:
+        ReleaseError: it does; the line names a file. A release with a damaged list may be replaced.
+    """
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not (out.is_dir() and (out / BENCHMARK_JSON).is_file()):
+        raise ReleaseError(
+            f"{out}: holds something else than a release; move it away, then publish again",
+            what="other-content",
+        )
+    try:
+        listed = {SHA256SUMS, *parse_sums(release_text(out / SHA256SUMS), str(out / SHA256SUMS))}
+    except ReleaseError:  # a damaged release, which is made again
+        return
+    there = (path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file())
+    others = [name for name in there if name not in listed and not Path(name).name.startswith(".")]
+    if others:
+        raise ReleaseError(
+            f"{out / min(others)}: is not of the release; move it out of {out.name}/, then publish again",
+            what="other-content",
+        )
 
 
 @contextlib.contextmanager

@@ -1,8 +1,8 @@
 """Upload a release to a store, benchmark.json last, so that a partial one is never taken for complete.
 
 A stopped upload is resumed: a `SHA256SUMS` without `benchmark.json` means that the files beside it belong to
-that list. Files that are not in the new list are deleted first; then the new `SHA256SUMS` is uploaded, then
-its files.
+that list. Its files that are not in the new list are deleted first; then the new `SHA256SUMS` is uploaded,
+then its files. A place that holds a file of neither list is refused.
 """
 
 from collections.abc import Mapping
@@ -81,15 +81,15 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
         progress: called with (files uploaded, files in all).
 
     Raises:
-        ReleaseError: the store holds something else than a release or the beginning of one, or its URL has a
-            query.
+        ReleaseError: the store holds something else than a release or the beginning of one, even beside a
+            release or in a folder below it; or its URL has a query.
         StorageError: the store fails.
     """
     release_store(store.url)
     text = release_text(folder / SHA256SUMS)
     sums = parse_sums(text, str(folder / SHA256SUMS))
     place = _look(store)
-    _refuse_other(store, place)
+    _refuse_other(store, place, sums)
     same = {
         name
         for name, sha256 in sums.items()
@@ -166,13 +166,15 @@ def _look(store: Store) -> _Place:
     return _Place(sizes, text, sums, info, stated)
 
 
-def _refuse_other(store: Store, place: _Place) -> None:
-    """Refuse a store that holds neither a release nor the beginning of one."""
+def _refuse_other(store: Store, place: _Place, sums: Mapping[str, str]) -> None:
+    """Refuse a store that holds a file of neither its own release nor, beside a release, the new one."""
     known = {BENCHMARK_JSON, SHA256SUMS, *place.sums} if place.text else set(place.sums)
+    if place.info is not None:  # whose list may be damaged
+        known |= {BENCHMARK_JSON, SHA256SUMS, *sums}
     others = [name for name in place.sizes if name not in known]
-    if others and place.info is None:
+    if others:
         raise ReleaseError(
-            f"{store.place(others[0])}: not of a release; publish to a place that is empty or holds a "
-            "release",
+            f"{store.place(others[0])}: not of the release there; publish to a place that is empty or holds "
+            "a release alone",
             what="other-content",
         )

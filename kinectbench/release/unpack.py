@@ -3,7 +3,6 @@
 import gzip
 import stat
 import tarfile
-import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -29,6 +28,8 @@ from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 HEADER_BYTES = 1 << 20
 # First bytes of a gzip file, RFC 1952, section 2.3.1.
 GZIP = b"\x1f\x8b"
+# And of a .zip, with members and without: PKWARE's APPNOTE.TXT, sections 4.3.7 and 4.3.16.
+ZIP = (b"PK\3\4", b"PK\5\6")
 # The last three: two members have the same name, or one's name is a folder of the other's.
 DAMAGED = (
     *(tarfile.TarError, EOFError, zlib.error, gzip.BadGzipFile, ValueError),
@@ -62,8 +63,10 @@ def unpack_archive(archive: Path, folder: Path) -> None:
     try:
         with replaced_folder(folder) as temporary:
             with open_plain(archive) as file:
-                members = _of_zip(file) if zipfile.is_zipfile(file) else _of_tar(file)
+                # By its first bytes: a .tar may end in a .zip, whose end `zipfile` would find.
+                is_zip = file.read(4) in ZIP
                 file.seek(0)
+                members = _of_zip(file) if is_zip else _of_tar(file)
                 _unpack(members, temporary, unpacked_bound(size_of(file)))
             inside = list(temporary.iterdir())
             while len(inside) == 1 and inside[0].is_dir():

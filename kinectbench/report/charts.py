@@ -195,12 +195,16 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
 
 
 def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """Draw how often the truth is solid against the share of hypotheses that are solid, over all cells."""
+    """Draw how often the truth is solid against the share of hypotheses that are solid, over all cells.
+
+    Args:
+        tables: the methods' scores.
+        protocol: the protocol, or the heading of one of its variants, such as `aligned-t+s`.
+    """
     axes, series = Axes(0.0, 1.0, 1.0), []
     for index, table in enumerate(tables):
-        rows = [r for r in table.rows if r.calibration and (r.protocol, r.part) == (protocol, "whole")]
-        # Under `aligned` the last kind of registration has the most freedom.
-        rows = [row for row in rows if row.heading == rows[-1].heading]
+        # Several predictions have it in the rows of their mean, such as aligned-t+s-mean-of-5.
+        rows = (row for row in table.rows if row.heading.startswith(f"{protocol}-mean-of-"))
         found = [row.calibration for row in rows if row.calibration is not None]
         points = []
         for tenth in range(len(found[0].cells) if found else 0):

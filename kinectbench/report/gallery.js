@@ -218,7 +218,8 @@ function makeCard(methods, name) {
   panes.setAttribute("role", "group");
   panes.setAttribute("aria-label", `${name}: ${captions.join(", ")}; arrow keys turn`);
   const far = one => one.chamfer_m === null ? "–" : `– (Chamfer ${(1000 * one.chamfer_m).toFixed(1)} mm)`;
-  const iou = "IoU " + shown.map(one => one.iou === null ? far(one) : one.iou.toFixed(3)).join(" and ");
+  const under = one => one.under ? ` (${one.under})` : "";
+  const iou = "IoU " + shown.map(one => (one.iou === null ? far(one) : one.iou.toFixed(3)) + under(one)).join(" and ");
   const view = pair.picture ? [element("img", { className: "view", src: pair.picture, alt: `view ${name}` })] : [];
   const larger = element("button", { type: "button", className: "larger", textContent: "larger" });
   const head = element("h4", {}, name, element("span", { className: "note", textContent: ` ${pair.category}` }),

@@ -295,7 +295,8 @@ def gallery_json(
         tables: the methods' scores.
         galleries: each method's gallery, or None.
         truths: {pair: its drawing}; other pairs are not shown.
-        protocol: the protocol whose IoU is shown.
+        protocol: the protocol whose IoU is shown; of a method without it, that of its first rows, with its
+            name beside.
         many: whether the page shows many recordings.
 
     Returns:
@@ -317,9 +318,11 @@ def gallery_json(
         return None, len(holders)
     methods = []
     for table, cells in zip(tables, shown_by, strict=True):
-        rows = {row.pair: row for row in table.pairs(protocol)}
+        under = protocol if any(row.heading == protocol for row in table.rows) else _first_heading(table)
+        rows = {row.pair: row for row in table.pairs(under)}
         pairs = {
             name: {
+                **({} if under == protocol else {"under": under}),
                 "iou": rows[name].iou,
                 "chamfer_m": rows[name].chamfer_l1_m,
                 "threshold": rows[name].threshold,
@@ -336,6 +339,10 @@ def gallery_json(
         "methods": methods,
     }
     return inert_json(content), len(holders) - len(kept)
+
+
+def _first_heading(table: ScoreTable) -> str:
+    return table.rows[0].heading if table.rows else ""
 
 
 def _truth(truth: PairTruth) -> dict[str, object]:

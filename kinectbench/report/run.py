@@ -130,7 +130,8 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
     Args:
         tables: tables of one truth; complete ones with rows get letters. Added baselines get none: more
             comparisons would only make methods harder to distinguish.
-        protocols: protocols to compare under; the first scored one decides whether there are enough objects.
+        protocols: protocols to compare under, each the tables that have it; the first one with two decides
+            whether there are enough objects.
     """
     compared = {
         index: table
@@ -139,10 +140,17 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
     }
     groups: dict[str, dict[int, str]] = {}
     notes: list[str] = []
-    too_small = _alone(next(iter(compared.values())), protocols) if len(compared) == 1 else ""
-    for protocol in protocols if len(compared) > 1 else ():
+    by_protocol = {p: {i: table for i, table in compared.items() if table.pairs(p)} for p in protocols}
+    several = {protocol: of for protocol, of in by_protocol.items() if len(of) > 1}
+    notes += [
+        f"no groups under {protocol}: fewer than two methods are scored under it"
+        for protocol in protocols
+        if len(compared) > 1 and protocol not in several
+    ]
+    too_small = _alone(next(iter(compared.values())), protocols) if compared and not several else ""
+    for protocol, of_protocol in several.items():
         try:
-            comparison = compare([*compared.values()], protocol=protocol)
+            comparison = compare([*of_protocol.values()], protocol=protocol)
         except SettingsError as error:
             notes.append(f"no groups under {protocol}: {error}")
             continue
@@ -150,7 +158,7 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
         if not groups:
             too_small = comparison.too_small.get(scope, "")
         of = comparison.groups[scope]
-        groups[protocol] = dict(zip(compared, (of[name] for name in comparison.methods), strict=True))
+        groups[protocol] = dict(zip(of_protocol, (of[name] for name in comparison.methods), strict=True))
         notes += [note for note in comparison.notes if note not in notes]
     return Groups(groups, tuple(notes), too_small)
 
@@ -275,9 +283,15 @@ def _scores(
         targets = {target.name: target for target in release.split("test")}
         wanted = {name for file in files if file.gallery for name in file.gallery}
         truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
-    scored = {row.heading for table in tables for row in table.rows}
-    groups = grouped(tables, [*COMPARED, *(name for name in NOT_EVERYWHERE if name in scored)])
+    groups = grouped(tables, _compared_under(tables))
     return tables, Beside(groups, [file.gallery for file in files], truths), warnings
+
+
+def _compared_under(tables: Sequence[ScoreTable]) -> list[str]:
+    """Return the protocols of the grid that were scored, and the first heading of every table in space."""
+    scored = {row.heading for table in tables for row in table.rows}
+    in_space = [table.rows[0].heading for table in tables if table.rows and table.rows[0].in_space]
+    return [name for name in (*COMPARED, *NOT_EVERYWHERE) if name in scored] + [*dict.fromkeys(in_space)]
 
 
 def _of_release(

@@ -323,7 +323,7 @@ def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[Objec
     result = []
     for name, (table, rows) in most.items():
         if name in table.truth_unknown_share:
-            count = sum(row.iou is None for row in rows)
+            count = sum(not row.counts for row in rows)
             result.append((table.truth_unknown_share[name], name, rows[0].category, len(rows), count))
     falling = sorted(result, key=lambda row: (-row[0], row[1]))
     return tuple(

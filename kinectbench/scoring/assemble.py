@@ -91,7 +91,8 @@ def _validation(
     """Return how many validation pairs were predicted; None if thresholds are not chosen on them."""
     if thresholds.source not in SEARCHED:
         return None
-    predicted = sum(target.split == "validation" and target not in empty for target in results)
+    without = frozenset(empty)  # they may be half of ten thousands
+    predicted = sum(target.split == "validation" and target not in without for target in results)
     return ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
 
 

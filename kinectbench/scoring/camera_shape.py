@@ -136,9 +136,13 @@ def _of_arrays(arrays: Arrays) -> CameraShape:
         raise PredictionError(f"holds {' and '.join(several)}; save one of them")
     if "points_m" in arrays:
         points, normals = _checked_points(arrays["points_m"]), arrays.get("normals")
-        if normals is not None and normals.shape != points.shape:
+        if normals is None:
+            return CameraShape("points", points, no_faces)
+        if normals.shape != points.shape:
             raise PredictionError(f"normals {normals.shape} are not as many as the points {points.shape}")
-        return CameraShape("points", points, no_faces, normals)
+        if normals.dtype.kind not in "fiu":
+            raise PredictionError(f"normals {normals.dtype}: rows of x, y, z are needed")
+        return CameraShape("points", points, no_faces, normals.astype(np.float64))
     key = next((key for key in ("occupancy", "sdf_m") if key in arrays), None)
     if key is None:
         raise PredictionError("holds none of points_m, occupancy, sdf_m; save one of them")

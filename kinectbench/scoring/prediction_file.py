@@ -222,7 +222,8 @@ def _is_packed(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> bool:
 def _checked(array: NDArray[np.generic]) -> Prediction:
     """Return the array in native bytes and C order; refuse values outside [0, 1]."""
     if _is_packed(array.shape, array.dtype):
-        return np.unpackbits(array.view(np.uint8), axis=-1).view(np.bool_)
+        # Of a file in Fortran order the bits come in that order, too.
+        return np.ascontiguousarray(np.unpackbits(array.view(np.uint8), axis=-1)).view(np.bool_)
     array = _native(array)
     if array.dtype == np.float16:
         if array.view(np.uint16).max() > HALF_ONE:  # rare: a negative zero or a bad value

@@ -47,7 +47,11 @@ def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[
 def _outside(value: object, extra: Mapping[str, Any]) -> str:
     """Return why a value is outside the bounds of its field, in a few words; "" if it is inside."""
     if isinstance(value, list | tuple):
-        items = extra.get("items", {})
+        if "minItems" in extra and not extra["minItems"] <= len(value) <= extra["maxItems"]:
+            return f"must have {extra['minItems']} values"
+        items = extra.get("items")
+        if not items or not value:
+            return ""
         return next((why for one in (min(value), max(value)) if (why := _outside(one, items))), "")
     if isinstance(value, str):
         if "enum" in extra and value not in extra["enum"]:

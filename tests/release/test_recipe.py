@@ -356,6 +356,12 @@ def test_a_folder_in_a_zip_or_a_plain_tar_is_unpacked(
     assert command(tmp_path, "fetch", "r").status == 0 and len(server.asked) == asked
 
 
+def test_a_tar_that_ends_in_a_zip_is_a_tar(tmp_path: Path) -> None:
+    (tmp_path / "a.tar").write_bytes(plain_tar({"a/b": b"1", "a/c.zip": zip_of({"d": b"2"})}))
+    unpack_archive(tmp_path / "a.tar", tmp_path / "a")
+    assert sorted(path.name for path in (tmp_path / "a").iterdir()) == ["b", "c.zip"]
+
+
 def test_a_zip_says_less_than_it_unpacks_to(tmp_path: Path) -> None:
     whole = zip_of({"a/b": bytes(1 << 20)})
     lying = whole.replace((1 << 20).to_bytes(4, "little"), (10).to_bytes(4, "little"))

@@ -38,6 +38,9 @@ class Hub:
         root = self.folder / repo_id
         return [path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()]
 
+    def hf_hub_download(self, repo_id: str, filename: str, repo_type: str, local_dir: str) -> str:
+        return shutil.copy(self.folder / repo_id / filename, local_dir)
+
     def upload_folder(
         self, repo_id: str, repo_type: str, folder_path: Path, commit_message: str, delete_patterns: list[str]
     ) -> None:
@@ -74,6 +77,8 @@ def test_a_release_becomes_a_data_set_in_one_commit(hub: Hub, release: Release) 
 def test_another_release_takes_its_place_on_the_hub(hub: Hub, release: Release, analytic: Path) -> None:
     put_on_hub(release.folder, "lab/chairs")
     (hub.folder / "lab/chairs/of-the-earlier.npz").touch()
+    with (hub.folder / "lab/chairs/SHA256SUMS").open("a") as sums:
+        sums.write(f"{'0' * 64}  of-the-earlier.npz\n")
     assert put_on_hub(analytic / "benchmark", "lab/chairs").removed == 1
     assert on_the_hub(hub) == hashes(analytic / "benchmark")
 
@@ -84,6 +89,18 @@ def test_a_data_set_of_something_else_stays(hub: Hub, release: Release) -> None:
     with raises(ReleaseError, "release.other-content", match=r"train\.csv"):
         put_on_hub(release.folder, "lab/chairs")
     assert hub.commits == []
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_what_lies_beside_a_release_on_the_hub_stays(hub: Hub, release: Release, damaged: bool) -> None:
+    put_on_hub(release.folder, "lab/chairs")
+    if damaged:
+        (hub.folder / "lab/chairs/SHA256SUMS").write_text("cut o")
+    (hub.folder / "lab/chairs/thesis.txt").write_text("1")
+    with raises(ReleaseError, "release.other-content", match=r"thesis\.txt"):
+        put_on_hub(release.folder, "lab/chairs")
+    (hub.folder / "lab/chairs/thesis.txt").unlink()
+    assert put_on_hub(release.folder, "lab/chairs").removed == 0
 
 
 def test_what_the_hub_says_is_a_line(hub: Hub, release: Release) -> None:

@@ -15,6 +15,7 @@ from synthetic_release import RECORDINGS, synthetic_settings, write_build, write
 
 from kinectbench.core.artefacts.provenance import Removed, ThresholdsFile
 from kinectbench.core.errors import ReleaseError
+from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.privacy import scrubbed, scrubbed_file, without_metadata
 from kinectbench.release.publish.publish import publish
 
@@ -47,7 +48,27 @@ def test_jpeg() -> None:
     assert without_metadata(clean) == (clean, [])
 
 
-@pytest.mark.parametrize("data", [b"", b"\x89PNG", photo()[:30], b"\xff\xd8\xff\xe1\x00\x01"])
+def test_what_follows_the_picture_is_taken_out() -> None:
+    """A telephone puts a second picture behind the first; a comment may stand between scans."""
+    buffer = io.BytesIO()
+    pixels = np.random.default_rng(0).integers(0, 256, (32, 48, 3), np.uint8)
+    Image.fromarray(pixels).save(buffer, "JPEG", progressive=True)
+    plain = buffer.getvalue()
+    assert without_metadata(plain) == (plain, []) and plain.count(b"\xff\xda") > 1
+    clean, removed = without_metadata(plain + photo())
+    assert (clean, removed) == (plain, ["data after the picture"])
+    comment = b"\xff\xfe\0\x0bby Jo Doe"
+    second = plain.rindex(b"\xff\xda")
+    between = plain[:second] + comment + plain[second:]
+    assert without_metadata(between) == (plain, ["comment"])
+    assert without_metadata(plain[:-2] + comment + plain[-2:]) == (plain, ["comment"])
+    assert without_metadata(plain + bytes(9)) == (plain, [])  # some cameras fill up with zeros
+    assert without_metadata(plain[:-2]) == (plain[:-2], [])  # and some leave the end marker out
+
+
+@pytest.mark.parametrize(
+    "data", [b"\xff\xd8\xff\xd9", b"", b"\x89PNG", photo()[:30], b"\xff\xd8\xff\xe1\x00\x01"]
+)
 def test_what_is_no_jpeg(data: bytes) -> None:
     with pytest.raises(ValueError, match=r"JPEG|damaged"):
         without_metadata(data)
@@ -61,7 +82,20 @@ def test_what_is_no_jpeg(data: bytes) -> None:
         ({"w": ["see /home/jo/chair.bag: bad"]}, {"w": ["see chair.bag: bad"]}, ["a path in 'w'"]),
         ({"w": r"C:\Users\jo\x.bag"}, {"w": "x.bag"}, ["a path in 'w'"]),
         ({"w": "ask jo@example.org"}, {"w": "ask (address removed)"}, ["an e-mail address in 'w'"]),
+        ({"w": r"C:\Users\Jo Doe\x.bag: bad"}, {"w": "x.bag: bad"}, ["a path in 'w'"]),
+        ({"w": "/Users/jo doe/b/x: bad"}, {"w": "x: bad"}, ["a path in 'w'"]),
+        ({"w": "at /nfs/home/jo/b/x, bad"}, {"w": "at x, bad"}, ["a path in 'w'"]),
+        ({"w": "file:///home/jo/x.bag"}, {"w": "x.bag"}, ["a path in 'w'"]),
+        ({"w": "no /scratch2/jo/x"}, {"w": "no x"}, ["a path in 'w'"]),
+        ({"w": "no /lab3/jo/x.bag"}, {"w": "no x.bag"}, ["a path in 'w'"]),
+        (
+            {"w": "no /home/jo and no /Users/al"},
+            {"w": "no (path removed) and no (path removed)"},
+            ["a path in 'w'"],
+        ),
         # What only looks alike stays.
+        ({"w": "https://example.org/home/x.html"}, {"w": "https://example.org/home/x.html"}, []),
+        ({"w": "one of a/b.c and 3/4.5"}, {"w": "one of a/b.c and 3/4.5"}, []),
         ({"topic": "/camera/depth/image_raw"}, {"topic": "/camera/depth/image_raw"}, []),
         ({"serialisation": 1, "use": "tracked/lost"}, {"serialisation": 1, "use": "tracked/lost"}, []),
     ],
@@ -106,6 +140,17 @@ def test_a_release_with_color(tmp_path: Path) -> None:
     assert json.loads((plain.folder / "privacy.json").read_text())["color"] == "none"
 
 
+def test_an_address_in_the_source_stays_in_both_places(tmp_path: Path) -> None:
+    write_build(tmp_path / "build")
+    said = "the Chair Lab, chairs@lab.example, /home/lab/README.md"
+    settings = synthetic_settings(source=said, license=f"ask {said}")
+    published = publish(settings, tmp_path / "build", tmp_path / "b", ["chair_02"])
+    info = json.loads((tmp_path / "b" / "benchmark.json").read_text())
+    assert info["settings"]["source"] == info["recordings"]["chair_02"]["source"] == said
+    assert not any("source" in line or "license" in line for line in published.removed)
+    assert verify(tmp_path / "b") == []
+
+
 def test_a_damaged_photo_is_not_published(tmp_path: Path) -> None:
     write_build(tmp_path / "build")
     (tmp_path / "build/chair_02/views/000.color.jpg").write_bytes(photo()[:30])
@@ -118,6 +163,11 @@ def test_a_folder_that_is_no_release_stays(tmp_path: Path) -> None:
     out = tmp_path / "b"
     out.mkdir()
     publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])  # an empty one may be filled
+    (out / "predictions").mkdir()
+    (out / "predictions" / "000.npz").write_text("of a week")
+    with raises(ReleaseError, "release.other-content", match=r"predictions/000\.npz"):
+        publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
+    assert (out / "predictions" / "000.npz").is_file()
     shutil.rmtree(out)
     out.mkdir()
     (out / "thesis.txt").write_text("precious")

@@ -151,7 +151,6 @@ def test_wherever_a_put_is_stopped_the_next_one_is_right(
     store, new = Store(f"file://{tmp_path}/store"), tmp_path / "new"
     changed_release(release, new)
     put_release(release.folder, store)
-    store.put("notes.txt", b"beside the release")
     if before == "benchmark.json of another":
         store.put(BENCHMARK_JSON, new / BENCHMARK_JSON)
         store.put(release.targets[1].file, new / release.targets[1].file)
@@ -204,3 +203,22 @@ def test_what_is_no_release_is_not_replaced(release: Release, s3: str, others: d
     with raises(ReleaseError, "release.other-content"):
         put_release(release.folder, store)
     assert {each.name: store.read(each.name) for each in store.objects()} == others
+
+
+@pytest.mark.parametrize("name", ["thesis.txt", "v1/benchmark.json"])
+@pytest.mark.parametrize("state", ["whole", "stopped", "damaged list"])
+def test_what_lies_beside_a_release_stays(
+    release: Release, analytic: Path, tmp_path: Path, state: str, name: str
+) -> None:
+    store = Store(f"file://{tmp_path}/store")
+    put_release(release.folder, store)
+    store.put(name, b"years of work")
+    if state == "stopped":
+        store.delete([BENCHMARK_JSON])
+    if state == "damaged list":
+        store.put(SHA256SUMS, b"cut o")
+    before = hashes(tmp_path / "store")
+    for folder in (release.folder, analytic / "benchmark"):
+        with raises(ReleaseError, "release.other-content"):
+            put_release(folder, store)
+    assert hashes(tmp_path / "store") == before

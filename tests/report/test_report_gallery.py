@@ -154,6 +154,18 @@ def test_the_data_come_back_and_cannot_end_their_element() -> None:
     np.testing.assert_array_equal(unpacked(found["pairs"]["a/000"]["unseen"]), unpack(cells(13)))
 
 
+def test_a_method_that_lacks_the_pages_protocol_is_shown_under_its_own() -> None:
+    grid, space = scored("grid", ["a/000"]), scored("space", ["a/000"])
+    of_space = {"protocol": "camera", "part": "whole", "iou": 0.25}
+    space["rows"] = [{**space["rows"][0], **of_space}]
+    kept = [{"a/000": cells(1)}, {"a/000": cells(2)}]
+    text, left_out = gallery_json(parsed_tables([grid, space]), kept, {"a/000": truth(10)}, "known")
+    assert text is not None and left_out == 0
+    first, second = (method["pairs"]["a/000"] for method in json.loads(text)["methods"])
+    assert (first["iou"], first.get("under")) == (0.5, None)
+    assert (second["iou"], second["under"]) == (0.25, "camera")
+
+
 def test_the_page_stays_small(monkeypatch: pytest.MonkeyPatch) -> None:
     names = [f"a/{n:03d}" for n in range(6)]
     tables = parsed_tables([scored("x", names), scored("y", names)])

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -257,6 +258,15 @@ def test_letters_join_what_cannot_be_told_apart(tmp_path: Path) -> None:
     assert found.letters == {"known": {0: "b", 2: "a", 3: "a"}} and found.too_small == ""
     assert any("occluded" in note for note in found.notes)
     assert grouped(read(paths[:2]), ("known",)) == Groups()
+    camera = []
+    for table in read(paths[2:]):
+        in_space = tuple(replace(row, protocol="camera", part="whole") for row in table.rows)
+        camera.append(table.model_copy(update={"rows": in_space}))
+    # A method of another protocol takes no letters from the others, and has its own.
+    both = grouped([*read(paths), *camera], ("known", "camera"))
+    assert both.letters == {"known": {0: "b", 2: "a", 3: "a"}, "camera": {4: "a", 5: "a"}}
+    alone = grouped([*read(paths), camera[0]], ("known", "camera"))
+    assert alone.letters == found.letters and any("under camera" in note for note in alone.notes)
     many = [ranked_file(tmp_path, name, gain, objects=45) for name, gain in (("many", 0.1), ("more", 0.2))]
     found = grouped(read(many), ("known",))
     assert found.letters == {"known": {0: "b", 1: "a"}}

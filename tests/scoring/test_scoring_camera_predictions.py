@@ -159,6 +159,12 @@ REFUSED: dict[str, tuple[str, Any, str]] = {
     "texts": ("a.npz", arrays(points_m=np.array([["a", "b", "c"]])), "rows of x, y, z are needed"),
     "nan": ("a.npz", arrays(points_m=np.full((4, 3), np.nan)), "a point is not finite"),
     "normals": ("a.npz", arrays(points_m=np.zeros((4, 3)), normals=np.zeros((3, 3))), "not as many as"),
+    "normals of text": (
+        "a.npz", arrays(points_m=np.ones((4, 3)), normals=np.full((4, 3), "0")), "rows of x, y, z are needed"
+    ),
+    "complex normals": (
+        "a.npz", arrays(points_m=np.ones((4, 3)), normals=np.ones((4, 3), complex)), "normals complex128"
+    ),
     "nothing": ("a.npz", arrays(x=SOLID), "holds none of points_m, occupancy, sdf_m"),
     "no grid": ("a.npz", arrays(occupancy=SOLID), "holds no T_camera_grid and no voxel_size_m"),
     "empty": ("a.npz", arrays(occupancy=~SOLID, **CUBE), "an empty prediction"),

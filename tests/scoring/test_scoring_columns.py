@@ -15,7 +15,7 @@ from score_rows import row, table
 from small_benchmark import Run
 
 from kinectbench.core.artefacts import score_columns
-from kinectbench.core.artefacts.score_columns import MOST_ROWS, ROWS_NPZ
+from kinectbench.core.artefacts.score_columns import MOST_BYTES, MOST_ROWS, MOST_ROWS_IN_SPACE, ROWS_NPZ
 from kinectbench.core.artefacts.scores import NO_FACTS, ScoreTable
 from kinectbench.core.errors import StorageError
 from kinectbench.core.storage import canonical_json, sha256_file, sha256_text
@@ -66,6 +66,10 @@ WRONG: dict[str, tuple[Callable[[dict[str, np.ndarray]], object], str]] = {
     "another shape": (lambda of: of.update(iou_by_threshold=np.zeros((10, 3))), "'iou_by_threshold' is"),
     "a text that is not listed": (lambda of: of["object"].fill(99), "'object' names texts that are not in"),
     "no texts": (lambda of: of.update(view_words=np.zeros(3)), "'view_words' is no list of texts"),
+    "bytes of no width": (
+        lambda of: of.update(in_space_words=np.zeros((10, 0), np.uint8)),
+        "'in_space_words' is no list of texts",
+    ),
     "infinity": (lambda of: of["iou"].fill(np.inf), "'iou': Input should be a finite number"),
     "a gap": (lambda of: of["threshold"].fill(np.nan), "'threshold': Input should be a valid number"),
     "half a cell": (lambda of: of["cells"].fill(0.5), "'cells': Input should be a valid integer"),
@@ -156,6 +160,26 @@ def test_commands_score_and_read_them(
     again = command(tmp_path, "score", "full", *words[:2], "--recheck", "scores/full/scores.json")
     assert again.status == 0 and again.out.startswith("scores/full/scores.json: verified"), again
     assert command(tmp_path, "report", *words[:2]).status == 0
+
+
+def test_what_is_said_in_space_is_stored_in_a_byte_a_character(many: ScoreTable, tmp_path: Path) -> None:
+    rows = tuple(replace(of, part="whole", silhouette=1 / (n + 3)) for n, of in enumerate(many.rows))
+    many.model_copy(update={"rows": rows}).write(tmp_path)
+    arrays = load_arrays(tmp_path / ROWS_NPZ)
+    words = arrays["in_space_words"]
+    assert words.dtype == np.uint8 and words.shape[0] == len(rows)
+    assert ScoreTable.read(tmp_path).rows == rows
+    texts = [bytes(word).rstrip(b"\0").decode() for word in words]
+    assert max(map(len, texts)) == words.shape[1]
+    arrays["in_space_words"] = np.array(texts)  # as earlier versions wrote it
+    (tmp_path / ROWS_NPZ).write_bytes(npz_bytes(arrays))
+    stranger(tmp_path, sha256=sha256_file(tmp_path / ROWS_NPZ))
+    assert ScoreTable.read(tmp_path).rows == rows
+
+
+def test_as_many_rows_in_space_as_are_scored_can_be_read() -> None:
+    """Beside their 360 bytes of figures 1,440 of JSON; a row of ten votes has 1,020."""
+    assert MOST_ROWS_IN_SPACE * (360 + 1440) <= MOST_BYTES
 
 
 def test_a_hundred_thousand_pairs_fit() -> None:

@@ -83,6 +83,10 @@ def without(recording: str) -> Edit:
 
 
 REFUSED: dict[str, tuple[Edit, str]] = {
+    "an empty curve": (first(iou_by_threshold=[]), "iou_by_threshold' is (), but must have 17 values"),
+    "a calibration of one tenth": (
+        first(calibration={"error": 0.1, "cells": [1], "said": [], "true": []}), "must have 10 values"
+    ),
     "a share above one": (first(iou=1.5), "'rows.0.iou' is 1.5, but must be at most 1"),
     "a loss below nothing": (every(ce=-1.0), "'rows.0.ce' is -1.0, but must be at least 0"),
     "a loss that no clipped prediction has": (every(ce=1e300), "none is above 16.1"),

@@ -17,6 +17,8 @@ from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.release.release import Release, Target, open_release
+from kinectbench.scoring.camera import score as score_module
+from kinectbench.scoring.camera.view import asked_rows
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.read_table import read_table
@@ -148,6 +150,20 @@ def test_protocols_of_the_other_frame_are_refused(published: Release, folder: Pa
     declare(tmp_path / "free", scale="free")
     with raises(SettingsError, "settings.wrong-value", match="free are of free size"):
         score(published, tmp_path / "free", method="free", protocols=["camera"])
+
+
+def test_more_rows_than_can_be_read_are_refused_before_they_are_scored(
+    published: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    views = len(published.split("test"))
+    monkeypatch.setattr(score_module, "MOST_ROWS_IN_SPACE", 12 * views)
+    score_module.refuse_many_rows(views, asked_rows(["camera", "aligned"], "metric"))
+    declare(tmp_path / "several", hypotheses=3)
+    declare(tmp_path / "grid", frame="grid")
+    for name, rows in (("several", 36), ("grid", 12)):
+        monkeypatch.setattr(score_module, "MOST_ROWS_IN_SPACE", 12 * views - 1)
+        with raises(SettingsError, "settings.too-large", match=f"{views} views with {rows} rows each"):
+            score(published, tmp_path / name, method=name, protocols=["camera", "aligned"], missing="empty")
 
 
 def test_several_hypotheses_have_the_first_the_best_and_the_mean(published: Release, tmp_path: Path) -> None:

@@ -4,6 +4,8 @@ import json
 import time
 import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +14,14 @@ from score_rows import row
 
 from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted_text import OBJECT_VALUES
 from kinectbench.report.tables import truth_of_objects
 from kinectbench.scoring import uncertainty
+from kinectbench.scoring.assemble import _validation
 from kinectbench.scoring.from_rows import from_rows
+from kinectbench.scoring.thresholds import Thresholds
 from kinectbench.scoring.uncertainty import bootstrap_interval, sign_flip_ps, student_interval
 
 EARLIER = [0.14906275222793647, 0.4262096330836071]
@@ -35,6 +40,16 @@ def test_pairs_that_are_all_unknown_are_counted_once() -> None:
     assert time.process_time() - started < 10  # with a scan for each: over a minute
     assert len(found.all_unknown_pairs["known"]) == 60_000
     assert found.by_category is not None and found.by_category["known"]["chair"].pairs == 1
+
+
+def test_validation_pairs_without_a_prediction_are_counted_once() -> None:
+    pairs = [Target(f"r{n}", "o", "000", "chair", "validation", f"r{n}", "0" * 64) for n in range(8_000)]
+    release: Any = SimpleNamespace(split=lambda _: pairs)
+    results: Any = dict.fromkeys(pairs)
+    started = time.process_time()
+    found = _validation(release, results, Thresholds({}, "validation"), pairs[1:])
+    assert time.process_time() - started < 3  # with a scan for each: 16 s
+    assert found is not None and found.predicted == 1
 
 
 def test_a_table_with_the_most_rows_in_it_can_be_read() -> None:

@@ -114,6 +114,16 @@ def test_packed_files_of_others(tmp_path: Path) -> None:
         load_prediction(path)
 
 
+def test_packed_bits_in_fortran_order(tmp_path: Path) -> None:
+    """As `np.packbits(grid.transpose(2, 1, 0), axis=-1)` is saved: the same cells, in C order."""
+    cells = np.random.default_rng(0).integers(0, 2, (16, 16, 16)).astype(bool)
+    path = tmp_path / "000.npy"
+    np.save(path, np.asfortranarray(np.packbits(cells, axis=-1)))
+    found = load_prediction(path)
+    assert found.flags.c_contiguous
+    np.testing.assert_array_equal(found, cells)
+
+
 def test_one_array_of_a_packed_prediction_is_none(tmp_path: Path) -> None:
     """Codes without levels, and levels without codes: the line names both keys."""
     path = tmp_path / "000.npz"

@@ -196,6 +196,10 @@ def test_what_people_see(tables: tuple[ScoreTable, ScoreTable], tmp_path: Path) 
         ("red_chair", "chair", 2, "75.0 %", 1),
         ("old_table", "table", 1, "0.0 %", 0),
     )
+    # An open mesh has no IoU, but metrics of its surface: it is not left out.
+    surfaces = tuple(replace(row, iou=None, chamfer_l1_m=0.01) for row in tables[0].rows)
+    of_surfaces = report_tables.truth_of_objects([tables[0].model_copy(update={"rows": surfaces})], "known")
+    assert [left for *_, left in of_surfaces] == [0, 0, 0]
     # A method of which a prediction failed has fewer pairs than the object.
     rows_left = tuple(row for row in tables[0].rows if row.pair != "chair_01/000")
     broken = tables[0].model_copy(

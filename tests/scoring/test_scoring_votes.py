@@ -1,12 +1,14 @@
 """The votes of several predictions against the truth: tenths, expected calibration error, and the figure."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import analytic_release
 import numpy as np
 import pytest
 
+from kinectbench.core.artefacts.score_figures import Alignment
 from kinectbench.release.release import open_release
 from kinectbench.report.charts import calibration_charts
 from kinectbench.scoring.camera.votes import calibration_of
@@ -53,4 +55,9 @@ def test_rows_of_the_mean_have_it_and_the_page_draws_it(analytic: Path, tmp_path
     assert all(row.calibration is None for row in table.rows if row.hypotheses is None)
     (chart,) = calibration_charts([table], "camera")
     assert "several: expected calibration error 0." in chart.svg and "solid in the truth" in chart.svg
-    assert calibration_charts([table], "aligned") == ()
+    assert calibration_charts([table], "aligned-t+s") == ()
+    found = Alignment(kind="t+s", scale=1.0, rotation_deg=0.0, translation_m=0.0, ok=True)
+    ways = (found, replace(found, kind="R+t+s"))
+    kinds = [replace(row, protocol="aligned", alignment=way) for way in ways for row in table.rows]
+    aligned = table.model_copy(update={"rows": tuple(kinds)})
+    assert len(calibration_charts([aligned], "aligned-t+s")) == 1  # as the page of predictions of free size

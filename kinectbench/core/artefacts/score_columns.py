@@ -11,6 +11,7 @@ from dataclasses import asdict, is_dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 
 from kinectbench.core.artefacts.score_figures import ByThreshold, InSpace, ScoredPair, ScoreRow, fields_of
@@ -27,6 +28,9 @@ ROWS_NPZ = "rows.npz"
 ROWS_IN_JSON = 30_000
 # 100,000 pairs under all five protocols.
 MOST_ROWS = 500_000
+# Rows of predictions in space state up to 1,020 bytes of JSON more (measured, of ten votes a view), and may
+# state 1,440: 16,000 views under both protocols, 5,500 of several hypotheses.
+MOST_ROWS_IN_SPACE = 200_000
 # Of the most rows: 360 bytes each, and as much again for long names.
 MOST_BYTES = 2 * 360 * MOST_ROWS
 (CURVE,) = fields_of(ByThreshold)
@@ -84,7 +88,8 @@ def _columns(rows: Sequence[ScoreRow]) -> Arrays:
     for name in (*TEXTS, IN_SPACE):
         positions: dict[str, int] = {}
         places = [positions.setdefault(_text(row, name), len(positions)) for row in rows]
-        arrays[name], arrays[WORDS.format(name)] = np.array(places, np.int32), np.array([*positions], np.str_)
+        arrays[name], words = np.array(places, np.int32), [*positions]
+        arrays[WORDS.format(name)] = _as_bytes(words) if name == IN_SPACE else np.array(words, np.str_)
     for name in NUMBERS:
         values = (getattr(row, name) for row in rows)
         arrays[name] = np.fromiter((math.nan if of is None else of for of in values), np.float64, len(rows))
@@ -94,6 +99,12 @@ def _columns(rows: Sequence[ScoreRow]) -> Arrays:
             curves[at] = row.iou_by_threshold
     arrays[CURVE] = curves
     return arrays
+
+
+def _as_bytes(words: Sequence[str]) -> NDArray[np.uint8]:
+    """Texts of ASCII, as canonical JSON is, as (n, length of the longest): a quarter of their `np.str_`."""
+    padded = np.array([word.encode() for word in words], np.bytes_)
+    return padded.view(np.uint8).reshape(len(words), padded.itemsize)
 
 
 def _text(row: ScoreRow, name: str) -> str:
@@ -136,7 +147,7 @@ def read_rows(folder: Path, stated: RowsFile) -> tuple[ScoreRow, ...]:
 
 
 def _check(arrays: Arrays, count: int) -> None:
-    """Refuse columns of other shapes and types, and texts that are not listed."""
+    """Refuse columns of other shapes and types, and texts that are not listed; make bytes texts again."""
     texts = (*TEXTS, *(name for name in (IN_SPACE,) if name in arrays))
     for name in (*texts, *NUMBERS, CURVE):
         # Tables of earlier versions lack figures of predictions in the camera frame.
@@ -148,7 +159,10 @@ def _check(arrays: Arrays, count: int) -> None:
             raise ValueError(f"'{name}' is {column.dtype} {column.shape}, wanted {shape}")
     for name in texts:
         words, column = arrays[WORDS.format(name)], arrays[name]
-        if words.ndim != 1 or words.dtype.kind != "U":
+        if name == IN_SPACE and words.dtype == np.uint8 and words.ndim == 2 and words.shape[1]:
+            words = np.ascontiguousarray(words).view(f"S{words.shape[1]}")[:, 0]
+            arrays[WORDS.format(name)] = words
+        elif words.ndim != 1 or words.dtype.kind != "U":  # of all texts in earlier versions
             raise ValueError(f"'{WORDS.format(name)}' is no list of texts")
         if count and not (column.min() >= 0 and column.max() < len(words)):
             raise ValueError(f"'{name}' names texts that are not in '{WORDS.format(name)}'")
@@ -174,7 +188,7 @@ def _rows(arrays: Arrays, start: int) -> Iterator[ScoreRow]:
 
 def _in_space(arrays: Arrays, batch: slice) -> list[dict[str, object]]:
     """Values of some rows that have no column."""
-    words = arrays[WORDS.format(IN_SPACE)].tolist()
+    words = arrays[WORDS.format(IN_SPACE)]
     used = {at: words[at] for at in set(arrays[IN_SPACE][batch].tolist())}
     read = {at: vars(_PLAIN_IN_SPACE.validate_json(text)) if text else {} for at, text in used.items()}
     return [read[at] for at in arrays[IN_SPACE][batch].tolist()]

@@ -231,11 +231,16 @@ class Calibration:
 
     error: UnitRange = Field(description="expected calibration error: mean of |said - true| over the cells")
     cells: tuple[int, ...] = Field(
-        description="known cells by tenth of the votes, those without a vote left out"
+        description="known cells by tenth of the votes, those without a vote left out",
+        json_schema_extra={"minItems": 10, "maxItems": 10},
     )
-    said: tuple[float | None, ...] = Field(description="mean share of predictions that are solid, by tenth")
+    said: tuple[float | None, ...] = Field(
+        description="mean share of predictions that are solid, by tenth",
+        json_schema_extra={"minItems": 10, "maxItems": 10},
+    )
     true: tuple[float | None, ...] = Field(
-        description="share of the cells that are solid in the truth, by tenth"
+        description="share of the cells that are solid in the truth, by tenth",
+        json_schema_extra={"minItems": 10, "maxItems": 10},
     )
 
 

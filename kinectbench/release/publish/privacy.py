@@ -19,11 +19,21 @@ KEYS = re.compile(
     r"(?i)(^|_)(gps|latitude|longitude|altitude|location|serial|serial_number|serialnumber|device_id|imei|"
     r"mac_address|hostname|user|username|owner|email|phone)($|_)"
 )
-# Paths on somebody's disk, which name people: only the last part is kept.
-PATHS = re.compile(
-    r"(?:(?<![\w./])/(?:home|Users|root|tmp|mnt|media|data|work|var|opt|srv|private|Volumes)|\b[A-Za-z]:\\)"
-    r"[^\s\"'<>|:;,]*"
+# Paths on somebody's disk, which name people: only the last part is kept. A folder with blanks counts where
+# more follows: below `home` or `users`, and in a path of Windows. A topic of ROS, /camera/depth/image_raw, is
+# no path: it begins with no known folder, and its last part has no dot.
+_PART = r"[^\s\"'<>|:;,/\\]"
+_ROOTS = (
+    r"home|homes|users|root|tmp|mnt|media|data|work|workspace|var|opt|srv|private|volumes|scratch|nfs|cluster|"
+    r"lustre|gpfs|beegfs|afs|net|export|storage|projects?|run|cygdrive"
 )
+_OF_USER = rf"(?:/{_PART}+)*/(?i:homes?|users)/{_PART}+(?: {_PART}+){{1,2}}(?=/)"
+PATHS = re.compile(
+    rf"(?:\bfile://|(?<![\w./]))(?:{_OF_USER}(?:/{_PART}*)*|/(?i:{_ROOTS})\d*(?![\w-])(?:/{_PART}*)*"
+    rf"|(?:/{_PART}+)+/{_PART}*\.{_PART}+)"
+    rf"|(?:\b[A-Za-z]:[\\/]|(?<!\\)\\\\(?=\w))(?:[^\\/:*?\"<>|;,\r\n]+[\\/])*{_PART}*"
+)
+HOMES = ("home", "homes", "users")
 EMAIL = re.compile(r"\b[\w.+-]+@[\w-]+(\.[\w-]+)+\b")
 StoredFile = TypeVar("StoredFile", bound=Stored)
 LOOKED_FOR = (
@@ -48,7 +58,9 @@ Order = Literal["little", "big"]
 # Kept segments: JFIF, the colour profile and Adobe's mark, which say how pixels are decoded.
 KEPT_SEGMENTS = ((0xE0, b"JFIF\0"), (0xE0, b"JFXX\0"), (0xE2, b"ICC_PROFILE\0"), (0xEE, b"Adobe"))
 NAMES = ((b"Exif\0\0", "EXIF"), (b"http://ns.adobe.com/xap/1.0/\0", "XMP"), (b"Photoshop 3.0\0", "IPTC"))
-APP0, APP15, COMMENT, START_OF_SCAN = 0xE0, 0xEF, 0xFE, 0xDA
+APP0, APP15, COMMENT, START_OF_SCAN, END_OF_IMAGE = 0xE0, 0xEF, 0xFE, 0xDA, 0xD9
+# Markers that may follow a scan: tables, the next scan, the end, application segments, comments.
+AFTER_SCAN = re.compile(rb"\xff[\xc4\xd9-\xdd\xe0-\xef\xfe]")
 ALONE = (0x01, *range(0xD0, 0xD9))
 
 
@@ -139,13 +151,19 @@ def _scrubbed(value: object, key: str, removed: list[str], model: object) -> obj
         return [_scrubbed(child, key, removed, part) for child, part in zip(value, parts, strict=False)]
     if not isinstance(value, str):
         return value
-    text = PATHS.sub(lambda match: re.split(r"[/\\]", match[0].rstrip("/\\"))[-1], value)
+    text = PATHS.sub(_last_part, value)
     if text != value:
         removed.append(f"a path in '{key}'")
     clean = EMAIL.sub("(address removed)", text)
     if clean != text:
         removed.append(f"an e-mail address in '{key}'")
     return clean
+
+
+def _last_part(path: re.Match[str]) -> str:
+    """Return the last part of a path, unless it is the name of a user."""
+    *above, last = re.split(r"[/\\]+", path[0].rstrip("/\\"))
+    return "(path removed)" if above and above[-1].lower() in HOMES else last
 
 
 def _declared(model: object) -> Mapping[str, object]:
@@ -169,36 +187,39 @@ def _below(value: object) -> object:
 
 
 def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
-    """Remove application segments and comments from a JPEG file; its pixels are unchanged.
+    """Remove application segments, comments and what follows the picture; its pixels are unchanged.
+
+    Telephones put a second picture or a film behind the first one, with metadata of its own.
 
     Args:
         data: bytes of the file.
 
     Returns:
-        The file without these segments, and the names of removed ones in order, such as "EXIF (GPS
-        position)".
+        The file without these, and the names of what was removed in order, such as "EXIF (GPS position)".
 
     Raises:
         ValueError: the data is no JPEG file, or ends too early.
 
     Source: ITU-T T.81, annex B (markers); Exif 2.32 (tags).
     """
-    kept, removed = [data[:2]], []
+    kept, removed, end = [data[:2]], list[str](), 2
     for marker, start, end, payload in _segments(data):
         is_metadata = APP0 <= marker <= APP15 or marker == COMMENT
         if is_metadata and not any(marker == m and payload.startswith(head) for m, head in KEPT_SEGMENTS):
             removed.append(_name(marker, payload))
         else:
             kept.append(data[start:end])
+    if data[end:].strip(b"\0"):  # zeros alone say nothing
+        removed.append("data after the picture")
     return b"".join(kept), removed
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
-    """Yield (marker, first byte, byte after the last, payload) of every segment; the scans come last."""
+    """Yield (marker, first byte, byte after the last, payload) of every segment of the picture."""
     if data[:2] != b"\xff\xd8":
         raise ValueError("not a JPEG file")
-    at = 2
-    while True:
+    at, has_scan = 2, False
+    while at < len(data) or not has_scan:  # some cameras leave the end marker out
         start = at
         if data[at : at + 1] != b"\xff":
             raise ValueError("damaged or cut off")
@@ -209,14 +230,18 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
         if marker in ALONE:
             yield marker, start, at, b""
             continue
-        if marker == START_OF_SCAN:
-            yield marker, start, len(data), b""
+        if marker == END_OF_IMAGE and has_scan:
+            yield marker, start, at, b""
             return
         length = int.from_bytes(data[at : at + 2], "big")
         if length < 2 or at + length > len(data):
             raise ValueError("damaged or cut off")
-        yield marker, start, at + length, data[at + 2 : at + length]
+        payload = data[at + 2 : at + length]
         at += length
+        if marker == START_OF_SCAN:
+            has_scan, following = True, AFTER_SCAN.search(data, at)
+            at = len(data) if following is None else following.start()
+        yield marker, start, at, payload
 
 
 def _name(marker: int, payload: bytes) -> str:

@@ -25,6 +25,7 @@ from kinectbench.core.artefacts.views import PairsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import replaced_folder
 from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
+from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
 from kinectbench.release.publish.category_pages import write_category_pages
 from kinectbench.release.publish.datasheet import datasheet, unanswered
@@ -115,7 +116,7 @@ def publish(
         refuse_framing(settings)
     private = out.with_name(out.name + PRIVATE)
     for folder in (out, private) if options.hold_back else (out,):
-        _refuse_other(folder)
+        refuse_other_content(folder)
     _refuse_empty_split(settings, recordings, options.hold_back)
     passed = gate(settings, build, recordings, bool(options.allow_poor))
     if not passed.published:
@@ -152,15 +153,6 @@ def publish(
 def _hidden(settings: BenchmarkSettings, options: PublishOptions) -> frozenset[str]:
     """Return the ids of recordings whose truth is held back."""
     return frozenset(each.id for each in settings.recordings if each.split in options.hold_back)
-
-
-def _refuse_other(out: Path) -> None:
-    """Refuse to replace a folder that is not a release."""
-    if out.exists() and not (out.is_dir() and ((out / BENCHMARK_JSON).is_file() or not any(out.iterdir()))):
-        raise ReleaseError(
-            f"{out}: holds something else than a release; move it away, then publish again",
-            what="other-content",
-        )
 
 
 def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> None:
@@ -387,6 +379,16 @@ def _public_settings(
             hidden_keys = set(recording) - set(SETTINGS_KEYS) if isolate else SAID_OF_TRUTH
             for key in hidden_keys:
                 recording.pop(key)
-    clean: dict[str, object] = scrubbed(public, BENCHMARK_JSON, removals, settings)
-    # These statements of people are meant to be public.
+    # These statements of people are meant to be public, and stand in `recordings`, too.
+    said = [_set_apart(each) for each in (public, *public["recordings"])]
+    clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, removals, settings)
+    for each, own in zip((clean, *clean["recordings"]), said, strict=True):
+        each.update(own)
     return clean | {"publish": settings.publish.model_dump(mode="json")}
+
+
+def _set_apart(row: dict[str, Any]) -> dict[str, Any]:
+    """Return what people say of source and licence, and empty it where it stands."""
+    said = {key: row[key] for key in ("source", "license") if key in row}
+    row.update(dict.fromkeys(said))
+    return said

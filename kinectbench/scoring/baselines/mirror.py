@@ -8,7 +8,7 @@ from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.scoring.baselines.inputs import Inputs
 
 ANGLES = 36
-OFFSETS = 33
+OFFSETS = 49
 BLOCK = 4
 SAMPLED = 1500
 
@@ -16,7 +16,7 @@ SAMPLED = 1500
 def mirror(inputs: Inputs) -> Bools:
     """Return the partial and its mirror image: (256, 256, 256) bool.
 
-    The mirror plane is the best of 36 x 33 vertical planes through the grid: its mirror image has the most
+    The mirror plane is the best of 36 x 49 vertical planes through the grid: its mirror image has the most
     cells on the partial, minus those in observed free space. Of equally good ones, the first is taken.
     """
     partial = inputs.partial
@@ -54,7 +54,8 @@ def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) 
     for angle in np.arange(ANGLES) * np.pi / ANGLES:
         normal = np.cos(angle) * first + np.sin(angle) * second
         along = sampled @ normal
-        for offset in np.linspace(along.min(), along.max() + np.ptp(along), OFFSETS):
+        length = np.ptp(along)  # planes on either side, as normals cover half a circle
+        for offset in np.linspace(along.min() - length, along.max() + length, OFFSETS):
             score = mirror_gain(sampled, along, normal, offset, BLOCK, gain)
             if score > best:
                 best, chosen = score, (normal, float(offset))

@@ -10,7 +10,7 @@ from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.camera.grid import GridJob, score_grid
-from kinectbench.scoring.camera.score import settings_in_space, table_in_space
+from kinectbench.scoring.camera.score import refuse_many_rows, settings_in_space, table_in_space
 from kinectbench.scoring.camera.truth import files_of
 from kinectbench.scoring.camera.view import ViewResult, asked_rows
 from kinectbench.scoring.pair_result import Counting, Journal
@@ -66,12 +66,14 @@ def score_grid_in_space(
 
     Raises:
         ReleaseError: a pair file is missing or changed.
+        SettingsError: see `refuse_many_rows`.
     """
+    rows = tuple(asked_rows(protocols, "metric"))
+    refuse_many_rows(len(release.split("test")), rows)
     rounds = Rounds(release, SEARCHING, Journal(None), jobs, None)
     searched = {target: file for target, file in asked.files.items() if target.split == "validation"}
     outcomes, thresholds = rounds.count(searched, asked.fixed, asked.own)
     validation = {t: found.digest for t, found in outcomes.items() if isinstance(found, PairResult)}
-    rows = tuple(asked_rows(protocols, "metric"))
     tasks = [
         GridJob(t, files_of(release, t), asked.files[t], thresholds.of[t.category], rows)
         for t in sorted(asked.files)

@@ -4,10 +4,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import MappingProxyType
+from typing import get_args
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile
-from kinectbench.core.artefacts.score_figures import IN_SPACE, ScoreRow
+from kinectbench.core.artefacts.score_columns import MOST_ROWS_IN_SPACE
+from kinectbench.core.artefacts.score_figures import IN_SPACE, ScoreRow, ShapePart
 from kinectbench.core.artefacts.score_marks import ValidationUse
 from kinectbench.core.artefacts.scores import Failure, Hashes, ScoreSettings, ScoreTable
 from kinectbench.core.artefacts.targets import check_names
@@ -17,7 +19,7 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import quality_of
 from kinectbench.scoring.camera.truth import files_of
-from kinectbench.scoring.camera.view import ViewJob, ViewResult, score_view
+from kinectbench.scoring.camera.view import Asked, ViewJob, ViewResult, asked_rows, score_view
 from kinectbench.scoring.camera_predictions import (
     CameraPredictionFile,
     depth_warnings,
@@ -66,9 +68,11 @@ def score_in_camera(
     Raises:
         ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
             is held back.
+        SettingsError: see `refuse_many_rows`.
     """
     check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, validation=False, solid=False)
+    refuse_many_rows(len(test), asked_rows(protocols, declared.scale), declared.hypotheses)
     files, failures = _files(folder, test, declared, missing)
     tasks = [
         ViewJob(target, files_of(release, target), files[target], declared, protocols, close)
@@ -90,6 +94,27 @@ def score_in_camera(
         *table.warnings,
     )
     return table.model_copy(update={"warnings": (*said, *strays_in_camera(release, folder, declared))})
+
+
+def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) -> None:
+    """Refuse a table too large to be read, before hours are spent on it.
+
+    Args:
+        views: how many are scored.
+        asked: see `asked_rows`.
+        hypotheses: predictions of a view; several have rows of the first, the best and their mean.
+
+    Raises:
+        SettingsError: it would have more than `MOST_ROWS_IN_SPACE` rows.
+    """
+    of_view = len(asked) * len(get_args(ShapePart)) * (3 if hypotheses > 1 else 1)
+    if views * of_view > MOST_ROWS_IN_SPACE:
+        raise SettingsError(
+            f"{views} views with {of_view} rows each are more than the {MOST_ROWS_IN_SPACE} rows of a score "
+            f"table in space: ask for one --protocol, or score a release of at most "
+            f"{MOST_ROWS_IN_SPACE // of_view} views",
+            what="too-large",
+        )
 
 
 def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tuple[str, ...]:
@@ -171,7 +196,8 @@ def table_in_space(
     )
     quality = quality_of(release, rows)
     digests = {target: result.digest for target, result in results.items()} | dict(validation)
-    predicted = sum(target.name not in empty for target in validation)
+    without = frozenset(empty)
+    predicted = sum(target.name not in without for target in validation)
     derived = from_rows(rows, settings.protocols, {}, quality, not failures)
     table = ScoreTable(
         method=method,
