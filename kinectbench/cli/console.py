@@ -105,7 +105,7 @@ def by_mistake(messages: Iterable[str]) -> list[str]:
             measured values.
     """
     groups: dict[str, list[str]] = {}
-    for message in messages:
+    for message in dict.fromkeys(messages):
         file, _, what = message.partition(": ")
         stem = file.removesuffix(PurePosixPath(file).suffix)
         own = re.compile(rf"(?<!\w){re.escape(stem)}(?!\w)")

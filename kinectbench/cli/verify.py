@@ -37,7 +37,7 @@ def verify_command(
     """Re-check every byte and every pair of a release; with --rebuild make the pairs again and compare."""
     from kinectbench.cli import console
     from kinectbench.engine.scratch import scratch_folder
-    from kinectbench.release.check.verify import is_of_first_identity, verify_checksums
+    from kinectbench.release.check.verify import reservations, verify_checksums
     from kinectbench.release.check.verify import verify as find_problems
 
     if checksums and rebuild is not None:
@@ -60,9 +60,8 @@ def verify_command(
                 problems += find_problems(folder, progress, checksums_only=checksums)
         if rebuild is not None and not problems:
             problems = _rebuild(folder, rebuild, work, common.workers, objects)
-        first = not problems and is_of_first_identity(folder)
-    more = "; its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"
-    common.tell_problems(problems, f"{shown(release)}: all well{more if first else ''}")
+        clauses = [] if problems else reservations(folder, checksums_only=checksums)
+    common.tell_problems(problems, "; ".join([f"{shown(release)}: all well", *clauses]))
     return CANNOT_BE_USED if problems else 0
 
 

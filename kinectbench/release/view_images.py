@@ -64,7 +64,7 @@ def read_mask(path: Path, sha256: str) -> Bools:
     Raises:
         ReleaseError: as in `depth_m`.
     """
-    return np.asarray(_decoded(published_bytes(path, sha256), shown(path), MASK) > 0)
+    return mask_pixels(published_bytes(path, sha256), shown(path))
 
 
 def color(release: Release, target: Target) -> Rgb:
@@ -83,6 +83,15 @@ def depth_mm(png: bytes, where: str) -> NDArray[np.uint16]:
         ReleaseError: the bytes are no depth image; the message begins with `where`.
     """
     return np.asarray(_decoded(png, where, DEPTH), dtype=np.uint16)
+
+
+def mask_pixels(png: bytes, where: str) -> Bools:
+    """Decode a stored mask: (height, width) bool.
+
+    Raises:
+        ReleaseError: the bytes are no mask; the message begins with `where`.
+    """
+    return np.asarray(_decoded(png, where, MASK) > 0)
 
 
 def _pixels(release: Release, target: Target, kind: Kind) -> FileArray:

@@ -80,7 +80,7 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
             lines.append((f"{table.method}{of}{closed}{_empty(rows)}", cells))
         if any(ceiling := _ceiling(ordered[0].pairs(heading)) if ordered else []):
             lines.append((CEILING, ceiling))
-    failed = [f"{t.method}: {len(t.failures)} views failed" for t in tables if t.failures]
+    failed = [f"{t.method}: {len(t.failures)} views failed{_reason(t)}" for t in tables if t.failures]
     left_out = dict.fromkeys(line for t in tables for name in headings if (line := t.left_out_line(name)))
     names = [name for lines in groups.values() for name, _ in lines]
     notes = [
@@ -91,6 +91,12 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
     ]
     columns = tuple(name for name, _ in (COLUMNS | BESIDE).values())
     return _without_empty(SpaceTable(columns, groups, (*failed, *left_out, *notes)))
+
+
+def _reason(table: ScoreTable) -> str:
+    """Return why a method is left out, if every view failed for one reason."""
+    reasons = {failure.reason for failure in table.failures}
+    return f": {reasons.pop()}" if len(reasons) == 1 and not table.rows else ""
 
 
 def is_baseline(table: ScoreTable) -> bool:

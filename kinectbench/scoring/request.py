@@ -63,18 +63,19 @@ def check_request(request: Request, predictions: Path | None) -> Missing:
     if predictions is not None:
         check_folder(predictions)
         for folder in declared_folders(predictions):
-            check_declared(request, folder)
+            check_declared(request, folder, of_several=folder != predictions)
     if space := space_alone(request.protocols, HALF_PIXEL if predictions else request.upsampling):
         _refuse_elsewhere(request, f"surfaces under {', '.join(space)}")
     return rule
 
 
-def check_declared(request: Request, folder: Path) -> None:
+def check_declared(request: Request, folder: Path, *, of_several: bool = False) -> None:
     """Refuse options that contradict what one method declares.
 
     Args:
         request: the options.
         folder: the method's predictions; without a method.json they are in the pairs' grid.
+        of_several: whether it may be one of several methods; protocols that do not fit it leave it out.
 
     Raises:
         SettingsError: an option applies only to the other kind of predictions.
@@ -87,7 +88,8 @@ def check_declared(request: Request, folder: Path) -> None:
         if space := space_alone(request.protocols, request.upsampling, request.close):
             _refuse_elsewhere(request, f"surfaces under {', '.join(space)}")
         return
-    protocols_in_space(request.protocols, declared)
+    if not of_several:
+        protocols_in_space(request.protocols, declared)
     options = {"--thresholds": request.thresholds_file, "--save-thresholds": request.save_thresholds}
     for name, given in options.items():
         if given is not None:

@@ -17,7 +17,7 @@ from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.camera.grid_score import score_grid_in_space, space_alone
-from kinectbench.scoring.camera.score import protocols_in_space, score_in_camera
+from kinectbench.scoring.camera.score import left_out_table, protocols_in_space, score_in_camera, unfit
 from kinectbench.scoring.declared import (
     changed_files,
     changed_line,
@@ -185,8 +185,15 @@ def score_methods(
     request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)
     methods, tables = _methods(release, predictions, method, request), list[ScoreTable]()
+    left_out = _left_out(methods, protocols)
     for name, folder in methods.items():
         target = out if len(methods) == 1 else out / name
+        if name in left_out:
+            table = left_out_table(release, name, tuple(protocols or ()), rule, left_out[name])
+            if not (target / ScoreTable.FILE).is_file():  # earlier scores are kept
+                table.write(target)
+            tables.append(table)
+            continue
         table = score(
             release,
             folder,
@@ -205,6 +212,16 @@ def score_methods(
         tables.append(table)
         _freeze(release, table, save_thresholds)
     return tables
+
+
+def _left_out(methods: Mapping[str, Path], protocols: Sequence[str] | None) -> dict[str, str]:
+    """Return {method: why it cannot be scored under these protocols}, if another one can."""
+    declared = {name: read_in_camera(folder) for name, folder in methods.items()}
+    reasons = {name: unfit(protocols, of) for name, of in declared.items() if of is not None}
+    found = {name: reason for name, reason in reasons.items() if reason is not None}
+    if len(found) == len(methods):
+        raise SettingsError(next(iter(found.values())))
+    return found
 
 
 def _write(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> None:
@@ -275,7 +292,7 @@ def _methods(release: Release, predictions: Path, method: str | None, request: R
     named = methods if method is None else dict(zip([method], methods.values(), strict=True))
     for name, folder in named.items():
         check_method(name)
-        check_declared(request, folder)
+        check_declared(request, folder, of_several=len(named) > 1)
         if saved is not None and not _answers_validation(release, folder):
             raise SettingsError(f"--save-thresholds {saved}: {NOT_FROM_VALIDATION}")
     return named

@@ -209,7 +209,7 @@ def test_no_figure_and_no_reason_of_a_truth_that_is_held_back(
     write_build(build)
     built(
         build,
-        estimated_iou=0.4567,
+        estimated_iou=0.2345,
         unknown_share=0.8642,
         grade="not good",
         warnings=[f"it falls into 17 things; {LOOK}"],
@@ -217,7 +217,7 @@ def test_no_figure_and_no_reason_of_a_truth_that_is_held_back(
     asked = PublishOptions(hold_back=("test",), thresholds=None, allow_poor=allow_poor or None)
     summary = publish(settings(review, min_grade="good"), build, tmp_path / "out", NAMES, asked)
     # Quality of every kind, and the person's words; the rest of the page is of other recordings.
-    told = ("0.46", "0.4567", "86%", "0.8642", "17 things", "REASON", "the trajectory is not good")
+    told = ("0.23", "0.2345", "86%", "0.8642", "17 things", "REASON", "the trajectory is not good")
     for part, is_public in ((summary.folder, True), (summary.private, False)):
         assert part is not None
         texts = [path.read_text(errors="replace") for path in part.rglob("*") if is_text(path)]

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from analytic_release import write_analytic_build
+from analytic_release import CAMERA, write_analytic_build
 from held_back_attack import measured
 from raising import raises
 from read_pictures import read_picture
@@ -22,7 +22,9 @@ from test_release_forged import sealed
 from kinectbench.cli.publish import publish_options
 from kinectbench.core.artefacts.benchmark import PublishOptions, ReleaseInfo
 from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.sequence import depth_in_metres
 from kinectbench.core.voxels.pair_file import pair_bytes, read_input, read_pair, unpack
+from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.release.check.rebuild import LocalRecording, rebuild_plan
 from kinectbench.release.check.verify import verify
 from kinectbench.release.opening import open_contents
@@ -64,6 +66,10 @@ def write_build(build: Path) -> None:
             color = np.full((*mask.shape, 3), 200, np.uint8)
             for suffix, image in (("depth.png", depth_mm), ("mask.png", mask), ("color.jpg", color)):
                 cv2.imwrite(str(path.with_name(path.name.replace("depth.png", suffix))), image)
+            of_pair = folder.parent / "pairs" / path.name.replace("depth.png", "npz")
+            pair, depth_m = read_pair(of_pair), depth_in_metres(depth_mm.astype(np.uint16), 1000)
+            seen = seen_cells(depth_m, CAMERA, pair.T_world_camera, pair.grid)
+            of_pair.write_bytes(pair_bytes(replace(pair, seen=seen)))
         change(folder / "views.json", color_registered=True)
 
 

@@ -54,7 +54,7 @@ def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
     places = [(each["cameras/recording"].decode(), each["cameras/view"].decode()) for each in cameras]
     assert places == sorted((target.recording, target.view) for target in release.targets)
     first = cameras[0]
-    assert first["cameras/view"] == b"000" and first["cameras/width"] == 8
+    assert first["cameras/view"] == b"000" and first["cameras/width"] == 80
     np.testing.assert_array_equal(first["cameras/K"], [[5.0, 0, 3.5], [0, 5.0, 2.5], [0, 0, 1]])
     records = [
         {
@@ -136,8 +136,8 @@ def test_each_row_of_a_viewer_has_a_picture(build: Path, tmp_path: Path) -> None
             size = read_color(here / row.pop("file_name")).shape
             assert row == {name: getattr(target, name) for name in COLUMNS}
             sizes.setdefault(target.name, []).append(size)
-    assert all(plain == (6, 8, 3) for plain, _ in sizes.values())
-    assert any(wide == (6, 16, 3) for _, wide in sizes.values())
+    assert all(plain == (60, 80, 3) for plain, _ in sizes.values())
+    assert any(wide == (60, 160, 3) for _, wide in sizes.values())
 
 
 @pytest.mark.parametrize("change", ["row", "gone", "more"])

@@ -246,3 +246,33 @@ def test_the_command_prints_a_table_and_makes_a_page(
     assert done.status == 0, done.err
     assert "Chamfer L1, m" in shown and "aligned-R+t+s" in shown and "camera-occluded" not in shown
     assert "Chamfer L1, m" in (out / "index.html").read_text()
+
+
+def test_a_method_that_a_protocol_does_not_fit_is_left_out_of_several(
+    analytic: Path,
+    published: Release,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The others are scored; a line, the table and the page say which one is not, and why."""
+    write_all(published, tmp_path / "methods" / "metric")
+    write_all(published, tmp_path / "methods" / "free", scale="free")
+    out, benchmark = tmp_path / "scores", str(analytic / "benchmark")
+    arguments = ["--benchmark", benchmark, "--out", str(out), "--jobs", "1", "--no-baselines"]
+    camera = ["score", str(tmp_path / "methods"), "--protocol", "camera", *arguments]
+    done = run_here(monkeypatch, capsys, tmp_path, *camera)
+    reason = "the predictions of free are of free size"
+    assert done.status == 3 and f"free: error: --protocol camera: {reason}" in " ".join(done.err.split())
+    count = len(published.split("test"))
+    assert f"free: {count} views failed: --protocol camera: {reason}" in " ".join(done.out.split())
+    assert read_table(out / "metric" / "scores.json").complete
+    page = (out / "index.html").read_text()
+    assert f"free: {count} views failed: --protocol camera" in page
+    assert [failure.view for failure in read_table(out / "free" / "scores.json").failures] != []
+    done = run_here(monkeypatch, capsys, tmp_path, "score", str(tmp_path / "methods"), *arguments)
+    assert done.status == 0, done.err
+    assert run_here(monkeypatch, capsys, tmp_path, *camera).status == 3
+    assert read_table(out / "free" / "scores.json").settings.protocols == ("aligned",)
+    done = run_here(monkeypatch, capsys, tmp_path, *camera[:2], "--protocol", "known", *arguments)
+    assert done.status == 2 and "which is scored under camera" in " ".join(done.err.split())

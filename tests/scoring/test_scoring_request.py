@@ -1,5 +1,6 @@
 """Options that contradict each other, or what a method declares, are refused before anything is counted."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +31,34 @@ def folder(tmp_path: Path, release: Release) -> Path:
 
 
 CONTRADICTIONS: dict[str, tuple[str, dict[str, Any], str]] = {
-    "cells": (IN_CAMERA, {"protocols": ("paper", "known")}, "--protocol paper, known: net predicts in the"),
-    "size": (FREE, {"protocols": ("camera",)}, "--protocol camera: the predictions of net are of free size"),
     "thresholds": (IN_CAMERA, {"thresholds_file": "t.json"}, "--thresholds .*: net in the camera frame has"),
     "saved": (IN_CAMERA, {"save_thresholds": Path("t.json")}, "--save-thresholds t.json: net in the camera"),
     "key": ('{"name": "net", "form": "sdf"}', {}, "'form' 'sdf' is not supported yet"),
 }
+
+
+UNFIT: dict[str, tuple[str, tuple[str, ...], str]] = {
+    "cells": (IN_CAMERA, ("paper", "known"), "--protocol paper, known: net predicts in the"),
+    "size": (FREE, ("camera",), "--protocol camera: the predictions of net are of free size"),
+}
+
+
+@pytest.mark.parametrize("name", list(UNFIT))
+def test_protocols_that_do_not_fit_are_refused_of_one_method(
+    folder: Path, release: Release, tmp_path: Path, name: str
+) -> None:
+    """Of several, the others are scored."""
+    declared, protocols, words = UNFIT[name]
+    (folder / "net" / "method.json").write_text(declared)
+    with pytest.raises(SettingsError, match=words):
+        score_methods(release, folder / "net", tmp_path / "out", protocols=protocols)
+    with pytest.raises(SettingsError, match=words):
+        check_request(Request(protocols), folder / "net")
+    check_request(Request(protocols), folder)
+    assert not (tmp_path / "out").exists()
+    tables = score_methods(release, folder, tmp_path / "out", protocols=protocols, surface=False)
+    assert [table.complete for table in tables] == [True, False]
+    assert re.match(words, tables[1].failures[0].reason)
 
 
 @pytest.mark.parametrize("name", list(CONTRADICTIONS))

@@ -10,22 +10,27 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
+from analytic_scenes import box, depth_of, sphere
 from numpy.typing import NDArray
 from references import shell_of
 
 from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
 from kinectbench.core.geometry import (
+    Camera,
     Grid,
     TriangleMesh,
     rigid,
     rotation_from_quaternion_xyzw,
     transform_points,
 )
+from kinectbench.core.geometry.depth import depth_in_mm
 from kinectbench.core.geometry.mesh import join, read_own_ply, write_ply
+from kinectbench.core.sequence import depth_in_metres
 from kinectbench.core.storage import sha256_file, sha256_text
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, unpack
-from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.core.voxels.view_grids import partial_grids
 from kinectbench.release.publish.publish import PublishSummary, publish
 from kinectbench.settings.models import BenchmarkSettings
 
@@ -41,9 +46,10 @@ RECORDINGS: Recordings = (
     ("table_01", "table", "old_table", "test", 1),
     ("table_02", "table", "val_table", "validation", 1),
 )
+DEPTH_CAMERA = Camera(80, 60, 50.0, 50.0, 39.5, 29.5)
 CAMERA = {
     "format_version": 2,
-    **{"width": 8, "height": 6, "fx": 5.0, "fy": 5.0, "cx": 3.5, "cy": 2.5},
+    **{key: getattr(DEPTH_CAMERA, key) for key in ("width", "height", "fx", "fy", "cx", "cy")},
     **{"depth_scale": 1000.0, "color_registered": True, "registered_by": "recording"},
     **{"source_format": "tum", "frames": 8, "warnings": [], "trajectory_error": ""},
 }
@@ -57,7 +63,9 @@ FLOOR = {
     "found": True,
 }
 CENTRES = np.arange(256) + 0.5
-CELLS = np.arange(256, dtype=np.int16)
+VOXEL_M = 0.004
+# In the axes of the grid, 0.9 m before the middle of its front; and how far the wall behind the grid is.
+EYE_M, WALL_M = (0.512, 0.512, -0.9), 2.0
 
 
 def ball(center: tuple[float, float, float], radius: float) -> Bools:
@@ -67,9 +75,21 @@ def ball(center: tuple[float, float, float], radius: float) -> Bools:
     return ball
 
 
+def synthetic_view(number: int, category: str) -> tuple[NDArray[np.uint16], Bools]:
+    """Depth in whole millimetres, and mask, of the shape of `synthetic_pair`; (60, 80)."""
+    if category == "chair":
+        shape = sphere((120 + number, 128, 130), 90.0 - 3 * number)
+    else:
+        shape = box((20, 100 + number, 30), (230, 130, 220))
+    eye_cells = np.array(EYE_M) / VOXEL_M
+    shape_m = depth_of([shape], DEPTH_CAMERA, rigid(np.eye(3), eye_cells)) * VOXEL_M
+    mask = shape_m > 0
+    return depth_in_mm(np.where(mask, shape_m, np.float32(WALL_M))), mask
+
+
 @lru_cache(maxsize=16)
 def synthetic_pair(number: int, category: str) -> Pair:
-    """A ball (chair) or a board (table) seen from z = 0, with an unknown slab; differs by number.
+    """A ball (chair) or a board (table) before a wall, with an unknown slab; differs by number.
 
     Made once: its arrays are not to be changed, and cannot.
     """
@@ -78,23 +98,26 @@ def synthetic_pair(number: int, category: str) -> Pair:
     else:
         full = np.zeros((256, 256, 256), bool)
         full[20:230, 100 + number : 130, 30:220] = True
-    first = full.argmax(axis=2).astype(np.int16)
-    front = full & (first[..., None] + 1 >= CELLS)
     known = np.ones((256, 256, 256), bool)
     known[200 : 210 + number] = False
-    seen = np.where(full.any(axis=2), first + 1, np.int16(255))[..., None] >= CELLS
     T = rigid(rotation_from_quaternion_xyzw([0.1, -0.2, 0.3, 0.9]), [0.5, -0.2, 1.0 + number])
+    grid = Grid((256, 256, 256), VOXEL_M, T)
+    T_world_camera = T @ rigid(np.eye(3), EYE_M)
+    depth_mm, mask = synthetic_view(number, category)
+    depth_m = depth_in_metres(depth_mm, 1000)
+    object_m = np.where(mask, depth_m, np.float32(0))
+    partial_256, partial = partial_grids(object_m, DEPTH_CAMERA, T_world_camera, grid)
     pair = Pair(
-        partial=pack(reduce_blocks(front, "any")),
-        partial_256=pack(front),
+        partial=partial,
+        partial_256=partial_256,
         full=pack(full),
         shell=shell_of(full),
         known=pack(known),
-        seen=pack(seen),
+        seen=seen_cells(depth_m, DEPTH_CAMERA, T_world_camera, grid),
         T_world_grid=T,
-        T_world_camera=rigid(T[:3, :3], [0.0, 0.0, 0.0]),
-        K=np.array([[5.0, 0, 3.5], [0, 5, 2.5], [0, 0, 1]]),
-        voxel_size_m=0.004,
+        T_world_camera=T_world_camera,
+        K=DEPTH_CAMERA.K,
+        voxel_size_m=VOXEL_M,
         surface_sigma_m=0.003,
         framing="object",
         partial_rule="any",
@@ -139,17 +162,17 @@ def write_build(build: Path, wanted: Recordings = RECORDINGS, pair_of: PairOf = 
             }
             write_json(build / name / folder / "manifest.json", manifest)
         rows = []
-        pairs = [pair_of(index + int(view), category) for view in views]
-        for view, pair in zip(views, pairs, strict=True):
+        numbers = [index + int(view) for view in views]
+        pairs = [pair_of(number, category) for number in numbers]
+        for view, number, pair in zip(views, numbers, pairs, strict=True):
             (build / name / "pairs" / f"{view}.npz").write_bytes(pair_bytes(pair))
-            write_images(build / name / "views", view)
+            write_images(build / name / "views", view, number, category)
             pose = pair.T_world_camera.tolist()
             rows.append({"view": view, "frame": 7, "stamp_ns": 70, "T_world_camera": pose, "pixels": 12})
         listed = {"pairs": [{"view": view, "frame": 7, "containment": 1.0} for view in views], "refused": []}
         write_json(build / name / "pairs" / "pairs.json", listed)
         write_json(build / name / "views" / "views.json", {"format_version": 1, "views": rows, "refused": []})
         write_json(build / name / "object" / "floor.json", FLOOR)
-        numbers = [index + int(view) for view in views]
         # On the front of the first pair's shape.
         front = transform_points(pairs[0].T_world_grid, np.array([[0.48, 0.48, 0.14]]))[0]
         write_object(build / name / "object", mesh_of(pairs, numbers, category), front)
@@ -187,13 +210,11 @@ def write_object(folder: Path, mesh: TriangleMesh, corner_world: NDArray[np.floa
     ObjectVolume(grid, solid, labels, solid.astype(np.float16), np.zeros_like(solid)).write(folder)
 
 
-def write_images(views: Path, view: str) -> None:
-    """Depth of 8 x 6 pixels at 1.5 m, its middle the object, and a grey colour image."""
-    depth_mm = np.full((6, 8), 1500, np.uint16)
-    mask = np.zeros((6, 8), np.uint8)
-    mask[2:4, 2:6] = 255
-    grey = np.full((6, 8, 3), 128, np.uint8)
-    for suffix, image in (("depth.png", depth_mm), ("mask.png", mask), ("color.jpg", grey)):
+def write_images(views: Path, view: str, number: int, category: str) -> None:
+    """Depth and mask of `synthetic_view`, and a grey colour image."""
+    depth_mm, mask = synthetic_view(number, category)
+    grey = np.full((*mask.shape, 3), 128, np.uint8)
+    for suffix, image in (("depth.png", depth_mm), ("mask.png", mask * np.uint8(255)), ("color.jpg", grey)):
         cv2.imwrite(str(views / f"{view}.{suffix}"), image)
 
 

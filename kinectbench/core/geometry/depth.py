@@ -71,6 +71,8 @@ def corrected_depth_m(depth_m: Float32, correction_per_m: Float32) -> Float32:
 
 # Depth is published in millimetres of 16 bits.
 MOST_MM = int(np.iinfo(np.uint16).max)
+# In the warning about views with depth beyond that.
+TOO_FAR = f"depth beyond {MOST_MM / 1000:g} m"
 
 
 def depth_in_mm(depth_m: Float32) -> NDArray[np.uint16]:

@@ -129,6 +129,11 @@ class PairInput:
     framing: str
     partial_rule: str
 
+    @property
+    def grid(self) -> Grid:
+        """The 256-grid in the world."""
+        return Grid((FULL_CELLS,) * 3, self.voxel_size_m, self.T_world_grid)
+
 
 INPUT_KEYS = tuple(field.name for field in fields(PairInput))
 OPTIONAL = tuple(field.name for field in fields(Pair) if field.default is None)

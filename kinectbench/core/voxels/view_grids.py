@@ -29,7 +29,7 @@ def object_cube(vertices_world: Float64, T_world_camera: Float64) -> Grid:
     return _cube((low + high) / 2, float((high - low).max()) * OBJECT_SCALE, T_world_camera)
 
 
-def view_cube(points_camera: Float64, T_world_camera: Float64) -> Grid:
+def view_cube(points_camera: NDArray[np.floating], T_world_camera: Float64) -> Grid:
     """Framing `view`: a cube from the partial view alone, which reveals nothing of the hidden part.
 
     With the box of the partial's points in the view's axes (0.5 % left out on every side): side =
@@ -39,7 +39,8 @@ def view_cube(points_camera: Float64, T_world_camera: Float64) -> Grid:
         points_camera: (n, 3) the view's points on the object, camera frame, metres.
         T_world_camera: (4, 4), the view.
     """
-    low, high = np.quantile(points_camera, [0.005, 0.995], axis=0)
+    # Axis by axis: half the memory, the same values.
+    low, high = np.array([np.quantile(along, [0.005, 0.995]) for along in points_camera.T]).T
     side_m = VIEW_SCALE * float((high - low).max())
     centre = (low + high) / 2
     centre[2] = low[2] + (0.5 - VIEW_FRONT_MARGIN) * side_m

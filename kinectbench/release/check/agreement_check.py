@@ -27,6 +27,7 @@ from kinectbench.release.check.figure_check import (
     refused_problems,
 )
 from kinectbench.release.check.object_check import recording_of
+from kinectbench.release.check.twice_check import floor_problems, frame_problems
 from kinectbench.release.contents import (
     CARD,
     CITATION,
@@ -152,6 +153,8 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
                     yield from quality_problems(file, contents.text(file), info)
                 except (KinectBenchError, ValueError) as error:
                     yield str(error)
+    yield from frame_problems(contents, stated.metadata, whole)
+    yield from floor_problems(contents, stated.metadata, whole)
     yield from _published_truth(contents, stated.metadata)
 
 

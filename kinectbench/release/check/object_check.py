@@ -11,12 +11,13 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import parse_ply
 from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Arrays, Float64
 from kinectbench.core.untrusted import printable
 from kinectbench.core.untrusted_text import strict_json
 from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
-from kinectbench.release.contents import GLB, OBJECT_FILES, VOLUME_BYTES, Contents
+from kinectbench.release.contents import GLB, OBJECT_FILES, VOLUME_BYTES, Contents, surface_name
 from kinectbench.release.publish.object_glb import T_GLTF_FLOOR
 
 MESH = OBJECT_FILES[0]
@@ -179,3 +180,13 @@ def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
     if done != header.data_bytes:
         return f"has {done} bytes where its header claims {header.data_bytes}"
     return None
+
+
+def surface_lines(contents: Contents, recording: str) -> list[str]:
+    """Return a line if the open mesh that is the truth of a recording is missing or unreadable."""
+    name = surface_name(recording)
+    try:
+        read_ply(contents.read(name))
+    except (ReleaseError, ValueError) as error:
+        return [str(error) if isinstance(error, ReleaseError) else f"{name}: not a readable mesh ({error})"]
+    return []

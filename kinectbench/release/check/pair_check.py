@@ -28,6 +28,7 @@ def pair_problems(
     framing: str,
     partial_rule: str,
     unknown_shares: Mapping[str, float] = {},
+    surface_sigma_m: float | None = None,
 ) -> Iterator[str]:
     """Yield the faults of a pair, a clause each, without the file's name.
 
@@ -38,10 +39,13 @@ def pair_problems(
         partial_rule: the benchmark's partial rule.
         unknown_shares: {file: unknown share that it states for the pair}; earlier releases state fewer or
             none.
+        surface_sigma_m: standard deviation of the surface that the benchmark states; None if it does not.
     """
     yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
     if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
         yield f"surface_sigma_m is {pair.surface_sigma_m}, not a standard deviation"
+    elif surface_sigma_m is not None and pair.surface_sigma_m != surface_sigma_m:
+        yield f"surface_sigma_m is {pair.surface_sigma_m} where benchmark.json has {surface_sigma_m}"
     if not pair.full.any():
         yield "'full' is empty"
     wrong = packed_count(pair.shell ^ packed_shell(pair.full))

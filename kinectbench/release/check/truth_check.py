@@ -7,10 +7,12 @@ finds it.
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from statistics import fmean
 
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ReleaseError, StorageError
@@ -22,7 +24,15 @@ from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
 from kinectbench.core.voxels.open_mesh import voxelize_open
-from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, Pair, pack, packed_count, unpack
+from kinectbench.core.voxels.pair_file import (
+    FULL_CELLS,
+    SHARE_DECIMALS,
+    Packed,
+    Pair,
+    pack,
+    packed_count,
+    unpack,
+)
 from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.release.check.object_check import GLB_HEAD, glb_faults
 from kinectbench.release.contents import GLB, OBJECT_FILES, VOLUME_BYTES, Contents
@@ -226,3 +236,41 @@ def _beyond(pair: Pair, mesh: TriangleMesh) -> int:
     x, y, z = (slice(max(0, int(a)), max(0, int(b))) for a, b in zip(first, end, strict=True))
     within[x, y, z] = True
     return packed_count(pair.full & ~pack(within))
+
+
+@dataclass
+class TruthCheck:
+    """The pairs of a release against their objects; one object at a time is in memory.
+
+    The pairs of an object follow each other.
+
+    Attributes:
+        contents: the release.
+        whole: names of the files whose bytes are the published ones.
+        visible_shares: {recording: `visible_share` of each pair with its truth}.
+    """
+
+    contents: Contents
+    whole: Collection[str]
+    visible_shares: dict[str, list[float]] = field(default_factory=dict)
+    _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
+
+    def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
+        """Return the faults of a pair's truth; for the object's first pair, also the faults of the object."""
+        lines = list[str]()
+        self.visible_shares.setdefault(recording, []).append(pair.visible_share)
+        if self._last[0] != recording:
+            self._last = recording, ObjectTruth()  # frees memory before the next is read
+            truth, lines = object_truth(self.contents, recording, self.whole)
+            self._last = recording, truth
+        return lines + [f"{name}: {problem}" for problem in truth_problems(pair, self._last[1])]
+
+    def share_lines(self, metadata: ReleaseInfo | None) -> Iterator[str]:
+        """Yield a line for each `visible_share` that is not the mean of all of its recording's pairs."""
+        for name, info in metadata.recordings.items() if metadata else ():
+            shares = self.visible_shares.get(name, [])
+            if info.visible_share is None or len(shares) != info.pairs:
+                continue
+            if info.visible_share != (found := round(fmean(shares), SHARE_DECIMALS)):
+                stated = f"its recordings.{printable(name)}.visible_share is {info.visible_share}"
+                yield f"{BENCHMARK_JSON}: {stated} where its pairs have {found}"

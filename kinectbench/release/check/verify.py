@@ -2,7 +2,7 @@
 
 import hashlib
 import io
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -23,16 +23,23 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.errors import PairError, ReleaseError, StorageError
+from kinectbench.core.geometry.depth import TOO_FAR
 from kinectbench.core.geometry.rigid import is_rigid
-from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import printable
-from kinectbench.core.voxels.pair_file import TRUTH_KEYS, Pair, PairInput, checked_pair, pair_values
+from kinectbench.core.voxels.pair_file import (
+    TRUTH_KEYS,
+    Pair,
+    PairInput,
+    checked_pair,
+    pair_values,
+)
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
-from kinectbench.release.check.object_check import object_problems, recording_of
+from kinectbench.release.check.object_check import object_problems, recording_of, surface_lines
 from kinectbench.release.check.pair_check import input_problems, pair_problems
-from kinectbench.release.check.truth_check import ObjectTruth, object_truth, truth_problems
-from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents, surface_name
+from kinectbench.release.check.truth_check import TruthCheck
+from kinectbench.release.check.view_check import StatedView, image_names, view_lines
+from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents
 from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents
 from kinectbench.release.release import FIRST_LINE, recording_problems, sum_problems
@@ -82,12 +89,13 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
         of_objects = _object_lines(contents, whole, metadata)
         lines += [line for problems in of_objects.values() for line in problems]
         stated = _stated(contents, metadata, targets)
-        objects = _Objects(contents, whole - of_objects.keys())
+        objects = TruthCheck(contents, whole - of_objects.keys())
         for done, name in enumerate(sorted(pairs), start=len(sums) + 1):
             if metadata and name not in damaged:
                 lines += _pair_lines(contents, name, metadata, stated.get(name, _OfPair()), objects)
             if progress:
                 progress(done, total)
+        lines += objects.share_lines(metadata)
     return lines
 
 
@@ -115,15 +123,27 @@ def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -
         return lines + _identity(contents, text, damaged)[1]
 
 
-def is_of_first_identity(path: Path) -> bool:
-    """Return whether the release's `benchmark_sha256` covers its files only, without benchmark.json.
+def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
+    """Return what a sound release does not let `verify` check, a clause each; arguments as in `verify`.
 
     Raises:
-        ReleaseError: benchmark.json cannot be read.
+        ReleaseError: benchmark.json or SHA256SUMS cannot be read.
     """
     with open_contents(path) as contents:
         info = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
-    return info.benchmark_sha256_version is None
+        sums = parse_sums(contents.text(SHA256SUMS), SHA256SUMS)
+    clauses = list[str]()
+    if info.benchmark_sha256_version is None:
+        clauses.append(
+            "its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"
+        )
+    pairs = [name for name in sums if name.startswith("pairs/")]
+    without = sum(not sums.keys() >= set(image_names(name)) for name in pairs)
+    if without and not checksums_only:
+        clauses.append(
+            f"{without} of {len(pairs)} partials were compared with no depth, which is not published"
+        )
+    return clauses
 
 
 def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
@@ -172,11 +192,11 @@ class _OfPair:
 
     Attributes:
         unknown_shares: {file: unknown share of the true shape}, for the files that state it.
-        view: the pair's row of views.json; None without a row.
+        shown: the pair's row of views.json, and what it says of its depth.
     """
 
     unknown_shares: dict[str, float] = field(default_factory=dict)
-    view: ViewRow | None = None
+    shown: StatedView = field(default_factory=StatedView)
 
 
 def _stated(
@@ -187,14 +207,18 @@ def _stated(
     for target in targets:
         if target.unknown_share is not None:
             stated[target.file].unknown_shares[TARGETS_CSV] = target.unknown_share
-    for recording in metadata.recordings if metadata else ():
+    if metadata is None:
+        return stated
+    for recording in metadata.recordings:
         try:
-            rows = ViewsFile.parse(contents.text(f"views/{recording}/views.json"), ViewsFile.FILE).views
+            views = ViewsFile.parse(contents.text(f"views/{recording}/views.json"), ViewsFile.FILE)
         except (ReleaseError, StorageError):  # reported elsewhere
             continue
-        for row in rows:
+        # A held-back recording has no warnings.
+        has_too_far = metadata.hides(recording) or any(TOO_FAR in line for line in views.warnings)
+        for row in views.views:
             of_pair = stated.setdefault(f"pairs/{recording}/{row.view}.npz", _OfPair())
-            of_pair.view = row
+            of_pair.shown = StatedView(row, has_too_far)
             if row.unknown_share is not None:
                 of_pair.unknown_shares[ViewsFile.FILE] = row.unknown_share
     return stated
@@ -208,35 +232,12 @@ def _view_problems(pair: Pair | PairInput, view: ViewRow | None) -> Iterator[str
             yield f"{name} is not that of {ViewsFile.FILE}"
 
 
-@dataclass
-class _Objects:
-    """The objects of a release; only one is in memory at a time, as pairs of an object are consecutive.
-
-    Attributes:
-        contents: the release.
-        whole: names of the files whose bytes are the published ones.
-    """
-
-    contents: Contents
-    whole: Collection[str]
-    _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
-
-    def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
-        """Return the faults of a pair's truth; for the object's first pair, also the faults of the object."""
-        lines = list[str]()
-        if self._last[0] != recording:
-            self._last = recording, ObjectTruth()  # frees memory before the next is read
-            truth, lines = object_truth(self.contents, recording, self.whole)
-            self._last = recording, truth
-        return lines + [f"{name}: {problem}" for problem in truth_problems(pair, self._last[1])]
-
-
 def _pair_lines(
     contents: Contents,
     name: str,
     metadata: ReleaseInfo,
     stated: _OfPair,
-    objects: _Objects,
+    objects: TruthCheck,
 ) -> list[str]:
     """Return the faults of one pair; `stated` has what other files state about it."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
@@ -246,24 +247,39 @@ def _pair_lines(
         if metadata.has_solid(recording):
             least = metadata.settings.pairs.min_containment
             pair = checked_pair(Pair, values, name)
-            shares = stated.unknown_shares
+            shares, info = stated.unknown_shares, metadata.recordings.get(recording)
+            sigma_m = None if info is None else info.quality.surface_sigma_m
+            of_truth = pair_problems(
+                pair, min_containment=least, unknown_shares=shares, surface_sigma_m=sigma_m, **rules
+            )
             problems = [
-                *pair_problems(pair, min_containment=least, unknown_shares=shares, **rules),
-                *_view_problems(pair, stated.view),
+                *of_truth,
+                *_view_problems(pair, stated.shown.row),
             ]
             lines = [f"{name}: {problem}" for problem in problems]
-            placed = is_rigid(pair.T_world_grid) and 0 < pair.voxel_size_m < np.inf
-            return lines + (objects.lines(recording, name, pair) if placed else [])
+            if not _is_placed(pair):
+                return lines
+            lines += view_lines(contents, name, pair, stated.shown, objects.whole)
+            return lines + objects.lines(recording, name, pair)
         held_back = [key for key in values if key in TRUTH_KEYS]
         why = "is held back" if metadata.hides(recording) else "an open mesh does not have"
         lines = [f"{name}: holds {', '.join(held_back)}, which {why}"] if held_back else []
         if not metadata.hides(recording):
             lines += surface_lines(contents, recording)
         given = checked_pair(PairInput, values, name)
-        problems = [*input_problems(given, **rules), *_view_problems(given, stated.view)]
-        return [*lines, *(f"{name}: {problem}" for problem in problems)]
+        problems = [*input_problems(given, **rules), *_view_problems(given, stated.shown.row)]
+        lines += [f"{name}: {problem}" for problem in problems]
+        return lines + (
+            view_lines(contents, name, given, stated.shown, objects.whole) if _is_placed(given) else []
+        )
     except (PairError, ReleaseError) as error:
         return [str(error)]
+
+
+def _is_placed(pair: Pair | PairInput) -> bool:
+    """Return whether a pair's matrices and cells can be computed with; if not, that is reported."""
+    rigid = is_rigid(pair.T_world_grid) and is_rigid(pair.T_world_camera)
+    return rigid and 0 < pair.voxel_size_m < np.inf
 
 
 def _identity(
@@ -351,13 +367,3 @@ def _split_problems(contents: Contents, targets: tuple[Target, ...]) -> Iterator
         return
     if splits.json_value() != Splits.of(targets).json_value():
         yield f"{SPLITS_JSON}: does not agree with {TARGETS_CSV}"
-
-
-def surface_lines(contents: Contents, recording: str) -> list[str]:
-    """Return a line if the open mesh that is the truth of a recording is missing or unreadable."""
-    name = surface_name(recording)
-    try:
-        read_ply(contents.read(name))
-    except (ReleaseError, ValueError) as error:
-        return [str(error) if isinstance(error, ReleaseError) else f"{name}: not a readable mesh ({error})"]
-    return []

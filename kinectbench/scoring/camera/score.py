@@ -121,21 +121,49 @@ def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tup
     """The protocols of predictions in the camera frame: those asked for, else all that apply.
 
     Raises:
-        SettingsError: one is of the grid, or `camera` is asked of predictions of free size.
+        SettingsError: see `unfit`.
+    """
+    if reason := unfit(asked, declared):
+        raise SettingsError(reason)
+    if declared.scale == "metric":
+        return tuple(name for name in IN_SPACE if name in (asked or IN_SPACE))
+    return ("aligned",)
+
+
+def unfit(asked: Sequence[str] | None, declared: MethodFile) -> str | None:
+    """Why predictions in the camera frame cannot be scored under the protocols asked for; None if they can.
+
+    One is of the grid, or `camera` is asked of predictions of free size.
     """
     if other := [name for name in asked or () if name not in IN_SPACE]:
-        raise SettingsError(
+        return (
             f"--protocol {', '.join(other)}: {declared.name} predicts in the camera frame, which is scored "
             f"under {', '.join(IN_SPACE)}"
         )
-    if declared.scale == "metric":
-        return tuple(name for name in IN_SPACE if name in (asked or IN_SPACE))
-    if asked and "camera" in asked:
-        raise SettingsError(
+    if declared.scale == "free" and asked and "camera" in asked:
+        return (
             f"--protocol camera: the predictions of {declared.name} are of free size ('scale' in "
             f"{MethodFile.FILE}); score them under aligned"
         )
-    return ("aligned",)
+    return None
+
+
+def left_out_table(
+    release: Release, method: str, protocols: tuple[str, ...], missing: Missing, reason: str
+) -> ScoreTable:
+    """The table of a method that is left out of a score of several: every view has failed for one reason.
+
+    Args:
+        release: what the predictions are for.
+        method: its name.
+        protocols: those asked for.
+        missing: as in `score_in_camera`.
+        reason: see `unfit`.
+    """
+    test = pairs_to_score(release, validation=False, solid=False)
+    failures, settings = dict.fromkeys(test, reason), settings_in_space(protocols, missing)
+    fixed = fixed_thresholds({target.category for target in test})
+    return table_in_space(release, method, {}, failures, settings, (), fixed)
 
 
 def _files(

@@ -18,7 +18,7 @@ from kinectbench.core.encoded_images import decoded_image, decoded_mask, image_h
 from kinectbench.core.errors import SegmentationError, StorageError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.core.geometry.depth import MOST_MM, depth_in_mm, too_far_for_mm
+from kinectbench.core.geometry.depth import TOO_FAR, depth_in_mm, too_far_for_mm
 from kinectbench.core.images import png
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
@@ -195,7 +195,7 @@ def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> li
     far = [view.too_far_share for view in views if view.too_far_share > 0]
     if far:
         warnings.append(
-            f"{len(far)} of {len(views)} views have depth beyond {MOST_MM / 1000:g} m ({max(far):.1%} of the "
+            f"{len(far)} of {len(views)} views have {TOO_FAR} ({max(far):.1%} of the "
             "pixels with depth at most), which their 16-bit depth images hold as 0, no measurement: is "
             "`depth_scale` right?"
         )

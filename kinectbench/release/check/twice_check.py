@@ -1,0 +1,45 @@
+"""Check what the files of one recording state twice: the frames of its views, and its floor."""
+
+from collections.abc import Collection, Iterator
+from contextlib import suppress
+
+import numpy as np
+
+from kinectbench.core.artefacts.benchmark import ReleaseInfo
+from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
+from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.errors import ReleaseError, StorageError
+from kinectbench.core.geometry.rigid import ORTHONORMAL_TOLERANCE, is_rigid
+from kinectbench.core.untrusted import printable
+from kinectbench.release.contents import Contents
+
+
+def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
+    """Yield a line for each views.json that has other frames or stamps than lineage.json."""
+    names = {name: f"views/{name}/{ViewsFile.FILE}" for name in metadata.recordings}
+    if LINEAGE_JSON not in whole:
+        return
+    with suppress(ReleaseError, StorageError):  # reported as not of their schema
+        recordings = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
+        for name, file in names.items():
+            of_lineage = recordings[name].views if name in recordings else None
+            if of_lineage is None or file not in whole:
+                continue
+            rows = {row.view: row for row in ViewsFile.parse(contents.text(file), file).views}
+            for view in of_lineage:
+                row = rows.get(view.view)
+                if row is not None and (row.frame, row.stamp_ns) != (view.frame, view.stamp_ns):
+                    yield f"{file}: another frame or stamp of {printable(view.view)} than in {LINEAGE_JSON}"
+
+
+def floor_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
+    """Yield a line for each floor.json whose plane is not that of its frame."""
+    for name in metadata.recordings:
+        file = f"objects/{name}/{FloorFile.FILE}"
+        with suppress(ReleaseError, StorageError):  # reported as not of its schema
+            floor = FloorFile.parse(contents.text(file), file) if file in whole else None
+            if floor is None or not is_rigid(floor.T_floor_world):
+                continue
+            if not np.allclose(floor.T_floor_world[2], floor.plane_world, atol=ORTHONORMAL_TOLERANCE):
+                yield f"{file}: plane_world is not z = 0 of T_floor_world"
