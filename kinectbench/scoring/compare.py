@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES
+from kinectbench.core.artefacts.score_marks import BASELINE
 from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.scoring.averages import ObjectMeans
@@ -75,8 +76,8 @@ class Comparison:
         ranks: {scope: {method: 1 + the number of methods that are significantly better}}.
         groups: {scope: {method: letters}}: methods that share a letter do not differ significantly.
         differences: one for every pair of methods in every scope.
-        notes: one line each: which methods are left out, where the test set is too small to tell, and how
-            many pairs are left out.
+        notes: one line each: which methods are left out, where the test set is too small to tell, how many
+            pairs are left out, and what qualifies the figures of a method.
         too_small: {scope: a sentence} of scopes where no pair of methods could be distinguished.
         standings: {method: "reported", or "verified" with date and version}.
         left_out: names of methods that are not compared because some of their pairs are not scored.
@@ -143,6 +144,9 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         if not any(of.values())
     ]
     notes += filter(None, [tables[0].left_out_line(protocol)])
+    for name, table in complete.items():
+        marks = [mark.words for mark in table.marks if mark.kind != BASELINE]
+        notes += [f"{name}: {'; '.join(marks)}"] if marks else []
     of_truth = tables[0].averages(protocol)
     unknown = {scope: of_truth.get(OVERALL if scope == ALL else scope) for scope in scopes}
     return Comparison(

@@ -148,11 +148,13 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
 
 
 def _picked(recording: Path) -> list[str]:
-    """The line with the point clicked while recording; none if the file is from another program."""
+    """The line with the point clicked while recording; a comment if the file holds none."""
     try:
         picked = PickSettings.model_validate_json(read_plain_text(recording / PICK_FILE, PICK_BYTES))
-    except (OSError, ValueError):
+    except FileNotFoundError:
         return []
+    except (OSError, ValueError):
+        return [f"    # {PICK_FILE} beside it holds no click that can be read: it is not used"]
     return [_commented(f"    pick: {yaml_text(picked.model_dump(mode='json'))}", "clicked while recording")]
 
 

@@ -14,6 +14,7 @@ from scipy import stats
 from score_rows import row, table
 
 from kinectbench.core.artefacts.score_figures import AVERAGED
+from kinectbench.core.artefacts.score_marks import MISSING_AS_EMPTY, Mark
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import object_means
@@ -305,3 +306,11 @@ def test_means_of_objects() -> None:
     here = means["known"]["chair"]
     np.testing.assert_allclose(here.values[:, AVERAGED.index("iou")], [0.3, 0.9])
     assert np.isnan(here.values[:, AVERAGED.index("chamfer_mm")]).all()
+
+
+def test_what_qualifies_the_figures_of_a_method_is_said() -> None:
+    guessed = Mark(kind=MISSING_AS_EMPTY, words="6 of 12 missing, scored as empty")
+    tables = [method("net", 0.1, 6), method("half", 0.0, 6).model_copy(update={"marks": (guessed,)})]
+    notes = compare(tables).notes
+    assert "half: 6 of 12 missing, scored as empty" in notes
+    assert not any(note.startswith("net:") for note in notes)

@@ -134,7 +134,8 @@ def test_init_writes_what_was_clicked(command: Callable[..., Run], tmp_path: Pat
         file.write_text(wrong)
         (tmp_path / "recordings/benchmark.yaml").unlink()
         assert command(tmp_path, "init", "recordings", "--force").status == 0
-        assert "    pick:" not in (tmp_path / "recordings/benchmark.yaml").read_text()
+        written = (tmp_path / "recordings/benchmark.yaml").read_text()
+        assert "    pick:" not in written and "pick.json beside it holds no click" in written
     file.unlink()
     os.mkfifo(file)  # nobody writes to it
     assert command(tmp_path, "init", "recordings", "--force").status == 0
