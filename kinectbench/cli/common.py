@@ -27,6 +27,15 @@ AT_URLS = ("release",)
 DEFAULT_CONFIG = Path("benchmark.yaml")
 
 
+class OnInterrupt:
+    """What an interrupt says; a command that cannot be run again sets its own words."""
+
+    words = "stopped; run the same command again to go on from here"
+
+
+on_interrupt = OnInterrupt()
+
+
 @dataclass(frozen=True)
 class Common:
     """The options that many commands share; one that a command does not offer keeps its default.

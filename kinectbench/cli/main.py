@@ -16,7 +16,7 @@ import typer
 from kinectbench._version import __version__
 from kinectbench.cli.baseline import baseline_command, check_command
 from kinectbench.cli.build import STAGE_COMMANDS, build_command
-from kinectbench.cli.common import Command
+from kinectbench.cli.common import Command, on_interrupt
 from kinectbench.cli.compare_truth import compare_truth_command
 from kinectbench.cli.evaluate import evaluate_command
 from kinectbench.cli.exchange import adapt_command, export_command, import_command
@@ -57,7 +57,6 @@ app = typer.Typer(
 # Typer's exit status after KeyboardInterrupt.
 INTERRUPTED = 130
 STDERR = 2
-STOPPED = "stopped; run the same command again to go on from here"
 
 # The commands as `kinectbench --help` shows them, in the order of their use.
 PANELS: Mapping[str, Mapping[str, Command]] = {
@@ -224,14 +223,14 @@ def _run() -> tuple[int, tuple[str, ...]]:
         status = INTERRUPTED
     if status == INTERRUPTED:
         ignore_interrupts()  # a second one would interrupt the clean-up
-        messages = (STOPPED,)
+        messages = (on_interrupt.words,)
     return status, messages
 
 
 def _end_unanswered(number: int) -> None:
     """Exit while a library computes, which Python cannot interrupt; called on another thread."""
     remove_half_filled()
-    sys.stderr.write(f"error: {STOPPED}\n")  # the console's lock may be held
+    sys.stderr.write(f"error: {on_interrupt.words}\n")  # the console's lock may be held
     sys.stderr.flush()
     os._exit(128 + number)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
+from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, on_interrupt, takes
 from kinectbench.core.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -136,13 +136,14 @@ def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | Non
 
     if begun is not None:
         begun.ended()
-    quiet = replace(common, as_json=False)
+    quiet, config = replace(common, as_json=False), out / DEFAULT_CONFIG
+    on_interrupt.words = f"stopped; `kinectbench build --config {config}` goes on from here"
     init_command(folder=out)
     with ExitStack() as stack:
         if begun is not None:
             stack.enter_context(using_partial_sequence(begun.sequence))
             stack.enter_context(using_partial_odometry(begun.odometry))
-        status = run_stage(replace(quiet, config=out / DEFAULT_CONFIG), "build", None)
+        status = run_stage(replace(quiet, config=config), "build", None)
     took_s = time.monotonic() - ended_s
     console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording"], "cyan")
     return status

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from kinectbench.cli.main import STOPPED
+from kinectbench.cli.common import on_interrupt
 from kinectbench.engine import interrupts
 from kinectbench.engine.interrupts import (
     check_interrupt,
@@ -101,7 +101,7 @@ def test_a_library_that_computes_does_not_keep_the_process(
     assert len([*tmp_path.iterdir()]) == 2
     asked = time.monotonic()
     process.send_signal(number)
-    assert process.communicate(timeout=10)[1] == f"error: {STOPPED}\n"
+    assert process.communicate(timeout=10)[1] == f"error: {on_interrupt.words}\n"
     assert process.returncode == status
     assert time.monotonic() - asked < 2
     assert [*tmp_path.iterdir()] == []

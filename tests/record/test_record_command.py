@@ -198,3 +198,16 @@ def test_wrong_usage_is_one_line(
     run = command(tmp_path, "record", *arguments)
     assert run.status == status and run.err.count("\n") == 1 and words in run.err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_build_that_is_stopped_says_how_to_go_on(source: Path, tmp_path: Path) -> None:
+    """The recording is whole then: `record` would ask for another folder."""
+    out = tmp_path / "out"
+    process = started(out, "--from", source, "--speed", "50", "--build")
+    end = time.monotonic() + 120
+    while not (out / "benchmark.yaml").is_file() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    err = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert f"`kinectbench build --config {out}/benchmark.yaml` goes on from here" in err
