@@ -32,7 +32,7 @@ HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 # predictions of baselines.
 VERSIONS: dict[str, int] = {
     "ingest": 14,
-    "track": 14,
+    "track": 15,
     "fuse": 7,
     "segment": 43,
     "sample-views": 5,

@@ -24,6 +24,8 @@ OF_OBJECT = (
     *("estimated_iou_reasons", "rests_on_word", "frontiers"),
 )
 File = TypeVar("File", bound=Stored)
+# Views to name in one line.
+MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,7 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         warnings=tuple(
             line for part in (sequence, health, scene, quality, views) if part for line in part.warnings
         )
+        + _without_pair(job, pairs)
         + outcome.warnings,
         first=_to_do_first(sequence, health, quality, views),
         status="failed" if outcome.error else f"{outcome.seconds:.1f} s" if outcome.made else "up to date",
@@ -96,6 +99,17 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         made=outcome.made,
         current=outcome.current,
     )
+
+
+def _without_pair(job: Job, pairs: PairsFile | None) -> tuple[str, ...]:
+    """A line that names the views without a pair where a person drew masks, which may be the cause."""
+    refused = pairs.refused if pairs and job.masks else ()
+    if not refused:
+        return ()
+    named = [f"{row.view} of frame {row.frame} ({row.reason})" for row in refused[:MOST_NAMED]]
+    more = [f"and {len(refused) - MOST_NAMED} more in pairs.json"] if len(refused) > MOST_NAMED else []
+    count = f"{len(refused)} view{'s' * (len(refused) != 1)}"
+    return (f"no pair of {count}: look at their masks in {job.masks}: {', '.join([*named, *more])}",)
 
 
 def _to_do_first(

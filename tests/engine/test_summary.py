@@ -10,6 +10,7 @@ from rich.console import Console
 
 from kinectbench.cli import console
 from kinectbench.cli.build import SHOWN_RECORDINGS, show_rows
+from kinectbench.core.artefacts.views import PairsFile, Refused
 from kinectbench.engine.pipeline import Outcome
 from kinectbench.engine.stages import Job
 from kinectbench.engine.summary import BuiltRecording, RecordingSummary, summary
@@ -134,3 +135,19 @@ def test_of_many_only_those_that_are_shown_are_read(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(console, "out", console.SafeConsole(width=160, file=io.StringIO()))
     show_rows([one(number) for number in range(SHOWN_RECORDINGS + 50)], "segment")
     assert read == list(range(SHOWN_RECORDINGS))
+
+
+def test_views_without_a_pair_are_named_where_a_person_drew_masks(tmp_path: Path) -> None:
+    refused = tuple(Refused(view=f"00{n}", frame=10 * n, reason="no pixel of the mask") for n in range(5))
+    folder = tmp_path / "build" / "bin" / "pairs"
+    folder.mkdir(parents=True)
+    PairsFile(pairs=(), refused=refused).write(folder)
+    drawn = SETTINGS.recordings[0].model_copy(update={"masks": "masks/bin"})
+    found = [
+        summary(Job(SETTINGS, recording, tmp_path), Outcome("bin", (), ("pairs",), None, 0.0)).warnings
+        for recording in (SETTINGS.recordings[0], drawn)
+    ]
+    assert found[0] == ()
+    (line,) = found[1]
+    assert "no pair of 5 views" in line and "000 of frame 0 (no pixel of the mask)" in line
+    assert "and 2 more in pairs.json" in line

@@ -51,7 +51,8 @@ def track_own_pixels(
         lines.append(f"{without} of {len(sequence)} frames have no mask, or an empty one, and are left out")
     if not lines or trajectory.health is None:
         return trajectory
-    warnings = (*trajectory.health.warnings, *lines)
+    # First: what masks leave out looks like a bad trajectory in what follows.
+    warnings = (*lines, *trajectory.health.warnings)
     return replace(trajectory, health=trajectory.health.model_copy(update={"warnings": warnings}))
 
 
