@@ -199,7 +199,7 @@ def test_frames_without_a_pose_are_not_judged() -> None:
 
 def test_poses_so_far_apart_that_nothing_can_be_checked() -> None:
     poses = truth()
-    poses[:, :3, 3] += 100.0 * np.arange(N)[:, None]
+    poses[:, :3, 3] += 50.0 * np.arange(N)[:, None]
     check = checked(poses)
     assert np.isnan(check.frames.shift_m).all() and check.distant == ()
     (warning,) = warnings_of(recording(), check)
