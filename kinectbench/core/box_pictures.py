@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.core.images import png
 from kinectbench.core.pictures import INK, SOFT, figure_png, new_figure
@@ -117,7 +118,7 @@ def best_frame(shown: ShownBox, sequence: Sequence, trajectory: Trajectory) -> i
     the box is. Of frames with similar scores, the sharpest one wins.
     """
     good = trajectory.good_frames
-    judged = good[np.unique(np.linspace(0, len(good) - 1, min(len(good), JUDGED_FRAMES)).astype(int))]
+    judged = good[evenly(len(good), JUDGED_FRAMES)]
     points_world = _sampled_world(shown)
     corners_world = transform_points(shown.T_world_floor, shown.box.corners_floor())
     whole, seen, nearness = np.zeros((3, len(judged)))

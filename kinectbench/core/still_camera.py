@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.types import Bools, Float32
@@ -82,7 +83,8 @@ class Watched:
 
 def some_of(count: int) -> list[int]:
     """Indices of at most 24 of `count` frames, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist() if count else []
+    indices: list[int] = evenly(count, FRAMES).tolist()
+    return indices
 
 
 def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]) -> Watched | None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import (
     Camera,
     invert_rigid,
@@ -147,7 +148,7 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
     ordered = in_order_of_time(poses)
     rays = camera.rays()[::POINT_STEP, ::POINT_STEP]
     pairs = []
-    for first in np.unique(np.linspace(0, count - 1, min(ANCHORS, count)).astype(int)).tolist():
+    for first in evenly(count, ANCHORS).tolist():
         if not has_pose[first]:
             continue
         for second in _later(first, count) if ordered else _beside(first, poses):

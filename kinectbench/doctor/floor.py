@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import SegmentationError
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import Camera, transform_points
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.trajectory.association import poses_at
@@ -104,7 +105,7 @@ def seen_floor(
             ground = replace(ground, recording=replace(ground.recording, given_trajectory=None))
         return _heights_together(probe, *posed, max_depth_m, ground)
     count = len(probe.frames)
-    indices = np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)).tolist()
+    indices = evenly(count, FRAMES).tolist()
     alone = [_floor_alone(probe.frames[i], probe.small_camera, ground.recording) for i in indices]
     heights_m = [np.nan if each is None else each.plane_world[3] for each in alone]
     # A warning for most single frames counts for the recording.
@@ -154,7 +155,7 @@ def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | No
     known = np.flatnonzero(np.isfinite(T_world_camera[:, 0, 0]))
     shape = probe.small_camera.height, probe.small_camera.width
     known = np.array([i for i in known if probe.frames[i].depth_m.shape == shape], np.int64)
-    chosen = np.unique(known[np.linspace(0, len(known) - 1, min(POSED_FRAMES, len(known))).astype(int)])
+    chosen = known[evenly(len(known), POSED_FRAMES)]
     return [probe.frames[i] for i in chosen], T_world_camera[chosen]
 
 

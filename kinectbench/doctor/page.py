@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.images import data_uri, depth_picture, shrunk
 from kinectbench.core.pages import render_page
 from kinectbench.core.storage import replaced_file
@@ -49,7 +50,7 @@ def write_diagnosis_page(diagnosis: Diagnosis, probe: Probe | None, out: Path) -
 
 def _pictures(probe: Probe) -> Iterator[Picture]:
     count = len(probe.whole)
-    for index in np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int)) if count else ():
+    for index in evenly(count, FRAMES).tolist():
         frame = probe.whole[index]
         if frame.bgr is not None:
             yield Picture(frame.index, "colour", data_uri(shrunk(frame.bgr[..., ::-1], WIDTH_PX)))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import counts_frames, depth_in_metres
 from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, decode_color_bgr, image_header
@@ -117,10 +118,9 @@ class ProbeBuilder:
 
     def __init__(self, recording: Recording, indices: NDArray[np.int64], whole: int = WHOLE_FRAMES) -> None:
         """Prepare to gather frames with these indices (increasing), `whole` of them at full size."""
-        places = np.linspace(0, len(indices) - 1, min(whole, len(indices))).astype(int)
         self.indices = indices
         self._wanted = frozenset(indices.tolist())
-        self._whole_at = frozenset(indices[places].tolist())
+        self._whole_at = frozenset(indices[evenly(len(indices), whole)].tolist())
         self._recording = recording
         self._step = max(1, round(recording.camera.width / DEPTH_COLUMNS))
         self._frames: list[SmallFrame] = []
@@ -156,9 +156,7 @@ class ProbeBuilder:
 def probe_recording(recording: Recording, few: bool = False) -> Probe:
     """Probe a recording: read all frames up to 250, else runs of frames; with `few` only eight."""
     count = len(recording)
-    indices = (
-        np.unique(np.linspace(0, count - 1, FEW_FRAMES).astype(np.int64)) if few else frames_to_read(count)
-    )
+    indices = evenly(count, FEW_FRAMES) if few else frames_to_read(count)
     gathering = ProbeBuilder(recording, indices)
     damaged: list[str] = []
     refused: list[str] = []

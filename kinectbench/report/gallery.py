@@ -19,6 +19,7 @@ from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.listing import inert_json
 from kinectbench.core.pictures import block_density
 from kinectbench.core.types import Float64, Progress
@@ -56,8 +57,8 @@ def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
         rising: the method's pairs by rising IoU.
         every: all pairs of the test split, in an order that is the same for every method.
     """
-    spread = np.unique(np.linspace(0, len(every) - 1, min(SHARED, len(every))).astype(int))
-    return sorted({*rising[:EXTREME], *rising[::-1][:EXTREME], *(every[i] for i in spread)})
+    spread = {every[i] for i in evenly(len(every), SHARED)}
+    return sorted({*rising[:EXTREME], *rising[::-1][:EXTREME], *spread})
 
 
 def reduced_packed(packed: Packed) -> Packed:

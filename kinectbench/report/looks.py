@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core import images, pictures
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.errors import StorageError
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import BLOCK, unpack
@@ -92,7 +93,7 @@ class FramePicture:
 def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> tuple[FramePicture, ...]:
     """Return at most `most` of the views, evenly spread; `folder` holds their images."""
     rows = views.views
-    chosen = np.unique(np.linspace(0, len(rows) - 1, min(most, len(rows))).astype(int))
+    chosen = evenly(len(rows), most)
     shown = [_frame(folder, rows[i], views.color_registered is not False) for i in chosen]
     return tuple(frame for frame in shown if frame)
 

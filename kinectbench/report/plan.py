@@ -7,6 +7,7 @@ import numpy as np
 from markupsafe import Markup
 
 from kinectbench.core.artefacts.object import FrontierPart
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import Float64
 
@@ -93,7 +94,7 @@ def draw_plan(
     path = place(T_floor_camera[:, :3, 3])
     last = len(path) - 1
     # The path is cut into pieces of one colour each, with some ticks.
-    cuts, chosen = _spread(last, min(last, MAX_PIECES) + 1), _spread(last, MAX_TICKS)
+    cuts, chosen = (evenly(last + 1, most).tolist() for most in (MAX_PIECES + 1, MAX_TICKS))
     ahead_px = (T_floor_camera[:, :2, 2] * [1, -1] * TICK_PX).tolist()
     bar_m = max((b for b in BAR_LENGTHS_M if b * px_per_m <= MAX_BAR_PX), default=BAR_LENGTHS_M[0])
     height_px = size_m[1] * px_per_m + 2 * MARGIN_PX + LEGEND_PX
@@ -116,12 +117,6 @@ def draw_plan(
     }
     # The drawing contains only numbers computed here, so it is safe as it is.
     return Markup(render_page("report/plan.svg", content))
-
-
-def _spread(last: int, count: int) -> list[int]:
-    """Return at most `count` of the numbers 0 to `last`, evenly spread."""
-    indices: list[int] = np.unique(np.linspace(0, last, count).astype(int)).tolist()
-    return indices
 
 
 def _head(tail_px: Sequence[float], tip_px: Sequence[float]) -> list[list[float]]:

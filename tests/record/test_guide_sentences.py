@@ -37,7 +37,7 @@ def standing(towards_deg: float = 0.0, rise_deg: float = 20.0, distance_m: float
 
 def frontier(look_from: tuple[float, float, float], direction: str = "side", **changes: object) -> Frontier:
     way = np.array(look_from) / np.linalg.norm(look_from)
-    figures = (0.1, 0.9, 0.9, 0.9)
+    figures = (0.1, 0.9, 0.9)
     made = Frontier(direction, 0.04, (0.2, 0.2), tuple(CENTER), tuple(way), *figures)  # type: ignore[arg-type]
     return replace(made, **changes)  # type: ignore[arg-type]
 

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float32, Float64, Int64
@@ -89,7 +90,7 @@ def from_above(T_world_camera: Float64) -> Float64:
 
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
     """`middle_depth_m` of a fixed selection of frames (n,), all with a pose."""
-    some = frames[np.unique(np.linspace(0, len(frames) - 1, min(MIDDLE_FRAMES, len(frames))).astype(int))]
+    some = frames[evenly(len(frames), MIDDLE_FRAMES)]
     thin = slice(None, None, MIDDLE_STEP_PX)
     return middle_depth_m(sequence.depth_m(int(frame))[thin, thin] for frame in some)
 

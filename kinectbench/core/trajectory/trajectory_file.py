@@ -113,11 +113,11 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
 
 def _refuse_values(rows: Sequence[TimedPose], values: Float64) -> None:
     """Refuse the first row that is no pose; values (n, 7) are its translation and quaternion."""
-    unknown = ~np.isfinite(values).all(axis=1)
+    unknown = np.asarray(~np.isfinite(values).all(axis=1))
     largest = np.abs(np.where(unknown[:, None], 0, values)).max(axis=1)
     far = largest > FARTHEST_M
     without_length = np.linalg.norm(np.where((unknown | far)[:, None], 1, values)[:, 3:], axis=1) < 1e-6
-    wrong = unknown | far | without_length
+    wrong = np.asarray(unknown | far | without_length)
     if not wrong.any():
         return
     first = int(np.argmax(wrong))

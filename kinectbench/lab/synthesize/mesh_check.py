@@ -145,10 +145,9 @@ def _cleaned(mesh: TriangleMesh) -> TriangleMesh:
     A triangle with collinear corners is kept: without it, its neighbours' edges would not meet.
     """
     places, which = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = which.reshape(-1)[mesh.faces]
+    faces = which.reshape(-1).astype(np.int32)[mesh.faces]
     # Sorted so that neighbours in space are neighbours in memory: voxelising a large mesh is twice as fast.
     faces = faces[np.argsort(faces.min(axis=1), kind="stable")]
-    faces = np.asarray(faces, dtype=np.int32)
     return TriangleMesh(places, faces).keep_faces(three_corners(faces))
 
 

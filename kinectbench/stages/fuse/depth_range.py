@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.artefacts.reconstruction import DepthRangePart
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import Camera, Grid, invert_rigid, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.coverage import convergence_point
@@ -61,9 +62,7 @@ def sample_depth(depths_m: Iterable[Float32]) -> SampledDepth:
 
 def some_frames(frames: Int64, most: int = SAMPLE_FRAMES) -> Int64:
     """At most so many of the frames (n,), evenly spread."""
-    places = np.linspace(0, len(frames) - 1, min(most, len(frames))).astype(int)
-    chosen: Int64 = frames[np.unique(places)]
-    return chosen
+    return frames[evenly(len(frames), most)]
 
 
 def depth_range_of(

@@ -9,6 +9,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.sequence import UpSample
 from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.ingest.images import DamagedImageError
@@ -37,8 +38,7 @@ def up_at_rest(
         stamps_ns: stamps of the depth frames, ascending, nanoseconds.
         R_depth_imu: (3, 3), from accelerometer to depth camera.
     """
-    chosen = np.unique(np.linspace(0, len(stamps_ns) - 1, min(FRAMES, len(stamps_ns))).astype(int))
-    for stamp_ns in (stamps_ns[index] for index in chosen):
+    for stamp_ns in (stamps_ns[index] for index in evenly(len(stamps_ns), FRAMES)):
         start, end = np.searchsorted(times_ns, [stamp_ns - REACH_NS, stamp_ns + REACH_NS]).tolist()
         if end - start < LEAST_SAMPLES:
             continue

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps
@@ -42,7 +43,7 @@ class KeyframeThumbnail:
 def keyframe_thumbnail(maps: FrameMaps) -> KeyframeThumbnail:
     """Make the thumbnail of a keyframe from its maps."""
     level = maps[COARSEST]
-    chosen = np.linspace(0, len(level.points) - 1, min(POINTS, len(level.points))).astype(int)
+    chosen = evenly(len(level.points), POINTS)
     return KeyframeThumbnail(
         level.depth_m, level.camera.intrinsics, level.points[chosen, :6].astype(np.float64)
     )

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.geometry.depth import (
     NO_CALIBRATION,
@@ -86,8 +87,7 @@ def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.
 
 def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
     """Choose at most 400 of the pairs, evenly spread, in their order."""
-    rows = np.linspace(0, len(pairs) - 1, min(len(pairs), MAX_PAIRS)).astype(int)
-    return [pairs[row] for row in rows]
+    return [pairs[row] for row in evenly(len(pairs), MAX_PAIRS)]
 
 
 def _accepted(sums: Sequence[Float64]) -> DepthCalibration:

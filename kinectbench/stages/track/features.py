@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import Camera, invert_rigid, rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
@@ -150,7 +151,7 @@ def similarity(features: Sequence[Features]) -> NDArray[np.float64]:
     descriptors = np.concatenate([f.descriptors for f in features]) if k else np.zeros((0, 32), np.uint8)
     if len(descriptors) < 2:
         return np.zeros((k, k))
-    words = descriptors[np.unique(np.linspace(0, len(descriptors) - 1, WORDS).astype(int))]
+    words = descriptors[evenly(len(descriptors), WORDS)]
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
     counts = np.zeros((k, len(words)))
     for row, frame in enumerate(features):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.coverage import in_order_of_time
@@ -101,7 +102,7 @@ def check_frames(
 
 def evenly_spread(frames: Int64) -> Int64:
     """Choose from frames (k,) those that all frames are compared with."""
-    return frames[np.unique(np.linspace(0, len(frames) - 1, COMPARED_FRAMES).astype(np.int64))]
+    return frames[evenly(len(frames), COMPARED_FRAMES)]
 
 
 class _Checker:

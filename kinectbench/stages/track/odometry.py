@@ -125,21 +125,15 @@ def median_quality(registrations: Sequence[Registration]) -> ReferenceQuality:
     )
 
 
-def follow(
-    maps: MapCache,
-    features: FeatureCache,
-    T_given: Float64 | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> Odometry:
+def follow(maps: MapCache, features: FeatureCache, T_given: Float64 | None = None) -> Odometry:
     """Register every frame of a sequence to previous keyframes.
 
     Args:
         maps: maps of the frames.
         features: features of the frames.
         T_given: (n, 4, 4) initial poses for the registrations, NaN where unknown; or None.
-        progress: called with the number of finished frames.
     """
-    return Follower(maps, features, T_given).to_the_end(progress)
+    return Follower(maps, features, T_given).to_the_end()
 
 
 class Follower:

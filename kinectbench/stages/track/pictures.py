@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.pictures import INK, PLOT_PAPER, SOFT, figure_png, new_figure
 from kinectbench.core.sequence import counts_frames
 from kinectbench.core.trajectory.compare import TrajectoryError
@@ -88,10 +89,10 @@ def path_picture(trajectory: Trajectory) -> bytes:
     keyframes = np.intersect1d([] if health is None else health.keyframes, good).astype(np.int64)
     if len(keyframes):
         # More circles than this would hide the path.
-        keyframes = keyframes[np.unique(np.linspace(0, len(keyframes) - 1, MAX_KEYFRAMES_DRAWN).astype(int))]
+        keyframes = keyframes[evenly(len(keyframes), MAX_KEYFRAMES_DRAWN)]
         axes.plot(*places[keyframes, :2].T, "o", color=INK, markersize=3.6, fillstyle="none",
                   markeredgewidth=0.8, label="keyframes", zorder=4)  # fmt: skip
-        some = keyframes[np.unique(np.linspace(0, len(keyframes) - 1, ARROWS).astype(int))]
+        some = keyframes[evenly(len(keyframes), ARROWS)]
         looks = T[some, :3, 2] @ R_above_world.T
         axes.quiver(*places[some, :2].T, *looks[:, :2].T, color=SOFT, width=0.003, scale=18, zorder=2)
     shown = places[good, :2]
@@ -166,7 +167,7 @@ def covisibility_picture(health: TrajectoryHealth) -> bytes:
         axes.plot(*np.concatenate([at, at[:, ::-1]]).T, "s", color=RED, markersize=3.5, fillstyle="none",
                   markeredgewidth=0.9, label="loops")  # fmt: skip
         figure.legend(loc="upper right", frameon=False, fontsize=8)
-    ticks = np.unique(np.linspace(0, len(keyframes) - 1, 7).astype(int))
+    ticks = evenly(len(keyframes), 7)
     axes.set_xticks(ticks, [str(keyframes[t]) for t in ticks], fontsize=8)
     axes.set_yticks(ticks, [str(keyframes[t]) for t in ticks], fontsize=8)
     return figure_png(figure)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.rolling_shutter import RollingShutter, motions
 from kinectbench.core.types import Float64
@@ -95,7 +96,7 @@ def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> l
     """Pairs of frame and keyframe with different motion: the more informative half."""
     frames = odometry.frames
     homes = np.array([index if frame is None else frame.keyframe for index, frame in enumerate(frames)])
-    chosen_frames = np.linspace(0, len(frames) - 1, min(DEPTH_FRAMES, len(frames))).astype(int).tolist()
+    chosen_frames = evenly(len(frames), DEPTH_FRAMES).tolist()
     depths_m = [float(np.median(maps[k][0].points[:, 2])) for k in chosen_frames if frames[k] is not None]
     if not depths_m:
         return []
@@ -104,7 +105,7 @@ def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> l
     if len(informative) < max(MIN_INFORMATIVE, MIN_INFORMATIVE_RATIO * len(frames)):
         return []
     informative = informative[differ[informative] >= np.median(differ[informative])]
-    chosen = informative[np.linspace(0, len(informative) - 1, min(PAIRS, len(informative))).astype(int)]
+    chosen = informative[evenly(len(informative), PAIRS)]
     pairs = []
     for index in chosen.tolist():
         frame, home = frames[index], frames[homes[index]]

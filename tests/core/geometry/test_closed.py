@@ -50,7 +50,7 @@ def test_faces_that_collapse_leave_a_mesh_closed(ball: TriangleMesh, tmp_path: P
     assert volume_m3 > 0.8 * 4 / 3 * np.pi * 0.3**3
     cells = np.count_nonzero(load_prediction(path, "a", VOXEL_M))
     assert cells * VOXEL_M**3 == pytest.approx(volume_m3, rel=0.005)
-    assert closed_mesh(CameraShape("mesh", points, ball.faces)) is not None
+    assert closed_mesh(CameraShape("mesh", points, ball.faces.astype(np.int64))) is not None
     assert read_reference(path).closed
 
 

@@ -18,8 +18,9 @@ def walk(seed: int) -> tuple[np.ndarray, np.ndarray]:
     steps_m = random.normal(0, random.choice([0.01, 0.1, 0.5]), (count, 3))
     steps_m[random.random(count) < random.choice([0.0, 0.3])] = 0
     T = np.tile(np.eye(4), (2, count, 1, 1))
-    T[:, :, :3, 3] = np.cumsum(steps_m, axis=0) + random.normal(0, [[[0]], [[0.01]]], (2, count, 3))
-    return T[1], T[0]
+    T[:, :, :3, 3] = np.cumsum(steps_m, axis=0)
+    T[0, :, :3, 3] += random.normal(0, 0.01, (count, 3))
+    return T[0], T[1]
 
 
 def errors_over_a_metre(T_estimate: np.ndarray, T_reference: np.ndarray) -> list[float]:

@@ -60,10 +60,10 @@ def partly_known(inside: float, outside: float) -> SolidShape:
     return replace(shape, labels=labels, probability=probability)
 
 
-def frontier(voxels: float, inside: float, solid: float, both: float) -> Frontier:
-    """So many voxels lie behind it, of which so much is expected inside, called solid, and both."""
+def frontier(voxels: float, inside: float, solid: float) -> Frontier:
+    """So many voxels lie behind it, of which so much is expected inside, and called solid."""
     volume_m3 = voxels * VOXEL_M**3
-    return Frontier("up", 0.01, (0.1, 0.1), (0.0, 0.0, 0.1), (0.0, 0.0, 1.0), volume_m3, inside, solid, both)
+    return Frontier("up", 0.01, (0.1, 0.1), (0.0, 0.0, 0.1), (0.0, 0.0, 1.0), volume_m3, inside, solid)
 
 
 def half_of(missing: float) -> float:
@@ -215,7 +215,7 @@ def test_what_the_surface_alone_may_leave_does_not_depend_on_guesses(guessed: fl
 
 
 def test_reasons_name_openings_and_undersides() -> None:
-    of_an_opening = frontier(2, 0.9, 1.0, 0.9)
+    of_an_opening = frontier(2, 0.9, 1.0)
     of_an_underside = replace(of_an_opening, underside=True)
     shape = partly_known(0.9, 0.3)
     told = [
@@ -271,7 +271,7 @@ def test_more_frames_of_the_same_path_do_not_raise_it() -> None:
 @pytest.mark.parametrize("sigma_m", [0.005, 0.05])
 def test_nothing_is_below_zero(sigma_m: float) -> None:
     paper = known_solid(block_mesh(1.0, 1.0, 0.001))
-    worst = estimate_iou(paper, sigma_m, PoseError(0.05, checked=False), (frontier(100, 0.5, 1, 0.5),))
+    worst = estimate_iou(paper, sigma_m, PoseError(0.05, checked=False), (frontier(100, 0.5, 1),))
     check(worst)
     assert worst.low == 0
 

@@ -91,7 +91,6 @@ def test_what_is_expected_behind_one() -> None:
     (found,) = found_of(unknown, mask(ABOVE_PIT), probability, solid=solid)
     assert found.inside_share == pytest.approx((0.7 + 0.2) / 2)
     assert found.solid_share == pytest.approx(0.5)
-    assert found.inside_solid_share == pytest.approx(0.7 / 2)
 
 
 @pytest.mark.parametrize(

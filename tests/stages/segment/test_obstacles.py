@@ -78,7 +78,7 @@ def test_things_on_either_side_that_stand_in_no_line_are_no_wall() -> None:
 
 def test_advice_says_to_move_it_first() -> None:
     frontier = Frontier(
-        "side", 0.9, (0.8, 1.2), (0.0, 0.2, 0.6), (0.0, 1.0, 0.0), 0.2, 0.5, 0.5, 0.4, obstructed=True
+        "side", 0.9, (0.8, 1.2), (0.0, 0.2, 0.6), (0.0, 1.0, 0.0), 0.2, 0.5, 0.5, obstructed=True
     )
     assert frontier.advice(-np.pi / 2) == (
         "nobody looked into the opening at the side, 80 x 120 cm: move it away from what stands behind it, "

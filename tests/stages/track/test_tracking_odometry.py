@@ -29,7 +29,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
-from kinectbench.stages.track.odometry import NO_DEPTH, Odometry, follow, is_accepted
+from kinectbench.stages.track.odometry import NO_DEPTH, Follower, Odometry, follow, is_accepted
 from kinectbench.stages.track.registration import measure
 
 pytestmark = pytest.mark.xdist_group("tracking")
@@ -178,7 +178,7 @@ def test_progress_and_the_same_bytes() -> None:
     done: list[int] = []
     sequence = painted(ROOM, walk(5, 0.3), noise=np.random.default_rng(1))
     maps = MapCache(sequence)
-    a = follow(maps, FeatureCache(maps), progress=done.append)
+    a = Follower(maps, FeatureCache(maps)).to_the_end(done.append)
     assert done == [1, 2, 3, 4, 5]
     b = followed(sequence)
     assert poses_of(a).tobytes() == poses_of(b).tobytes() and a.keyframes == b.keyframes

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.errors import IntrinsicsError, RecordingError, StorageError
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
@@ -281,7 +282,7 @@ def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
 def _some_depth(recording: FileRecording) -> Iterator[NDArray[np.uint16]]:
     """Some depth images as stored, evenly spread over the recording; codes for no measurement become 0."""
     count = len(recording)
-    for index in np.unique(np.linspace(0, count - 1, min(SAMPLED_IMAGES, count)).astype(int)).tolist():
+    for index in evenly(count, SAMPLED_IMAGES).tolist():
         file = recording.places[index].depth
         try:
             yield recording.clean_depth(decode_depth_png(read_image_file(file), str(file)), index)

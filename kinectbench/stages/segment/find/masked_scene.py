@@ -53,7 +53,7 @@ def segment_masked_scene(
     label = connected(points_world, cell_m)
     sizes = np.bincount(label)
     kept = (sizes >= LEAST_SHARE * sizes.max())[label]
-    floor = _level(points_world[kept], mesh, T_world_camera, hint, near)
+    floor = _level(points_world[kept], T_world_camera, hint, near)
     points_floor = transform_points(floor.T_floor_world, points_world)
     if given_box is not None:
         check_anchor(given_box, floor, trajectory, near)
@@ -69,9 +69,7 @@ def segment_masked_scene(
     return Segmentation(floor, box, cells[kept], cells[~kept], "masks", floor.warnings, cell_m)
 
 
-def _level(
-    points_world: Float64, mesh: TriangleMesh, T_world_camera: Float64, hint: FloorHint, scale: float
-) -> Floor:
+def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scale: float) -> Floor:
     """The plane z = 0: a person's, or a level one below the points (n, 3)."""
     if hint.plane_world is not None:
         against = against_gravity(hint.plane_world, hint.up_world)

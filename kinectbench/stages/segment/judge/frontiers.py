@@ -49,7 +49,6 @@ class Frontier:
         volume_m3: of the unseen region behind it.
         inside_share: the share of that volume expected to be inside, 0 to 1.
         solid_share: the share of it that the solid takes for inside, 0 to 1.
-        inside_solid_share: the share of it that is both, 0 to 1.
         underside: a camera could see the region only from below.
         obstructed: something that is not the object stands where the camera would be.
     """
@@ -62,7 +61,6 @@ class Frontier:
     volume_m3: float
     inside_share: float
     solid_share: float
-    inside_solid_share: float
     underside: bool = False
     obstructed: bool = False
 
@@ -147,8 +145,6 @@ def find_frontiers(
     frontiers = []
     for piece, window in enumerate(ndimage.find_objects(pieces), start=1):
         inner, underside = pieces[window] == piece, piece > aside
-        taken = shape.solid[window][inner]
-        expected = shape.probability[window][inner].astype(np.float64)
         part = _Piece(
             voxel_m,
             inner,
@@ -157,9 +153,8 @@ def find_frontiers(
         )
         behind = (
             float(inner.sum()) * voxel_m**3,
-            float(expected.mean()),
-            float(taken.mean()),
-            float((expected * taken).mean()),
+            float(shape.probability[window][inner].astype(np.float64).mean()),
+            float(shape.solid[window][inner].mean()),
         )
         # An underside that none of the directions shows is seen straight from below.
         look = _best_direction(ways, shown[:, piece]) if shown[:, piece].any() or not underside else ways[-1]
@@ -216,7 +211,7 @@ def _frontier(
     piece: _Piece,
     look: Float64,
     T_floor_grid: Float64,
-    behind: tuple[float, float, float, float],
+    behind: tuple[float, float, float],
     underside: bool,
 ) -> Frontier | None:
     """The frontier of a piece along a direction; None if no face is visible.
