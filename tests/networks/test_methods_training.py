@@ -19,7 +19,7 @@ from kinectbench.core.voxels.pair_file import pack
 from kinectbench.networks import train as training
 from kinectbench.networks import validate
 from kinectbench.networks.config_file import read_config
-from kinectbench.networks.data import pairs_of_step, steps_in_all, validation_pairs
+from kinectbench.networks.data import PairFile, pairs_of_step, steps_in_all, validation_pairs
 from kinectbench.networks.network import Network
 from kinectbench.networks.predict import method_of, run_of
 from kinectbench.networks.trained import open_trained
@@ -336,6 +336,6 @@ def test_a_pair_of_which_nothing_is_known_chooses_nothing(monkeypatch: pytest.Mo
     config: Any = None
 
     def found(*names: str) -> float:
-        return validation_iou(network, [(Path(name), "") for name in names], config, "cpu")[0]
+        return validation_iou(network, [PairFile(Path(name), "") for name in names], config, "cpu")[0]
 
     assert found("known", "seen") == found("seen") < 0.2 and found("known") in (0.0, 1.0)
