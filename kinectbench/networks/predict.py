@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -102,6 +102,7 @@ def run_of(
     is_fine = threshold is None and trained.network.output_cells == FULL_CELLS
     coded = {"precision": precision} if is_fine and precision == "packed" else {}
     own = {"code_sha256": _code_sha256(trained)} if trained.config.network.kind == OWN else {}
+    more: dict[str, Any] = coded | own
     return UnfinishedFile(
         version=__version__,
         benchmark_sha256=release.benchmark_sha256,
@@ -110,8 +111,7 @@ def run_of(
         threshold=threshold,
         torch=str(torch.__version__),
         hardware=hardware(device),
-        **coded,
-        **own,
+        **more,
     )
 
 

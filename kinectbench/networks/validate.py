@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.data import PairFile, as_tensor, turned_axes
@@ -44,7 +45,7 @@ def validation_iou(
         config: gives axes and precision.
         device: the network's device.
     """
-    curves, unknown = [], []
+    curves, unknown = list[Float64](), list[Float64]()
     for path, sha256 in pairs:
         (partial,) = read_parts(path, sha256, ("partial",))
         prediction = completed(network, unpack(partial), config, device)
