@@ -43,7 +43,6 @@ ADAM = {"step", "exp_avg", "exp_avg_sq"}
 Sha256 = Annotated[str, Field(pattern=SHA256)]
 Count = Annotated[int, Field(ge=0)]
 Positive = Annotated[float, Field(ge=0)]
-Loss = Annotated[float, Field(ge=-MOST_LOSS, le=MOST_LOSS)]
 
 
 class _Checked(BaseModel):

@@ -73,6 +73,6 @@ def he(network: nn.Module) -> None:
             nn.init.normal_(layer.weight, std=math.sqrt(2 / reaching))
 
 
-def narrowed(channels: int, divisor: int, least: int = 4) -> int:
+def narrowed(channels: int, divisor: int) -> int:
     """Return the channels of a narrower network: at least 4, unless there were fewer before."""
-    return max(min(least, channels), channels // divisor)
+    return max(min(4, channels), channels // divisor)

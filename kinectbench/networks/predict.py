@@ -1,12 +1,13 @@
 """Write a trained network's predictions for the pairs of a release, with method.json."""
 
+import inspect
 import resource
 import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
+from kinectbench.core.storage import sha256_file, storage_errors
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import FULL_CELLS, PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes
 from kinectbench.engine.locks import locked
 from kinectbench.networks.allocator import memory_kept
+from kinectbench.networks.config import OWN
 from kinectbench.networks.prediction_folder import PredictionFolder
 from kinectbench.networks.run_folder import hardware, make_folder
 from kinectbench.networks.trained import Trained
@@ -98,6 +101,8 @@ def run_of(
     # Values written unchanged have no key, so that folders of earlier versions stay current.
     is_fine = threshold is None and trained.network.output_cells == FULL_CELLS
     coded = {"precision": precision} if is_fine and precision == "packed" else {}
+    own = {"code_sha256": _code_sha256(trained)} if trained.config.network.kind == OWN else {}
+    more: dict[str, Any] = coded | own
     return UnfinishedFile(
         version=__version__,
         benchmark_sha256=release.benchmark_sha256,
@@ -106,8 +111,15 @@ def run_of(
         threshold=threshold,
         torch=str(torch.__version__),
         hardware=hardware(device),
-        **coded,
+        **more,
     )
+
+
+def _code_sha256(trained: Trained) -> str:
+    """Return the hash of the file with the network's class; what it imports is no part of it."""
+    path = Path(inspect.getfile(type(trained.network)))
+    with storage_errors(path):
+        return sha256_file(path)
 
 
 def _write_all(
@@ -218,7 +230,8 @@ def method_of(
             "threshold": run.threshold,
             "precision": run.precision,
             "torch": run.torch,
-        },
+        }
+        | ({} if run.code_sha256 is None else {"code_sha256": run.code_sha256}),
         training=training.model_dump(
             mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
         )

@@ -23,6 +23,7 @@ SUFFIX = ".npz"
 WORDS = {
     "weights_sha256": "other weights",
     "config_sha256": "another configuration",
+    "code_sha256": "other code of the network",
     "threshold": "another --threshold",
     "precision": "another --precision",
     "version": "another version of kinectbench",

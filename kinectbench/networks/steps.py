@@ -90,11 +90,12 @@ class Learner:
         assert settings is not None
         with self._autocast():
             (logits, target, weight) = next(network.taught(batch.partial, batch.truth, generator))
-        # Unknown voxels are empty in the truth and here, so nothing is learnt there.
-        fake = logits.float().sigmoid() * weight
+        # Unknown voxels are empty in both, and a cell that is known in part is as full as that part: nothing
+        # is learnt there.
+        fake, real = logits.float().sigmoid() * weight, target * weight
         with self._autocast():
             critic_loss = discriminator_loss(
-                network.discriminator, batch.partial, fake.detach(), target, settings, generator
+                network.discriminator, batch.partial, fake.detach(), real, settings, generator
             )
         self._descend(critic_loss, 1)
         rebuilt = reconstruction_loss([(logits, target, weight)], self._config.loss)

@@ -6,11 +6,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.data import PairFile, as_tensor, turned_axes
 from kinectbench.networks.network import Network
-from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
+from kinectbench.scoring.counts import THRESHOLDS, is_all_unknown, protocol_counts, tally
 from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.truth import read_packed_truth, read_parts
 
@@ -36,18 +37,22 @@ def validation_iou(
 ) -> tuple[float, float]:
     """Return the highest mean IoU over some pairs, protocol `known`, and its threshold.
 
+    Pairs of which nothing is known are left out, unless all are.
+
     Args:
         network: the network to validate.
         pairs: validation pairs, at least one.
         config: gives axes and precision.
         device: the network's device.
     """
-    curves = []
+    curves, unknown = list[Float64](), list[Float64]()
     for path, sha256 in pairs:
         (partial,) = read_parts(path, sha256, ("partial",))
         prediction = completed(network, unpack(partial), config, device)
         counted = tally(prediction, read_packed_truth(path, sha256))
-        curves.append(ious(protocol_counts(counted, PROTOCOL)))
-    mean = np.mean(curves, axis=0)
+        # As in scores, a pair of which nothing is known says nothing.
+        of = unknown if is_all_unknown(counted, PROTOCOL) else curves
+        of.append(ious(protocol_counts(counted, PROTOCOL)))
+    mean = np.mean(curves or unknown, axis=0)
     best = int(np.argmax(mean))
     return float(mean[best]), THRESHOLDS[best]

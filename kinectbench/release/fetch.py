@@ -25,15 +25,15 @@ from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import TEXT_BYTES, printable
-from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, most_bytes
+from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, PREVIEWS, SURFACES, most_bytes
 from kinectbench.release.own_folder import is_ours, owned, remains
 from kinectbench.release.published import release_store, release_text
 
 # Environment variable with a URL below which a plain NAME is looked up.
 RELEASES_VARIABLE = "KINECTBENCH_RELEASES"
 CACHE_VARIABLE = "KINECTBENCH_CACHE"
-# Folders of a release with a folder or file for each recording.
-BY_RECORDING = ("pairs", "views", "objects")
+# Folders of a release with a folder or file for each recording; of pictures, below their split.
+BY_RECORDING = ("pairs", "views", "objects", SURFACES)
 
 
 @dataclass(frozen=True)
@@ -220,6 +220,9 @@ def wanted_names(names: Collection[str], targets: Collection[Target], part: Rele
     wanted = []
     for name in names:
         folder, _, tail = name.partition("/")
+        picture = tail.partition("/")[2]
+        if folder == PREVIEWS and "/" in picture:
+            folder, tail = "views", picture
         recording, _, file = tail.partition("/")
         of = views.get(recording if file else recording.rpartition(".")[0])
         view = file.partition(".")[0]

@@ -162,3 +162,33 @@ def test_the_generator_learns_to_raise_what_the_discriminator_says() -> None:
     before = said()
     Learner(network, config, "cpu", (0, 1)).step(Batch(partial, truth_of(None)), 0, 0)
     assert said() > before
+
+
+def test_what_is_known_in_part_tells_no_truth_from_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 64^3 and with every second layer unknown, truth and a right prediction are the same shape."""
+    config = MethodSettings.model_validate(
+        {
+            "name": "a",
+            "network": {"kind": "3d-recgan++", "channel_divisor": 32, "output_cells": 64},
+            "adversarial": {"beta": 0.5},
+        }
+    )
+    known = torch.ones(1, 1, 256, 256, 256, dtype=torch.bool)
+    known[:, :, ::2] = False
+    full = torch.zeros_like(known)
+    full[..., :128] = True
+    truth, network = TruthBatch(full, known), make_network(config.network)
+    assert isinstance(network, RecGAN)
+    target, weight = truth.at(64)
+    right = torch.where(target > 0, 40.0, -40.0).requires_grad_(True)
+    monkeypatch.setattr(network, "taught", lambda *_: iter([(right, target, weight)]))
+    shown: list[tuple[Tensor, Tensor]] = []
+
+    def look(module: nn.Module, partial: Tensor, fake: Tensor, real: Tensor, *more: object) -> Tensor:
+        shown.append((fake, real))
+        return module(partial, fake).mean()
+
+    monkeypatch.setattr("kinectbench.networks.steps.discriminator_loss", look)
+    Learner(network, config, "cpu", (0, 1)).step(Batch(torch.zeros(1, 1, 64, 64, 64), truth), 0, 0)
+    ((fake, real),) = shown
+    assert real.max() == 0.5 and torch.allclose(fake, real)

@@ -58,6 +58,11 @@ def test_it_is_trained_predicts_and_is_scored(command: Command, nets: Path, lear
     assert (made.status, made.out) == (0, "wrote predictions/mine\n")
     with np.load(nets / "predictions" / "mine" / "chair_03" / "000.npz") as arrays:
         assert arrays["prediction"].shape == (32, 32, 32)
+    again = command(nets, "predict", "run", benchmark, "--device", "cpu")
+    assert again.status == 0 and "removes" not in again.err
+    (nets / "my_nets.py").write_text(CODE.replace("self.layer(partial)", "-self.layer(partial)"))
+    changed = command(nets, "predict", "run", benchmark, "--device", "cpu")
+    assert changed.status == 0 and "of another run (other code of the network)" in changed.err
     words = ("--benchmark", benchmark, "--no-surface", "--no-baselines")
     assert command(nets, "score", "predictions", *words).status == 0
 

@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +15,18 @@ from synthetic_release import Recordings, publish_synthetic
 
 from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
 from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
+from kinectbench.core.voxels.pair_file import pack
 from kinectbench.networks import train as training
+from kinectbench.networks import validate
 from kinectbench.networks.config_file import read_config
-from kinectbench.networks.data import pairs_of_step, steps_in_all, validation_pairs
+from kinectbench.networks.data import PairFile, pairs_of_step, steps_in_all, validation_pairs
 from kinectbench.networks.network import Network
 from kinectbench.networks.predict import method_of, run_of
 from kinectbench.networks.trained import open_trained
 from kinectbench.networks.validate import validation_iou
 from kinectbench.networks.weights import arrays_of_network, write_weights
 from kinectbench.release.release import Release, open_release
+from kinectbench.scoring.truth import PackedTruth
 
 Tiny = Callable[..., Path]
 
@@ -312,3 +316,26 @@ def test_a_look_that_failed_is_taken_again(
     monkeypatch.setattr(training, "validation_iou", looked)
     run(tiny(), learning, tmp_path / "run")
     assert made(tmp_path / "run") == made(whole)
+
+
+def test_a_pair_of_which_nothing_is_known_chooses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in scores: it is left out; where all are such pairs, they count as they did."""
+    grid = np.zeros((256, 256, 256), bool)
+    full = grid.copy()
+    full[100:150, 100:150, 100:150] = True
+    wrong = np.roll(full, 40, axis=0)
+    packed = {"known": pack(~full & ~wrong), "seen": pack(~grid)}
+
+    def truth(path: Path, _: str) -> PackedTruth:
+        return PackedTruth(pack(full), packed[path.name], pack(grid), 0.004, 0.0)
+
+    monkeypatch.setattr(validate, "read_parts", lambda *_: (pack(grid[:64, :64, :64]),))
+    monkeypatch.setattr(validate, "read_packed_truth", truth)
+    monkeypatch.setattr(validate, "completed", lambda *_: wrong)
+    network: Any = None
+    config: Any = None
+
+    def found(*names: str) -> float:
+        return validation_iou(network, [PairFile(Path(name), "") for name in names], config, "cpu")[0]
+
+    assert found("known", "seen") == found("seen") < 0.2 and found("known") in (0.0, 1.0)

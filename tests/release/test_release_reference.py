@@ -14,6 +14,7 @@ from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.targets import parse_targets, targets_text
 from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.release.check.verify import verify
+from kinectbench.release.publish.current import already_published, publish_if_stale
 from kinectbench.release.publish.gate import gate
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import open_release, recording_problems
@@ -54,6 +55,17 @@ def look(build: Path) -> str:
 def test_a_reference_that_disagrees_is_looked_at(figures: dict[str, Any], said: str, tmp_path: Path) -> None:
     found = look(compared(tmp_path, **figures))
     assert said in found and ("reference" in found) == bool(said)
+
+
+def test_other_figures_of_the_same_mesh_are_published_again(tmp_path: Path) -> None:
+    build, settings = compared(tmp_path / "build"), synthetic_settings()
+    publish_if_stale(settings, tmp_path, NAMES)
+    assert already_published(settings, tmp_path, NAMES, None) is not None
+    ReferenceFile.read(build / NAME).model_copy(update={"f_score_5mm": 0.95}).write(build / NAME)
+    assert already_published(settings, tmp_path, NAMES, None) is None
+    publish_if_stale(settings, tmp_path, NAMES)
+    stated = ReleaseInfo.read(tmp_path / "benchmark").recordings[NAME].reference
+    assert stated is not None and stated.f_score_5mm == 0.95
 
 
 def test_the_card_has_the_figures(tmp_path: Path) -> None:

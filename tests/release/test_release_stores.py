@@ -19,7 +19,7 @@ from stores import copy_to, proxied, s3, s3_server, url
 
 import kinectbench
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
-from kinectbench.core.artefacts.targets import SHA256SUMS
+from kinectbench.core.artefacts.targets import SHA256SUMS, Target
 from kinectbench.core.errors import KinectBenchError, ReleaseError, SettingsError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.store.address import shown
@@ -31,6 +31,7 @@ from kinectbench.release.fetch import (
     fetch_release,
     mirror_release,
     release_url,
+    wanted_names,
 )
 from kinectbench.release.release import Release, open_release
 
@@ -65,6 +66,20 @@ def test_parts_are_chosen(release: Release) -> None:
     one = chosen_targets(every, ReleasePart(views=1))
     assert set(Counter(target.recording for target in one).values()) == {1}
     assert {target.view for target in one} == {min(t.view for t in every)}
+
+
+def test_a_part_has_its_own_surfaces_and_pictures() -> None:
+    """And the tables beside the pictures, which belong to no recording."""
+    chosen = [Target("a.b", "a", "000", "chair", "test", "pairs/a.b/000.npz", "0" * 64)]
+    wanted = [
+        "benchmark.json", "pairs/a.b/000.npz", "surfaces/a.b.ply", "objects/a.b.glb", "objects/a.b/mesh.ply",
+        "previews/test/a.b/000.jpg", "previews/test/metadata.jsonl",
+    ]  # fmt: skip
+    others = [
+        "pairs/a.b/001.npz", "pairs/c/000.npz", "surfaces/c.ply", "previews/test/a.b/001.jpg",
+        "previews/train/c/000.jpg",
+    ]  # fmt: skip
+    assert wanted_names([*others, *wanted], chosen, ReleasePart(split="test")) == wanted
 
 
 def test_a_part_is_enough_for_its_split(release: Release, web: str, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from kinectbench.core.voxels.pair_file import pack, unpack
+from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.camera.nearest import NearestOfMoving, Samples
 
 
@@ -138,11 +138,3 @@ def test_a_step_is_a_similarity_about_its_middle() -> None:
         T = similarity_about(step, middle)
         np.testing.assert_allclose(T[:3, :3], turn, atol=1e-13 * np.exp(step[3]))
         np.testing.assert_allclose(T[:3, 3], middle + step[:3] - turn @ middle, atol=1e-12 * np.exp(step[3]))
-
-
-def test_counts_of_cells_are_those_of_their_bits() -> None:
-    from kinectbench.scoring.camera.kernels import counts_within
-
-    counted, ours, theirs = np.random.default_rng(8).integers(0, 256, (3, 8, 8, 4), dtype=np.uint8)
-    both = unpack(counted & ours & theirs).sum()
-    assert counts_within(counted, ours, theirs) == (unpack(counted & ours).sum(), both)

@@ -166,6 +166,9 @@ class UnfinishedFile(Stored):
     )
     torch: str | None = Field(None, description="version of torch")
     hardware: str | None = Field(None, description="that it runs on: sums are rounded in another order there")
+    code_sha256: str | None = Field(
+        None, pattern=SHA256, description="of the file with the class of one's own network; missing: another"
+    )
 
     @property
     def sha256(self) -> str:

@@ -93,8 +93,9 @@ def _fingerprint(
     settings: BenchmarkSettings, build: Path, recordings: Sequence[str], options: PublishOptions
 ) -> str:
     manifests = [release_text(build / name / "pairs" / Manifest.FILE) for name in recordings]
+    # Their figures are published, and decide what a person should look at.
     references = [
-        None if (found := current_reference(build / name)) is None else [each.sha256 for each in found.all]
+        None if (found := current_reference(build / name)) is None else found.json_value()
         for name in recordings
     ]
     failures = [failure(build / each.id) for each in settings.recordings if each.id not in recordings]

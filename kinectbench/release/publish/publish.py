@@ -380,15 +380,15 @@ def _public_settings(
             for key in hidden_keys:
                 recording.pop(key)
     # These statements of people are meant to be public, and stand in `recordings`, too.
-    said = [_set_apart(each) for each in (public, *public["recordings"])]
+    said = [_set_apart(row) for row in (public, *public["recordings"])]
     clean: dict[str, Any] = scrubbed(public, BENCHMARK_JSON, removals, settings)
-    for each, own in zip((clean, *clean["recordings"]), said, strict=True):
-        each.update(own)
+    for row, words in zip((clean, *clean["recordings"]), said, strict=True):
+        row.update(words)
     return clean | {"publish": settings.publish.model_dump(mode="json")}
 
 
 def _set_apart(row: dict[str, Any]) -> dict[str, Any]:
     """Return what people say of source and licence, and empty it where it stands."""
-    said = {key: row[key] for key in ("source", "license") if key in row}
+    said: dict[str, Any] = {key: row[key] for key in ("source", "license") if key in row}
     row.update(dict.fromkeys(said))
     return said

@@ -9,7 +9,7 @@ import numpy as np
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import listed_paths
-from kinectbench.release.exchange.rgbd import ViewCamera, WriteView
+from kinectbench.release.exchange.rgbd import WriteView
 from kinectbench.scoring.camera_shape import CameraShape
 
 # At most so many files are read from the folder of one view (chosen here).
@@ -23,8 +23,8 @@ class Adapter:
     Attributes:
         write: writes the method's input files; returns the view and `T_camera_method` for camera.json.
         output: name of the file that the method writes for a view; `*` stands for anything.
-        read: reads that file and camera.json; returns the shape in the method's own frame, which
-            `T_camera_method` maps to the camera; raises PredictionError, ValueError or one of `UNREADABLE`.
+        read: reads that file; returns the shape in the method's own frame, which `T_camera_method` of
+            camera.json maps to the camera; raises PredictionError, ValueError or one of `UNREADABLE`.
         form: what the method predicts: mesh, points or voxels.
         inputs: the method's inputs.
         module: the package that `write` needs beyond the extra `build`; "" if none.
@@ -32,7 +32,7 @@ class Adapter:
 
     write: WriteView
     output: str
-    read: Callable[[Path, ViewCamera], CameraShape]
+    read: Callable[[Path], CameraShape]
     form: str
     inputs: tuple[str, ...]
     module: str = ""

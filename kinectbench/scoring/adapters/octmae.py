@@ -16,7 +16,6 @@ from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
 from kinectbench.release.exchange.rgbd import (
     RgbdView,
-    ViewCamera,
     framed,
     parts_of,
     write_color,
@@ -89,7 +88,7 @@ def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
     return float(1 - in_cube(points_m / M_PER_MM, seen_m / M_PER_MM).mean()), of
 
 
-def read_octmae(path: Path, camera: ViewCamera) -> CameraShape:
+def read_octmae(path: Path) -> CameraShape:
     """Read points and normals from output.pts: a count, then `x y z 0 r g b`; rgb / 255 = (normal + 1) / 2.
 
     Raises:

@@ -15,7 +15,7 @@ from kinectbench.core.types import Float32, Float64
 from kinectbench.core.untrusted import open_plain
 from kinectbench.core.voxels.npz import arrays_of, npz_bytes
 from kinectbench.core.voxels.pair_file import FULL_CELLS
-from kinectbench.release.exchange.rgbd import RgbdView, ViewCamera, parts_of
+from kinectbench.release.exchange.rgbd import RgbdView, parts_of
 from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
@@ -66,7 +66,7 @@ def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
     return values_m.reshape((VOXELS,) * 3).astype(np.float32)
 
 
-def read_patchcomplete(path: Path, camera: ViewCamera) -> CameraShape:
+def read_patchcomplete(path: Path) -> CameraShape:
     """Read `predicted_voxels` as a solid in the cube [0, 1]^3.
 
     Raises:

@@ -15,7 +15,7 @@ from kinectbench.core.mesh_files import MAX_POINTS
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
-from kinectbench.release.exchange.rgbd import RgbdView, ViewCamera
+from kinectbench.release.exchange.rgbd import RgbdView
 from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape
@@ -62,7 +62,7 @@ def _upright(release: Release, view: RgbdView) -> Float64:
     return np.stack([right, up, np.cross(right, up)], axis=1)
 
 
-def read_pointr(path: Path, camera: ViewCamera) -> CameraShape:
+def read_pointr(path: Path) -> CameraShape:
     """Read the points of fine.npy, in the frame of points.npy.
 
     Raises:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.release.exchange.rgbd import RgbdView, ViewCamera, framed, write_color, write_png
+from kinectbench.release.exchange.rgbd import RgbdView, framed, write_color, write_png
 from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape, read_shape
@@ -34,7 +34,7 @@ def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdV
     return shown, {"T_camera_method": scaling(1.0)}
 
 
-def read_rayst3r(path: Path, camera: ViewCamera) -> CameraShape:
+def read_rayst3r(path: Path) -> CameraShape:
     """Read the points of inference_points.ply: float64 x, y, z, metres, camera frame; colours are ignored."""
     return read_shape(path, path.name)
 

@@ -134,7 +134,7 @@ def _adapted(
             what="other-release",
         )
     try:
-        shape = adapter.read(path, camera).transformed(T_camera_method)
+        shape = adapter.read(path).transformed(T_camera_method)
     except (ValueError, *UNREADABLE) as error:
         raise PredictionError(f"{path.name}: cannot be read ({error})", what="unreadable") from error
     write_shape(shape, folder / target.recording / target.view)

@@ -12,7 +12,7 @@ from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.npz import UNREADABLE, load_arrays
-from kinectbench.release.exchange.rgbd import RgbdView, ViewCamera, write_color, write_png
+from kinectbench.release.exchange.rgbd import RgbdView, write_color, write_png
 from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter
 from kinectbench.scoring.camera_shape import FARTHEST_M, CameraShape, read_shape
@@ -44,7 +44,7 @@ def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
     return view, {"T_camera_method": T_CAMERA_PYTORCH3D}
 
 
-def read_sam3d(path: Path, camera: ViewCamera) -> CameraShape:
+def read_sam3d(path: Path) -> CameraShape:
     """Read mesh.glb and place the mesh by pose.npz; the result is in PyTorch3D's camera frame.
 
     Raises:

@@ -235,31 +235,6 @@ def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def counts_within(counted, ours, theirs):  # type: ignore[no-untyped-def]
-    """Of the counted cells, how many are ours, and how many are theirs, too; all packed, (i, j, k / 8)."""
-    words = (
-        counted.reshape(-1).view(np.uint64),
-        ours.reshape(-1).view(np.uint64),
-        theirs.reshape(-1).view(np.uint64),
-    )
-    one = both = np.uint64(0)
-    for n in range(len(words[0])):
-        bits = words[0][n] & words[1][n]
-        one += _bits(bits)
-        both += _bits(bits & words[2][n])
-    return np.int64(one), np.int64(both)
-
-
-@njit(cache=True, error_model="numpy", nogil=True, inline="always")
-def _bits(word):  # type: ignore[no-untyped-def]
-    """How many bits of a uint64 are set (Warren, "Hacker's Delight", 2013, figure 5-2)."""
-    word = word - ((word >> np.uint64(1)) & np.uint64(0x5555555555555555))
-    word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
-    word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
-    return (word * np.uint64(0x0101010101010101)) >> np.uint64(56)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
 def inside_cells(cells, affine, side):  # type: ignore[no-untyped-def]
     """(side, side, side) bool: centres of the truth's cells that lie in occupied cells of a prediction.
 

@@ -225,8 +225,6 @@ def counted_cells(truth: SpaceTruth, part: str) -> Packed:
 
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
     """IoU, precision, recall and F1 of a part's known cells; and the shares of cells that count."""
-    from kinectbench.scoring.camera.kernels import counts_within
-
     if part not in truth.counted:
         counted = counted_cells(truth, part)
         truth.counted[part] = counted, packed_count(counted), packed_count(counted & truth.full)
@@ -235,7 +233,8 @@ def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMet
     shares = cells / FULL_CELLS**3, true / shape if shape else 1.0
     if solid is None:
         return VoxelMetrics(), *shares
-    ours, both = counts_within(counted, solid.cells, truth.full)
+    inside = counted & solid.cells
+    ours, both = packed_count(inside), packed_count(inside & truth.full)
     # The view saw nothing of what lies outside the grid.
     predicted = ours + (solid.outside if part != "visible" else 0.0)
     precision = both / predicted if predicted else 0.0

@@ -24,6 +24,7 @@ from kinectbench.core.voxels.pair_file import (
     Pair,
     keys_there,
     pack,
+    packed_count,
     pair_bytes,
     pair_parts,
     read_pair,
@@ -292,3 +293,8 @@ def test_the_share_of_what_is_not_known() -> None:
     full, known = (pack(np.random.default_rng(n).random((16, 16, 64)) < 0.4) for n in range(2))
     assert unknown_share(full, known) == (unpack(full) & ~unpack(known)).sum() / unpack(full).sum()
     assert unknown_share(np.zeros_like(full), known) == 0
+
+
+def test_the_count_of_packed_cells_is_that_of_their_bits() -> None:
+    packed = np.random.default_rng(8).integers(0, 256, (8, 8, 4), dtype=np.uint8)
+    assert packed_count(packed) == packed_count(np.asfortranarray(packed)) == unpack(packed).sum()

@@ -223,16 +223,14 @@ def test_the_mirror_plane_of_a_box() -> None:
 @pytest.mark.parametrize("hand", [1, -1])
 def test_the_mirror_plane_is_found_on_either_side(hand: int) -> None:
     """One slope of a roof is given, and the other, across x = 150 or its mirror image, is to be hit."""
-    roof = np.zeros((256, 256, 256), bool)
+    roof, other = np.zeros((2, 256, 256, 256), bool)
     for x in range(104, 144):
         roof[x, 60:180, x - 24 : x - 20] = True
-    other = np.zeros_like(roof)
     other[45:] = roof[255:44:-1]  # x becomes 300 - x
-    given, wanted = (grid[::hand] for grid in (roof, other))
+    given, wanted = roof[::hand], other[::hand]
     reduced = np.asarray(wanted.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5)))
     points = np.argwhere(given) + np.float64(0.5)
-    image = mirrored(points, *best_plane(points, reduced, ~reduced, UP))
-    cells = np.clip(np.floor(image / 4).astype(int), 0, 63)
+    cells = np.floor(mirrored(points, *best_plane(points, reduced, ~reduced, UP)) / 4).astype(int).clip(0, 63)
     assert reduced[tuple(cells.T)].mean() > 0.9
 
 
