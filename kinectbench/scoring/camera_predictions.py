@@ -16,7 +16,7 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
-from kinectbench.scoring.closed_mesh import closed_mesh, refuse_mesh
+from kinectbench.scoring.closed_mesh import closed_mesh, open_because, refuse_mesh
 from kinectbench.scoring.declared import method_problems
 from kinectbench.scoring.depth_agreement import (
     LARGE,
@@ -115,6 +115,7 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
         found,
         beyond_share=beyond_share(shape, T_grid_camera, float(size_m) * FULL_CELLS),
         refused=_refused(shape, T_grid_camera, float(size_m)),
+        open_because=open_because(shape),
     )
 
 
@@ -168,7 +169,17 @@ def check_camera(
             progress(done, len(release.targets) * method.hypotheses)
     slips, notes = _judged(compared, method)
     problems += [*slips, *strays_in_camera(release, folder, method)]
-    return problems, [*_summary(release, method, compared, answered), *notes]
+    return problems, [*_summary(release, method, compared, answered), *notes, *_open_lines(compared)]
+
+
+def _open_lines(compared: Mapping[str, Agreement]) -> list[str]:
+    """Return a line on predicted meshes that are open, and why; none if all are closed."""
+    why = {name: one.open_because for name, one in compared.items() if one.open_because}
+    return [
+        f"{len(why)} of {len(compared)} predictions are open meshes, such as {name} ({reason}): they have no "
+        "inside, so they have metrics of surfaces alone"
+        for name, reason in list(why.items())[:1]
+    ]
 
 
 def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], method: MethodFile) -> list[str]:

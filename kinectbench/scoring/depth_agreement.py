@@ -75,6 +75,7 @@ class Agreement:
             its correction, the simplest first; () if the distance is small or unexplained. A shape with a
             mirror plane has several.
         refused: why `score` refuses the shape because its solid cannot be made; "" if it can be made.
+        open_because: what keeps a mesh from being closed, in words; "" if it is closed, or no mesh.
     """
 
     distance_m: float
@@ -82,6 +83,7 @@ class Agreement:
     slips: tuple[tuple[str, float], ...] = ()
     beyond_share: float = 0.0
     refused: str = ""
+    open_because: str = ""
 
     @property
     def is_scene(self) -> bool:
