@@ -45,34 +45,37 @@ def baseline_command(
 
 @takes("benchmark", "config", "overrides", "jobs", "as_json")
 def check_command(common: Common, predictions: Predictions) -> int:
-    """Report all faults of a folder of predictions, without scoring.
+    """Report all faults of folders of predictions, without scoring.
 
     Of predictions in the camera frame it says how far each is from its view's depth, and what explains it.
+    Predictions that are constant, or the same for every view, are named.
     """
     from kinectbench.cli import console
     from kinectbench.scoring.camera_predictions import check_camera
     from kinectbench.scoring.declared import read_in_camera
-    from kinectbench.scoring.predictions import check as find_problems
-    from kinectbench.scoring.predictions import check_folder, lines_without, split_methods
+    from kinectbench.scoring.predictions import check_folder, check_grids, lines_without, split_methods
 
     if common.benchmark is None:
-        check_folder(predictions)  # before the benchmark is built
+        for folder in predictions:
+            check_folder(folder)  # before the benchmark is built
     release, rows = find_release(common)
-    methods = split_methods(predictions, release.targets)
+    found = {folder: split_methods(folder, release.targets) for folder in predictions}
+    several = sum(map(len, found.values())) > 1
     problems, notes, shown = list[str](), list[str](), list[str]()
-    for name, folder in methods.items():
-        method, lines = read_in_camera(folder), list[str]()
-        with console.progress_bar(f"check {name}") as progress:
-            if method is None:
-                faults = find_problems(release, folder, progress)
-            else:
-                faults, lines = check_camera(release, folder, method, progress)
-        begin = f"{name}: " if len(methods) > 1 else ""
-        problems += [begin + line for line in faults]
-        shown += [begin + line for line in console.by_mistake(faults)]
-        notes += [begin + line for line in lines]
-    without = lines_without(predictions, methods, release.targets)
-    problems, shown = problems + without, shown + without
+    for given, methods in found.items():
+        for name, folder in methods.items():
+            method = read_in_camera(folder)
+            with console.progress_bar(f"check {name}") as progress:
+                if method is None:
+                    faults, lines = check_grids(release, folder, progress)
+                else:
+                    faults, lines = check_camera(release, folder, method, progress)
+            begin = f"{name}: " if several else ""
+            problems += [begin + line for line in faults]
+            shown += [begin + line for line in console.by_mistake(faults)]
+            notes += [begin + line for line in lines]
+        without = lines_without(given, methods, release.targets)
+        problems, shown = problems + without, shown + without
     console.lines("note", notes, "cyan")
-    common.tell_problems(problems, f"{predictions}: all well", shown)
+    common.tell_problems(problems, f"{', '.join(map(str, predictions))}: all well", shown)
     return SOME_FAILED if problems else exit_status(rows)

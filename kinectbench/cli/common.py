@@ -283,4 +283,7 @@ Ids = Annotated[
     typer.Argument(metavar="[RECORDING]...", help="ids; default: all", autocompletion=_known_ids),
 ]
 Baselines = Annotated[bool, typer.Option(help="show the baselines beside the methods")]
-Predictions = Annotated[Path, typer.Argument(help="one method's folder, or a folder of methods")]
+Predictions = Annotated[
+    list[Path],
+    typer.Argument(help="one method's folder, or a folder of methods; several are checked in turn"),
+]

@@ -29,7 +29,9 @@ LONGEST = 900
 MOST_LINES = 1000
 # Parts of a message that differ from file to file: a voxel with its value, a decimal, a length. Other numbers
 # are sizes or counts.
-MEASURED = re.compile(r"(?:-?\d[\d.e+-]* )?at \([\d, ]+\)|-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+(?= mm?\b)")
+MEASURED = re.compile(
+    r"(?:-?\d[\d.e+-]* )?at \([\d, ]+\)|-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+(?= mm?\b| of \d+ edges\b| edges\b)"
+)
 # Where no bar can be drawn, a line is printed at this interval; shorter work prints none.
 LOG_EVERY_S = 10.0
 # The fields of a summary that each stage fills.

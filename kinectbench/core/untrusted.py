@@ -100,24 +100,28 @@ def listed_paths(
     return (folder / name for name in names if wanted is None or wanted(name))
 
 
-def listed_below(folder: Path, most: int = MOST_LISTED) -> Iterator[Path]:
+def listed_below(folder: Path, most: int = MOST_LISTED, *, with_empty: bool = False) -> Iterator[Path]:
     """Yield every file and link in a folder and below it, unordered; links are not followed.
 
     Args:
         folder: a folder.
         most: largest number of files and folders in it and below.
+        with_empty: whether folders below it that hold nothing are yielded, too.
 
     Raises:
         OSError: a folder cannot be read; EFBIG: there is more than `most`.
     """
     waiting, left = [folder], most
     while waiting:
-        for entry in scanned(waiting.pop(), left):
+        here, before = waiting.pop(), left
+        for entry in scanned(here, left):
             left -= 1
             if entry.is_dir(follow_symlinks=False):
                 waiting.append(Path(entry.path))
             else:
                 yield Path(entry.path)
+        if with_empty and left == before and here != folder:
+            yield here
 
 
 def read_plain(path: Path, most_bytes: int) -> bytes:

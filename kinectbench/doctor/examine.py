@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import typical_period_ns
+from kinectbench.core.untrusted import printable
 from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.codes import EXPLAINED, check_codes
 from kinectbench.doctor.color import EdgeFit, check_edges, check_light, fit_edges
@@ -35,7 +37,7 @@ from kinectbench.settings.models import (
     TrajectoryMode,
     Vector4,
 )
-from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.readers import open_recording, recordings_inside
 from kinectbench.stages.ingest.recording import Recording
 
 # Focal length of a Kinect, as a ratio of the image width.
@@ -116,6 +118,7 @@ def inspect(
         recording = replace(recording, given_trajectory=None, trajectory_error="")
     probe = probe_recording(recording)
     findings += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
+    findings += _inside(path)
     early = [*check_clock(probe), *check_depth(probe)]
     if not any(finding.name == "intrinsics" for finding in findings):
         early += check_intrinsics(probe)
@@ -129,6 +132,19 @@ def inspect(
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
             findings += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
     return Diagnosis(facts, gravest_first(findings)), probe
+
+
+def _inside(path: Path) -> Iterator[Finding]:
+    """Report other recordings inside a recording's folder: none of their frames is read."""
+    with suppress(OSError):  # a folder that cannot be read stops the reader, too
+        inside = recordings_inside(path)
+        if inside:
+            first, kind = inside[0]
+            more = f" and {len(inside) - 1} more" if len(inside) > 1 else ""
+            where = printable(first.relative_to(path).as_posix(), 200)
+            what = f"another recording lies inside: {where} ({kind}){more}"
+            advice = "none of its frames is read here; give it a `path:` of its own"
+            yield Finding("recording_inside", "note", what, str(path), advice)
 
 
 def _by_own_pixels(probe: Probe) -> Finding:

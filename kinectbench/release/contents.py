@@ -36,6 +36,7 @@ SURFACES = "surfaces"
 LICENSE = "LICENSE"
 CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
+EMPTY_FOLDER = "an empty folder"
 LINK = "a link; in an archive only plain files are read"
 # Largest text or other file of a release that is read at once.
 MAX_READ_BYTES = 64 << 20
@@ -91,8 +92,12 @@ def refuse_large(folder: Path) -> None:
                 raise ReleaseError(f"{name}: {error}; {advice}") from error
 
 
-def release_files(folder: Path) -> Iterator[Path]:
+def release_files(folder: Path, *, with_empty: bool = False) -> Iterator[Path]:
     """Yield every file and link below a release except SHA256SUMS, sorted; links are not followed.
+
+    Args:
+        folder: the release's folder.
+        with_empty: whether empty folders are yielded, too.
 
     Raises:
         ReleaseError: there are too many files, or a folder cannot be read.
@@ -101,7 +106,7 @@ def release_files(folder: Path) -> Iterator[Path]:
         return
     try:
         # Sorted by parts, as paths compare; comparing paths themselves would take longer than listing them.
-        files = sorted(listed_below(folder, MOST_FILES), key=lambda path: path.parts)
+        files = sorted(listed_below(folder, MOST_FILES, with_empty=with_empty), key=lambda path: path.parts)
     except OSError as error:
         raise ReleaseError(
             f"{error.filename or folder}: {error.strerror}; this is no release", what="not-one"
@@ -130,7 +135,7 @@ class Contents:
     """The files of a release's folder or archive.
 
     Attributes:
-        entries: {name relative to the release, with "/": file or link}.
+        entries: {name relative to the release, with "/": file or link}; an empty folder's name ends with "/".
         problems: a line for each name that cannot be a file of a release, such as a path that leaves it.
     """
 

@@ -29,7 +29,15 @@ from kinectbench.core.untrusted import (
     unpacked_bound,
 )
 from kinectbench.core.zip_files import open_zip
-from kinectbench.release.contents import DAMAGED, LINK, MOST_FILES, Contents, Entry, release_files
+from kinectbench.release.contents import (
+    DAMAGED,
+    EMPTY_FOLDER,
+    LINK,
+    MOST_FILES,
+    Contents,
+    Entry,
+    release_files,
+)
 
 ZIP, GZIP = b"PK", b"\x1f\x8b"
 # Most bytes of a tar member's headers: its block, names of 4096 characters, times, attributes.
@@ -67,7 +75,10 @@ def _folder(path: Path) -> Contents:
 
     Download caches hold links to files. A file is checked by its SHA-256, wherever it lies.
     """
-    entries = {file.relative_to(path).as_posix(): _entry(file) for file in release_files(path)}
+    entries: dict[str, Entry] = {}
+    for file in release_files(path, with_empty=True):
+        name, entry = file.relative_to(path).as_posix(), _entry(file)
+        entries[f"{name}/" if entry.problem == EMPTY_FOLDER else name] = entry
     if (path / SHA256SUMS).is_symlink() or (path / SHA256SUMS).exists():
         entries[SHA256SUMS] = _entry(path / SHA256SUMS)
     return Contents(entries)
@@ -79,7 +90,8 @@ def _entry(file: Path) -> Entry:
         state = file.stat()
         size = state.st_size
         if not stat.S_ISREG(state.st_mode):
-            problem = "not a plain file"
+            is_folder = stat.S_ISDIR(state.st_mode) and not file.is_symlink()
+            problem = EMPTY_FOLDER if is_folder else "not a plain file"
     except OSError as error:
         leads_nowhere = file.is_symlink() and error.errno in (errno.ENOENT, errno.ELOOP)
         problem = "a link that leads nowhere" if leads_nowhere else f"cannot be read ({error.strerror})"
@@ -167,8 +179,9 @@ def _zip_members(archive: zipfile.ZipFile) -> list[tuple[str, Entry]]:
         problem = LINK if stat.S_ISLNK(info.external_attr >> 16) else None
         if info.flag_bits & 1:
             problem = "encrypted"
-        if not info.is_dir():
-            members.append((info.filename, Entry(info.file_size, partial(archive.open, info), problem)))
+        if info.is_dir():
+            problem = EMPTY_FOLDER
+        members.append((info.filename, Entry(info.file_size, partial(archive.open, info), problem)))
     return members
 
 
@@ -192,13 +205,14 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
             if len(archive.pax_headers) > MOST_GLOBALS:
                 raise tarfile.ReadError("too much is said of all members at once")
             before, problem = info.offset, None
-            if info.issym() or info.islnk():
+            if info.isdir():
+                problem = EMPTY_FOLDER
+            elif info.issym() or info.islnk():
                 problem = LINK
             elif not info.isfile() or info.issparse():
                 problem = "not a plain file"
             opener = partial(_member, file, info.offset_data, info.size)
-            if not info.isdir():
-                members.append((info.name, Entry(info.size, opener, problem)))
+            members.append((info.name, Entry(info.size, opener, problem)))
         end = archive.offset
     # tarfile stops without error at a damaged header or a missing end.
     file.seek(end)
@@ -275,8 +289,12 @@ class _Slice(io.RawIOBase):
 
 
 def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: int) -> Contents:
-    """Return an archive's files by name; names that lead elsewhere and duplicates are listed as problems."""
+    """Return an archive's files by name; names that lead elsewhere and duplicates are listed as problems.
+
+    Of its folders only the empty ones are kept.
+    """
     entries: dict[str, Entry] = {}
+    folders: dict[str, Entry] = {}
     problems = []
     for stated_name, entry in members:
         inside = PurePosixPath(stated_name)
@@ -286,8 +304,13 @@ def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: in
             problems.append(
                 f"'{printable(stated_name)}': a name that leads out of the release or cannot be a file's"
             )
+        elif entry.problem == EMPTY_FOLDER:
+            folders[name] = entry
         else:
             entries[name] = replace(entry, problem="twice in the archive") if name in entries else entry
+    if folders:
+        filled = {str(parent) for name in (*entries, *folders) for parent in PurePosixPath(name).parents}
+        entries |= {f"{name}/": entry for name, entry in folders.items() if name not in filled}
     if sum(entry.size for entry in entries.values()) > unpacked_bound(packed_bytes):
         raise _bomb(path)
     return Contents(entries, tuple(problems))

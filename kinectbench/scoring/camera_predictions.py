@@ -16,7 +16,7 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
-from kinectbench.scoring.closed_mesh import closed_mesh, refuse_mesh
+from kinectbench.scoring.closed_mesh import closed_mesh, open_because, refuse_mesh
 from kinectbench.scoring.declared import method_problems
 from kinectbench.scoring.depth_agreement import (
     LARGE,
@@ -28,6 +28,7 @@ from kinectbench.scoring.depth_agreement import (
     likeliest,
 )
 from kinectbench.scoring.predictions import stray_files, stray_lines
+from kinectbench.scoring.sameness import Content, content_of, same_lines
 
 # Number of predictions that `score` compares with their depth (chosen here).
 LOOKED_AT = 5
@@ -115,7 +116,14 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
         found,
         beyond_share=beyond_share(shape, T_grid_camera, float(size_m) * FULL_CELLS),
         refused=_refused(shape, T_grid_camera, float(size_m)),
+        open_because=open_because(shape),
+        content=shape_content(shape),
     )
+
+
+def shape_content(shape: CameraShape) -> Content:
+    """Return what a predicted shape holds: vertices and faces, points, or cells."""
+    return content_of(shape.points_m, shape.faces)
 
 
 def _refused(shape: CameraShape, T_grid_camera: Float64, voxel_size_m: float) -> str:
@@ -148,16 +156,17 @@ def check_camera(
         f"{MethodFile.FILE}: 'T_camera_prediction' has '{name}', which is no view here; correct it"
         for name in sorted(_unknown(release, method))[:1]
     ]
-    compared, answered = dict[str, Agreement](), 0
+    compared, contents, answered = dict[str, Agreement](), dict[str, Content](), 0
     is_compared = method.scale == "metric" and not _without_depth(release)
     for done, (target, name, found) in enumerate(find_files(folder, release.targets, method), start=1):
         if isinstance(found, CameraPredictionFile):
             answered += 1
             try:
                 if not is_compared:
-                    load_camera_shape(found, method)
+                    contents[name] = shape_content(load_camera_shape(found, method))
                 elif (here := view_agreement(release, found, method)) is not None:
                     compared[name] = here
+                    contents |= {name: here.content} if here.content is not None else {}
             except PredictionError as error:
                 problems.append(str(error))
         elif found is not None:
@@ -168,7 +177,18 @@ def check_camera(
             progress(done, len(release.targets) * method.hypotheses)
     slips, notes = _judged(compared, method)
     problems += [*slips, *strays_in_camera(release, folder, method)]
-    return problems, [*_summary(release, method, compared, answered), *notes]
+    said = [*_summary(release, method, compared, answered), *notes, *_open_lines(compared)]
+    return problems, [*said, *same_lines(contents)]
+
+
+def _open_lines(compared: Mapping[str, Agreement]) -> list[str]:
+    """Return a line on predicted meshes that are open, and why; none if all are closed."""
+    why = {name: one.open_because for name, one in compared.items() if one.open_because}
+    return [
+        f"{len(why)} of {len(compared)} predictions are open meshes, such as {name} ({reason}): they have no "
+        "inside, so they have metrics of surfaces alone"
+        for name, reason in list(why.items())[:1]
+    ]
 
 
 def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], method: MethodFile) -> list[str]:

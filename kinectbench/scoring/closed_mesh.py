@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.geometry.closed import is_closed, joined_vertices
+from kinectbench.core.geometry.closed import is_closed, joined_vertices, why_open
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.scoring.camera_shape import CameraShape
@@ -26,6 +26,13 @@ def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
         return None
     vertices, faces = joined_vertices(shape.points_m, shape.faces.astype(np.int32))
     return ClosedMesh(vertices, faces) if is_closed(faces) else None
+
+
+def open_because(shape: CameraShape) -> str:
+    """What keeps a predicted mesh from being closed, in words; "" if it is closed, or no mesh."""
+    if shape.form != "mesh":
+        return ""
+    return why_open(joined_vertices(shape.points_m, shape.faces.astype(np.int32))[1])
 
 
 def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:

@@ -17,6 +17,7 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.geometry import invert_rigid, rigid, transform_points
 from kinectbench.core.types import Float64, Int64
 from kinectbench.scoring.camera_shape import CAMERA_AXES, METRES, CameraShape
+from kinectbench.scoring.sameness import Content
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -75,6 +76,8 @@ class Agreement:
             its correction, the simplest first; () if the distance is small or unexplained. A shape with a
             mirror plane has several.
         refused: why `score` refuses the shape because its solid cannot be made; "" if it can be made.
+        open_because: what keeps a mesh from being closed, in words; "" if it is closed, or no mesh.
+        content: what the shape holds; None if that is not asked.
     """
 
     distance_m: float
@@ -82,6 +85,8 @@ class Agreement:
     slips: tuple[tuple[str, float], ...] = ()
     beyond_share: float = 0.0
     refused: str = ""
+    open_because: str = ""
+    content: Content | None = None
 
     @property
     def is_scene(self) -> bool:

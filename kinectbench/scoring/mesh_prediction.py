@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid
-from kinectbench.core.geometry.closed import is_closed, joined_vertices, outwards
+from kinectbench.core.geometry.closed import joined_vertices, outwards, why_open
 from kinectbench.core.mesh_files import read_obj, read_ply
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
@@ -50,9 +50,9 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         raise PredictionError(
             f"{len(faces)} faces across each other; simplify the mesh, or submit a grid", what="too-large"
         )
-    if not is_closed(faces):
+    if why := why_open(faces):
         raise PredictionError(
-            f"the mesh is not closed, or not consistently oriented; close it, submit a grid, {IN_CAMERA}",
+            f"the mesh is not closed ({why}); close it, submit a grid, {IN_CAMERA}",
             what="open-mesh",
         )
     packed = voxelize_solid(vertices, faces, grid)

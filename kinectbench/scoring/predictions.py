@@ -19,6 +19,7 @@ from kinectbench.scoring.declared import NAMED, changed_files, form_problem, met
 from kinectbench.scoring.grid_axes import MOST_LOOKED_AT, axes_problem
 from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
 from kinectbench.scoring.prediction_file import load_hashed, load_prediction
+from kinectbench.scoring.sameness import Content, content_of, same_lines
 from kinectbench.scoring.suspicious import MOST_OUTSIDE
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 
@@ -275,7 +276,14 @@ def check_method(name: str) -> None:
         )
 
 
-def check(release: Release, folder: Path, progress: Progress | None = None) -> list[str]:
+def check(release: Release, folder: Path) -> list[str]:
+    """Return the problems of `check_grids` alone."""
+    return check_grids(release, folder)[0]
+
+
+def check_grids(
+    release: Release, folder: Path, progress: Progress | None = None
+) -> tuple[list[str], list[str]]:
     """Check one method's predictions of the test split, and of the validation split if it predicts any.
 
     Args:
@@ -285,7 +293,8 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
 
     Returns:
         One line per problem: problems of the whole folder first, then in the order of the targets, stray
-        files last; empty without problems.
+        files last; empty without problems. And a note on each kind of prediction that says nothing of its
+        view.
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
@@ -294,19 +303,21 @@ def check(release: Release, folder: Path, progress: Progress | None = None) -> l
     answered = {target.split for target in (*predictions.files, *predictions.problems)}
     required = {"test", "validation"} & answered | {"test"}
     missing = {target: missing_line(target) for target in predictions.missing if target.split in required}
-    problems, readable = method_problems(folder, predictions.method, release), list[Target]()
+    problems, readable = method_problems(folder, predictions.method, release), dict[Target, Content]()
     for done, target in enumerate(release.targets, start=1):
         line = predictions.problems.get(target) or missing.get(target)
         if target in predictions.files:
-            line = _file_problem(release, target, predictions.files[target], predictions.method)
-            readable += [target] if line is None else []
+            found = _file_content(release, target, predictions.files[target], predictions.method)
+            line = found if isinstance(found, str) else None
+            readable |= {} if isinstance(found, str) else {target: found}
         if line:
             problems.append(line)
         if progress:
             progress(done, len(release.targets))
-    if line := axes_problem(_looked_at(release, predictions, readable)):
+    if line := axes_problem(_looked_at(release, predictions, list(readable))):
         problems.append(line)
-    return problems + stray_lines(predictions.stray, predictions.missing)
+    problems += stray_lines(predictions.stray, predictions.missing)
+    return problems, list(same_lines({target.name: of for target, of in sorted(readable.items())}))
 
 
 def _looked_at(
@@ -319,8 +330,8 @@ def _looked_at(
         yield load_prediction(predictions.files[target], voxel_size_m=float(size_m)), unpack(partial)
 
 
-def _file_problem(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | None:
-    """Return the fault of one file, or None."""
+def _file_content(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | Content:
+    """Return the fault of one file, or what it holds."""
     size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
     name = target.name + path.suffix
     try:
@@ -332,4 +343,4 @@ def _file_problem(release: Release, target: Target, path: Path, method: MethodFi
         return f"{name}: {share} of its volume lies outside the cube: use the grid's axes, {IN_CAMERA}"
     if changed_files(method, {name: loaded.digest}):
         return f"{name}: not what its run of `predict` wrote: changed since, or of another run; predict again"
-    return None
+    return content_of(loaded.prediction)

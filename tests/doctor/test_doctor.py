@@ -114,6 +114,20 @@ def test_what_is_no_recording_is_said_in_one_line(content: bytes, tmp_path: Path
         assert look is None and names(diagnosis) == ["unreadable"] and diagnosis.stops
 
 
+def test_a_recording_inside_another_is_noted(small_chair: Path, tmp_path: Path) -> None:
+    """Its frames are not read; without it nothing is noted."""
+    outer = Path(shutil.copytree(small_chair, tmp_path / "outer"))
+    assert "recording_inside" not in names(inspect(outer, CameraSettings())[0])
+    shutil.copytree(small_chair, outer / "more" / "extra")
+    found = inspect(outer, CameraSettings())[0].findings
+    (finding,) = (each for each in found if each.name == "recording_inside")
+    assert finding.severity == "note"
+    assert finding.what.startswith("another recording lies inside: more/extra (")
+    shutil.copytree(small_chair, outer / "second")
+    found = inspect(outer, CameraSettings())[0].findings
+    assert [each.what.endswith(" and 1 more") for each in found if each.name == "recording_inside"] == [True]
+
+
 def test_frames_are_read_evenly() -> None:
     assert frames_to_read(7).tolist() == list(range(7))
     for count in (251, 1000, 30_000):

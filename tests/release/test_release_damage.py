@@ -24,7 +24,7 @@ from kinectbench.release.exchange.bop import export_bop
 from kinectbench.release.exchange.recgan import export_recgan
 from kinectbench.release.exchange.webdataset import export_webdataset
 from kinectbench.release.publish.publish import publish
-from kinectbench.release.release import open_release
+from kinectbench.release.release import Release, open_release
 
 RECORDINGS = ["chair_02", "table_02"]
 
@@ -157,3 +157,17 @@ def test_exports_of_a_public_part(parts: Path, tmp_path: Path) -> None:
     assert set(kinectbench.decode_sample(sample)) == set(item) == {"pair_id", "partial", "meta"}
     with raises(ReleaseError, "release.truth-held-back"):
         export_recgan(public, tmp_path / "theirs")
+
+
+@pytest.mark.parametrize("packed", ["", ".zip", ".tar"])
+def test_an_empty_folder_is_reported_like_a_file_that_was_added(
+    release: Release, tmp_path: Path, packed: str
+) -> None:
+    folder = Path(shutil.copytree(release.folder, tmp_path / "benchmark"))
+    (folder / "pairs" / "extra" / "inner").mkdir(parents=True)
+    path = folder
+    if packed:
+        kind = packed.removeprefix(".")
+        path = Path(shutil.make_archive(str(tmp_path / "packed"), kind, tmp_path, "benchmark"))
+    assert verify(path) == ["pairs/extra/inner/: not part of the release"]
+    assert verify(path, checksums_only=True) == ["pairs/extra/inner/: not part of the release"]

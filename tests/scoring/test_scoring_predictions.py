@@ -10,7 +10,7 @@ from raising import raises
 from kinectbench.core.errors import PredictionError
 from kinectbench.release.release import Release
 from kinectbench.scoring.mesh_prediction import IN_CAMERA
-from kinectbench.scoring.predictions import check, find_predictions, split_methods
+from kinectbench.scoring.predictions import check, check_grids, find_predictions, split_methods
 from kinectbench.scoring.score import score
 
 GRID = np.zeros((2, 2, 2), bool)
@@ -28,7 +28,7 @@ def folder(tmp_path: Path, release: Release) -> Path:
 
 def test_a_complete_submission(folder: Path, release: Release) -> None:
     seen: list[tuple[int, int]] = []
-    assert check(release, folder, lambda done, total: seen.append((done, total))) == []
+    assert check_grids(release, folder, lambda done, total: seen.append((done, total)))[0] == []
     assert seen[-1] == (len(release.targets),) * 2
     found = find_predictions(folder, release.split("test"))
     assert len(found.files) == 4 and not found.missing and not found.stray

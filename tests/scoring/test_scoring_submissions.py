@@ -62,11 +62,17 @@ def test_a_mesh_is_voxelised(kind: str, tmp_path: Path) -> None:
 
 OPEN = trimesh.Trimesh(BOX.vertices, BOX.faces[1:], process=False)
 TURNED = trimesh.Trimesh(BOX.vertices, [BOX.faces[0][::-1], *BOX.faces[1:]], process=False)
+DOUBLED = trimesh.Trimesh(BOX.vertices, [*BOX.faces, BOX.faces[0]], process=False)
 FAN = "".join(f"v {x} {y} 0.5\n" for x in (0, 1) for y in np.linspace(0, 1, 400)) + "".join(
     f"f {a} {a % 400 + 1} {401 + (7 * a) % 400}\n" for _ in range(40) for a in range(1, 401)
 )
 MESHES: dict[str, tuple[str, bytes, str]] = {
-    "open": ("ply", exported(OPEN, "ply"), "the mesh is not closed"),
+    "open": ("ply", exported(OPEN, "ply"), "the mesh is not closed .3 of 18 edges with one face: holes"),
+    "doubled": (
+        "ply",
+        exported(DOUBLED, "ply"),
+        "not closed .3 of 18 edges with more than two faces: doubled triangles",
+    ),
     "turned": ("obj", exported(TURNED, "obj"), "not consistently oriented"),
     "far": ("ply", exported(BOX.copy().apply_translation([500, 0, 0]), "ply"), "vertices beyond 16.4 m"),
     "not finite": ("obj", b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "vertices beyond|not a readable"),

@@ -222,10 +222,16 @@ def _of_pairs(pair: str) -> Iterator[Damage]:
         ("cells of 'known' are not as its volume.npz",),
     )
     yield Damage(
-        "nothing seen", pair_with(seen=np.zeros((256, 256, 32), np.uint8)), (f"{pair}: only 0 of the",), True
+        "nothing seen",
+        pair_with(seen=np.zeros((256, 256, 32), np.uint8)),
+        (f"{pair}: only 0 of the", "cells of 'seen' are not as its view's depth has them"),
+        True,
     )
     yield Damage(
-        "another framing", pair_with(framing=np.asarray("view")), (f"{pair}: framing is 'view'",), True
+        "another framing",
+        pair_with(framing=np.asarray("view")),
+        (f"{pair}: framing is 'view'", f"{pair}: its cube is not that of its view's depth"),
+        True,
     )
     yield Damage(
         "a pair that swells",

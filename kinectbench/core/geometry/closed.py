@@ -45,6 +45,20 @@ def is_closed(faces: Int32) -> bool:
     return bool(paired and (np.diff(edges) > 0).all())
 
 
+def why_open(faces: Int32) -> str:
+    """What keeps a mesh from being closed, in words; "" if it `is_closed`."""
+    from kinectbench.core.geometry.pieces import sorted_edges
+
+    edges, counts = np.unique(sorted_edges(faces) >> 1, return_counts=True)
+    one, more = int((counts == 1).sum()), int((counts > 2).sum())
+    found = [f"{one} of {len(edges)} edges with one face: holes"] if one else []
+    if more:
+        found.append(f"{more} of {len(edges)} edges with more than two faces: doubled triangles?")
+    if not found and not is_closed(faces):
+        found.append("neighbouring faces that run in opposite senses: not consistently oriented")
+    return ", ".join(found)
+
+
 def outwards(vertices: Float64, faces: Int32) -> Int32:
     """The faces (m, 3) of a closed mesh with each connected piece turned outwards.
 

@@ -302,17 +302,21 @@ def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> 
     without = [name for name, closed in open_ones.items() if closed is None]
     closed = [name for name in open_ones if name not in without]
     lines = []
-    if without:
-        needs = "; --close poisson needs normals" * (close == "poisson")
+    for names, what in (
+        (without, "they have no inside, so they have metrics of surfaces alone"),
+        (closed, "made solid"),
+    ):
+        if not names:
+            continue
+        why = results[next(t for t in results if t.name == names[0])].rows[0].open_because
         lines.append(
-            f"{len(without)} of {len(results)} predictions are open meshes or points, such as {without[0]}: "
-            f"they have no inside, so they have metrics of surfaces alone{needs}"
+            f"{len(names)} of {len(results)} predictions are open meshes or points, such as {names[0]}"
+            f"{f' ({why})' if why else ''}: {what}"
         )
+    if without and close == "poisson":
+        lines[0] += "; --close poisson needs normals"
     if closed:
-        lines.append(
-            f"{len(closed)} of {len(results)} predictions are open meshes or points, such as {closed[0]}, "
-            f"made solid by --close {open_ones[closed[0]]}"
-        )
+        lines[-1] += f" by --close {open_ones[closed[0]]}"
     return lines
 
 

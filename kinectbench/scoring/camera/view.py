@@ -30,7 +30,7 @@ from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_t
 from kinectbench.scoring.camera.votes import Votes
 from kinectbench.scoring.camera_predictions import CameraPredictionFile, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
-from kinectbench.scoring.closed_mesh import closed_mesh
+from kinectbench.scoring.closed_mesh import closed_mesh, open_because
 from kinectbench.scoring.prediction_file import blake3_of
 
 # A protocol, and under `aligned` what the registration may change.
@@ -53,6 +53,7 @@ class Scored:
         hypotheses: which of several predictions of a view the row combines; None in the row of a single one.
         closed: how an open mesh or points were made solid, as `--close` has it; None where they were not.
         calibration: how well the votes of several solid predictions are calibrated; None without votes.
+        open_because: what keeps a mesh from being closed, in words; "" if it is closed, or no mesh.
     """
 
     protocol: str
@@ -66,6 +67,7 @@ class Scored:
     hypotheses: Hypotheses | None = None
     closed: str | None = None
     calibration: Calibration | None = None
+    open_because: str = ""
 
 
 @dataclass(frozen=True)
@@ -162,6 +164,7 @@ def score_shape(
         raise PredictionError("no cell is at a surface: an empty prediction", what="empty")
     as_predicted = surface.transformed(truth.T_grid_camera)
     is_solid = mesh is not None or shape.cells is not None
+    because = "" if is_solid else open_because(shape)
     own, closed = shape, None
     may_close = close is not None and not is_solid and not truth.is_open
     if close is not None and may_close and (made := to_be_closed(shape, surface, close)) is not None:
@@ -183,7 +186,11 @@ def score_shape(
         cut = cut_share(truth, shape, volume_m) if kind is None else None
         silhouette = outside_mask_share(truth, surface) if kind is None else None
         rows += [
-            Scored(protocol, part, figures, alignment, is_solid, left_out, cut, silhouette, closed=closed)
+            Scored(
+                *(protocol, part, figures, alignment, is_solid, left_out, cut, silhouette),
+                closed=closed,
+                open_because=because,
+            )
             for part, figures in found.items()
         ]
     return tuple(rows)

@@ -170,6 +170,25 @@ def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str
     return list(_recordings_below(folder, iter(range(most))))
 
 
+def recordings_inside(recording: Path) -> list[tuple[Path, str]]:
+    """Find the recordings in subfolders of a recording's folder, which its reader does not read.
+
+    Args:
+        recording: the folder or file of a recording; hidden subfolders are skipped.
+
+    Returns:
+        Pairs (path, format), sorted.
+
+    Raises:
+        OSError: the folder cannot be read.
+    """
+    if not recording.is_dir():
+        return []
+    folders = sorted(child for child in recording.iterdir() if child.is_dir() and child.name[0] != ".")
+    numbers = iter(range(LOOKED_AT))
+    return [found for folder in folders for found in _recordings_below(folder, numbers)]
+
+
 def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Path, str]]:
     """Search like `find_recordings`; each file or folder takes one of `numbers`."""
     if next(numbers, None) is None:

@@ -1,0 +1,58 @@
+"""Predictions that say nothing of their view: constant ones, and ones that are equal for different views."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Predictions that equal another one are reported from this share on: one category's mean is the same for all
+# of its views, and two views of a coarse grid may agree by chance.
+LEAST_EQUAL = 0.5
+
+
+class Content(NamedTuple):
+    """What a prediction holds.
+
+    Attributes:
+        digest: of its values.
+        constant: the value of all of its cells; None if they differ, or if it has no cells.
+    """
+
+    digest: str
+    constant: float | None = None
+
+
+def content_of(*arrays: NDArray[np.generic]) -> Content:
+    """Return what a prediction holds: one grid, or the arrays of a shape."""
+    digest = hashlib.blake2b(digest_size=16)
+    for array in arrays:
+        digest.update(f"{array.shape} {array.dtype}".encode())
+        digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+    constant = None
+    if len(arrays) == 1 and (low := arrays[0].min()) == arrays[0].max():
+        constant = float(low)
+    return Content(digest.hexdigest(), constant)
+
+
+def same_lines(contents: Mapping[str, Content]) -> Iterator[str]:
+    """Yield a line for each value that predictions have in all cells, and one if most equal another one.
+
+    Args:
+        contents: what each prediction holds, by name.
+    """
+    constant: dict[float, list[str]] = {}
+    for name, content in contents.items():
+        if content.constant is not None:
+            constant.setdefault(content.constant, []).append(name)
+    for value, names in sorted(constant.items()):
+        yield f"{len(names)} of {len(contents)} predictions are {value:g} in every cell, such as {names[0]}"
+    rest = {name: content.digest for name, content in contents.items() if content.constant is None}
+    counts = Counter(rest.values())
+    equal = [name for name, digest in rest.items() if counts[digest] > 1]
+    if equal and len(equal) >= LEAST_EQUAL * len(contents):
+        first, second = [name for name in equal if rest[name] == rest[equal[0]]][:2]
+        every = "the same for every view" if len(counts) == 1 else "the same as for another view"
+        yield f"{len(equal)} of {len(contents)} predictions are {every}, such as {first} and {second}"
