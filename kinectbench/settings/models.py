@@ -69,11 +69,6 @@ class CameraSettings(Settings):
     sensor: str | None = Field(None, pattern="^NP[1-5]$", description="of YCB: the camera that is read")
     swap_red_blue: bool = Field(False, description="colour is stored with red and blue exchanged")
 
-    @property
-    def gives_intrinsics(self) -> bool:
-        """Whether a whole pinhole camera is given."""
-        return None not in (self.fx, self.fy, self.cx, self.cy)
-
 
 class BoxSettings(Settings):
     """An upright box around the object, in the floor frame (z up, floor at z = 0)."""

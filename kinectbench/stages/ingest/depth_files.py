@@ -12,13 +12,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.encoded_images import PNG_MAGIC, decoded_image, image_head
+from kinectbench.core.encoded_images import PNG_MAGIC, image_head
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import MM_PER_M, Bools, Float32
 from kinectbench.core.untrusted import MOST_PIXELS, UNPACKED_BYTES, is_too_large, printable
 from kinectbench.core.voxels.npy import MAGIC, read_npy
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
-from kinectbench.stages.ingest.images import DamagedImageError, OddImageError, decode_depth_png, image_header
+from kinectbench.stages.ingest.images import (
+    DamagedImageError,
+    OddImageError,
+    decode_depth_png,
+    decode_unchanged,
+    image_header,
+)
 
 if TYPE_CHECKING:
     from h5py import File
@@ -62,10 +68,10 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
         return _as_depth(_array(data, name), name)
     if data[:4] in TIFF_MAGICS:
         _tiff_size_px(data, name)
-        return _as_depth(_pixels(data, name), name)
+        return _as_depth(decode_unchanged(data, name), name)
     if channels is not None and data.startswith(PNG_MAGIC):
         image_header(data, name)
-        return joined_channels(_pixels(data, name), channels)
+        return joined_channels(decode_unchanged(data, name), channels)
     return decode_depth_png(data, name)
 
 
@@ -114,7 +120,7 @@ def packed_channels(data: bytes, name: str) -> Channels | None:
         return None
     if head.bits != 8 or head.color_type not in (2, 6):
         return None
-    pixels = _pixels(data, name)
+    pixels = decode_unchanged(data, name)
     for channels in permutations(range(3), 2):
         depth = joined_channels(pixels, channels).astype(np.int64)
         sides = ((depth[:, :-1], depth[:, 1:]), (depth[:-1], depth[1:]))
@@ -130,15 +136,6 @@ def joined_channels(pixels: NDArray[np.generic], channels: Channels) -> UInt16:
     """Join the high and the low byte of depth from two channels of an image (height, width, 3 or 4) uint8."""
     high, low = (pixels[..., channel].astype(np.uint16) for channel in channels)
     return np.asarray(high << np.uint16(8) | low, np.uint16)
-
-
-def _pixels(data: bytes, name: str) -> NDArray[np.generic]:
-    import cv2
-
-    try:
-        return decoded_image(data, cv2.IMREAD_UNCHANGED)
-    except ValueError as error:
-        raise DamagedImageError(f"{name}: {error}") from error
 
 
 def _as_depth(pixels: NDArray[np.generic], name: str) -> UInt16 | Float32:

@@ -62,7 +62,7 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
             f"{name}: depth is {head.bits}-bit (uint{max(head.bits, 8)}) with {channels}, not 16-bit grey "
             "(uint16): export the raw depth again, not a picture of it"
         )
-    return np.asarray(_decode(data, name, unchanged=True), dtype=np.uint16)
+    return np.asarray(decode_unchanged(data, name), dtype=np.uint16)
 
 
 def quantised(metres: NDArray[np.floating]) -> NDArray[np.uint16]:
@@ -78,8 +78,10 @@ def decode_color_bgr(data: bytes, name: str) -> NDArray[np.uint8]:
     Raises:
         DamagedImageError: the image is damaged.
     """
+    import cv2
+
     image_header(data, name)
-    return _decode(data, name, unchanged=False).astype(np.uint8, copy=False)
+    return _decode(data, name, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
 
 
 def decode_mask(data: bytes, name: str) -> Bools:
@@ -119,10 +121,19 @@ def _head(data: bytes, name: str) -> ImageHead:
         raise DamagedImageError(f"{name}: {error}") from error
 
 
-def _decode(data: bytes, name: str, *, unchanged: bool) -> NDArray[np.generic]:
+def decode_unchanged(data: bytes, name: str) -> NDArray[np.generic]:
+    """Decode an image whose header was checked: its pixels as stored, (height, width) or with channels.
+
+    Raises:
+        DamagedImageError: the image is damaged.
+    """
     import cv2
 
+    return _decode(data, name, cv2.IMREAD_UNCHANGED)
+
+
+def _decode(data: bytes, name: str, mode: int) -> NDArray[np.generic]:
     try:
-        return decoded_image(data, cv2.IMREAD_UNCHANGED if unchanged else cv2.IMREAD_COLOR)
+        return decoded_image(data, mode)
     except ValueError as error:
         raise DamagedImageError(f"{name}: {error}") from error

@@ -115,6 +115,11 @@ class Intrinsics:
         return Camera(width, height, fx, fy, cx, cy)
 
 
+def gives_intrinsics(settings: CameraSettings) -> bool:
+    """Whether the settings give a whole pinhole camera."""
+    return all(getattr(settings, key) is not None for key in NEEDED)
+
+
 def said_warnings(path: Path, recorded: Intrinsics, settings: CameraSettings) -> list[str]:
     """Warnings on how intrinsics were read, and those of `scale_warnings`."""
     return [*recorded.notes, *scale_warnings(path, recorded.depth_scale, settings)]

@@ -18,6 +18,7 @@ from kinectbench.stages.ingest.intrinsics import (
     MATRIX_SHAPES,
     NEEDED,
     Intrinsics,
+    gives_intrinsics,
     pinhole,
     read_intrinsics_json,
     read_intrinsics_matrix,
@@ -78,7 +79,7 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
         intrinsics = read_intrinsics_json(file) if by_json else read_intrinsics_matrix(file)
         others = passed_over(file, (*JSON_FILES, *MATRIX_FILES, *LOOSE_FILES))
         return replace(intrinsics, notes=(*intrinsics.notes, *others)), file if by_json else None
-    if settings.gives_intrinsics:
+    if gives_intrinsics(settings):
         return Intrinsics(), None
     for file in (path / name for name in LOOSE_FILES):
         with suppress(RecordingError):

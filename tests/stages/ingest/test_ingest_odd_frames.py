@@ -17,6 +17,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import read_plain
 from kinectbench.doctor import Diagnosis, inspect
 from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.recording import FileRecording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
 MANY = tuple(map(str, range(24)))
@@ -127,7 +128,7 @@ def in_channels(depth: NDArray[np.uint16]) -> bytes:
     return png(np.dstack([depth & 255, depth >> 8, 0 * depth]).astype(np.uint8))
 
 
-@pytest.mark.parametrize("first", [in_channels(0 * depth_image(0)), b""])
+@pytest.mark.parametrize("first", [in_channels(0 * depth_image(0)), b""], ids=["empty", "damaged"])
 def test_two_channels_are_those_of_the_first_image_that_measures(tmp_path: Path, first: bytes) -> None:
     rows = np.arange(HEIGHT, dtype=np.uint16)[:, None] * 20
     images = [np.asarray(depth_image(i, 1000.0) + rows, np.uint16) for i in range(8)]
@@ -145,27 +146,25 @@ def test_a_picture_of_depth_in_8_bits_is_no_depth(tmp_path: Path, suffix: str) -
         write_sequence(recording, tmp_path / "out")
 
 
-@pytest.mark.parametrize("kinds", [(".png", ".npy"), (".npy", ".tiff")])
-@pytest.mark.parametrize("beside", [True, False])
+@pytest.mark.parametrize(
+    ("depth", "color", "kind"),
+    [("{}-depth", "{}-color", ".png"), ("depth/{}", "color/{}", ".png"), ("depth/{}", "color/{}", ".tiff")],
+)
 def test_depth_of_a_frame_in_two_files_is_read_once(
-    tmp_path: Path, kinds: tuple[str, str], beside: bool, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, depth: str, color: str, kind: str
 ) -> None:
-    """In whatever order the file system lists the files."""
     folder = write_folder(tmp_path / "r", MANY[:4])
-    named = "{}-depth{}" if beside else "depth/{}{}"
     for i in range(4):
-        (folder / f"depth/{i}.png").rename(folder / named.format(i, ".png"))
-        (folder / f"color/{i}.jpg").rename(folder / (f"{i}-color.jpg" if beside else f"color/{i}.jpg"))
-        (folder / named.format(i, ".npy")).write_bytes(npy(metres(i)))
-        if ".tiff" in kinds and not beside:
-            (folder / named.format(i, ".png")).unlink()
-            (folder / named.format(i, ".tiff")).write_bytes(
-                bytes(cv2.imencode(".tiff", depth_image(i, 1000.0))[1])
-            )
-    if beside:
-        (folder / "depth").rmdir()
-        (folder / "color").rmdir()
+        image = cv2.imencode(kind, depth_image(i, 1000.0))[1]
+        (folder / f"depth/{i}.png").unlink()
+        (folder / f"{depth.format(i)}{kind}").write_bytes(bytes(image))
+        (folder / f"{depth.format(i)}.npy").write_bytes(npy(metres(i)))
+        (folder / f"color/{i}.jpg").rename(folder / f"{color.format(i)}.jpg")
+    for name in ("depth", "color"):
+        if "/" not in depth:
+            (folder / name).rmdir()
     recording = open_recording(folder)
+    assert isinstance(recording, FileRecording)
     assert (len(recording), all(place.color for place in recording.places)) == (4, True)
     assert len({place.depth.suffix for place in recording.places}) == 1
     assert "are not read: keep one kind" in recording.warnings[0]

@@ -202,7 +202,7 @@ def test_a_setting_of_another_format_is_said_to_do_nothing(tmp_path: Path) -> No
 def test_the_settings_that_a_reader_uses_are_those_that_it_names(name: str) -> None:
     """By the text of its module; those of bags share a second one."""
     reader = reader_of(name)
-    modules = [reader, *([RosRecording] if issubclass(reader, RosRecording) else [])]
+    modules: list[type] = [reader, *([RosRecording] if issubclass(reader, RosRecording) else [])]
     text = "\n".join(Path(inspect.getfile(each)).read_text("utf-8") for each in modules)
     mentioned = {each for each in OF_SOME_FORMATS if f"settings.{each}" in text}
     # `pair_files` of a plain folder takes the settings.

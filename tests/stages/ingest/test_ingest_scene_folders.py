@@ -13,6 +13,7 @@ from raising import raises
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import format_of, open_recording
+from kinectbench.stages.ingest.recording import FileRecording
 
 K = np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])
 # Turned by 90 degrees about y.
@@ -152,6 +153,7 @@ def test_a_stamp_of_sun3d_that_repeats_leaves_the_others_on_one_clock(tmp_path: 
     assert f"{stream}: 1 images repeat an earlier stamp" in warning
     kept = [i for i in range(12) if (stream, i) != ("depth", 7)]
     assert recording.stamps_ns.tolist() == [(i * 33_333 + 5000) * 1000 for i in kept]
+    assert isinstance(recording, FileRecording)
     colors = [place.color and int(place.color.stem[:7]) - 1 for place in recording.places]
     assert colors == [None if (stream, i) == ("image", 7) else i for i in kept]
     given = recording.given_trajectory

@@ -43,7 +43,7 @@ from kinectbench.stages.ingest.images import (
     encode_png,
     image_header,
 )
-from kinectbench.stages.ingest.intrinsics import scale_warnings
+from kinectbench.stages.ingest.intrinsics import gives_intrinsics, scale_warnings
 from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
 from kinectbench.stages.ingest.undistortion import Undistortion
@@ -288,7 +288,7 @@ def _depth_info(
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
     )
-    return info, [warnings] if warnings and not settings.gives_intrinsics else []
+    return info, [warnings] if warnings and not gives_intrinsics(settings) else []
 
 
 def _same_frame(depth: ImageTopic, color: ImageTopic) -> bool:

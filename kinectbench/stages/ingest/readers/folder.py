@@ -27,7 +27,12 @@ from kinectbench.stages.ingest.images import (
     decode_color_bgr,
     is_depth_png,
 )
-from kinectbench.stages.ingest.intrinsics import Intrinsics, read_color_calibration, said_warnings
+from kinectbench.stages.ingest.intrinsics import (
+    Intrinsics,
+    gives_intrinsics,
+    read_color_calibration,
+    said_warnings,
+)
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics, passed_over
 from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.folder_images import (
@@ -148,7 +153,7 @@ class FolderRecording(FileRecording):
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
         said, camera_file = find_intrinsics(path, settings)
-        if camera_file is None and said == Intrinsics() and not settings.gives_intrinsics:
+        if camera_file is None and said == Intrinsics() and not gives_intrinsics(settings):
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
         registered = intrinsics.color_registered

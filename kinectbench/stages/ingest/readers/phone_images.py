@@ -1,12 +1,15 @@
 """Common parts for phones with LiDAR: one camera, colour far larger than depth, and confidence."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
@@ -118,6 +121,22 @@ def _same_shape(color_px: tuple[int, int], depth_px: tuple[int, int]) -> bool:
     """Whether two images have the same aspect ratio, to a pixel of depth."""
     (width, height), (depth_width, depth_height) = color_px, depth_px
     return min(color_px) > 0 and abs(width * depth_height / height - depth_width) <= 1
+
+
+def times_or_counted(times_s: Float64, counted_ns: Sequence[int], path: Path) -> tuple[list[int], list[str]]:
+    """The frames' times, nanoseconds, if each has one and they increase, else counted ones; and warnings.
+
+    Args:
+        times_s: (n,) seconds; of another shape where some are missing.
+        counted_ns: stamps of the n frames if they are counted.
+        path: the recording, for the warning.
+    """
+    if times_s.shape == (len(counted_ns),) and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # false for NaN
+        stamps_ns = [round(time_s * NS_PER_S) for time_s in times_s.tolist()]
+        if all(after > before for before, after in pairwise(stamps_ns)):
+            return stamps_ns, []
+    warning = f"{path}: not every frame has a time of its own; frames are counted instead"
+    return list(counted_ns), [warning]
 
 
 def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:

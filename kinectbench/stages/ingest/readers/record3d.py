@@ -9,7 +9,6 @@ import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
 
@@ -18,7 +17,7 @@ import numpy as np
 from kinectbench.core.errors import GivenPosesError, IntrinsicsError, RecordingError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
+from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
@@ -37,6 +36,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
     one_camera,
     scaled_to_depth,
     shrunk_png,
+    times_or_counted,
 )
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
@@ -200,16 +200,11 @@ def _depth_size(
 
 def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> tuple[list[int], list[str]]:
     """The frames' times if every frame has one and they increase, else counted at `fps`; and warnings."""
-    times_s = json_numbers(metadata.get("frameTimestamps"))
-    usable = times_s.ndim == 1 and numbers[-1] < len(times_s)
-    if usable and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # false for NaN
-        stamps_ns = [round(float(times_s[number]) * NS_PER_S) for number in numbers]
-        if all(after > before for before, after in pairwise(stamps_ns)):
-            return stamps_ns, []
-    fps = json_numbers(metadata.get("fps"))
+    times_s, fps = json_numbers(metadata.get("frameTimestamps")), json_numbers(metadata.get("fps"))
     period_ns = round(NS_PER_S / float(fps)) if fps.ndim == 0 and 1 <= fps <= 1000 else NS_PER_S
-    warning = f"{path}: not every frame has a time of its own; frames are counted instead"
-    return [number * period_ns for number in numbers], [warning]
+    whole = times_s.ndim == 1 and numbers[-1] < len(times_s)
+    times_s = times_s[numbers] if whole else np.zeros(0)
+    return times_or_counted(times_s, [number * period_ns for number in numbers], path)
 
 
 def _trajectory(

@@ -1,14 +1,13 @@
 """Folders of 3D Scanner App (all data): depth_, conf_ and frame_ files per frame, and JSON of its camera."""
 
 import re
-from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
+from kinectbench.core.trajectory.stamps import counted_ns
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import listed_paths
@@ -20,6 +19,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
     OPENGL_FROM_OPTICAL,
     PhoneRecording,
     scaled_to_depth,
+    times_or_counted,
 )
 from kinectbench.stages.ingest.recording import (
     Evidence,
@@ -60,7 +60,8 @@ class ScannerAppRecording(PhoneRecording):
         stems = sorted((file.stem.removeprefix("depth_") for file in depth_files), key=int)
         json_files = [path / f"frame_{stem}.json" for stem in stems]
         cameras = [read_camera_of_frame(file, NEEDED, CAMERA_KEYS) for file in json_files]
-        stamps_ns, warnings = _stamps_ns(path, cameras)
+        times_s = json_numbers([camera.get("time") if camera else None for camera in cameras])
+        stamps_ns, warnings = times_or_counted(times_s, counted_ns(len(cameras)), path)
         files = tuple(
             FrameFiles(stamp_ns, path / f"depth_{stem}.png", first_file([path / f"frame_{stem}.jpg"]))
             for stamp_ns, stem in zip(stamps_ns, stems, strict=True)
@@ -102,14 +103,3 @@ def _pose(camera: dict[str, object] | None) -> Float64 | None:
         return None
     with np.errstate(invalid="ignore"):  # values may not be finite
         return np.asarray(_matrix(camera, "cameraPoseARFrame", 4) @ OPENGL_FROM_OPTICAL)
-
-
-def _stamps_ns(path: Path, cameras: list[dict[str, object] | None]) -> tuple[list[int], list[str]]:
-    """The frames' times if every frame has one and they increase, else counted seconds; and warnings."""
-    times_s = json_numbers([camera.get("time") if camera else None for camera in cameras])
-    if times_s.ndim == 1 and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all() and len(times_s) == len(cameras):
-        stamps_ns = [round(time_s * NS_PER_S) for time_s in times_s.tolist()]
-        if all(after > before for before, after in pairwise(stamps_ns)):
-            return stamps_ns, []
-    counted = [index * NS_PER_S for index in range(len(cameras))]
-    return counted, [f"{path}: not every frame has a time of its own; frames are counted instead"]

@@ -21,6 +21,7 @@ from kinectbench.stages.ingest.images import decode_depth_png
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
     check_focal_lengths,
+    gives_intrinsics,
     read_intrinsics_matrix,
     rig_calibration,
     scale_warnings,
@@ -181,7 +182,7 @@ def _default_rig(
     """The data set's Kinect; with a warning, unless the settings give a camera or it is 7-Scenes itself."""
     if size_px != (KINECT.width, KINECT.height):
         return ScannetRig(path, Intrinsics()), []
-    if settings.gives_intrinsics or _marks_holes(files):
+    if gives_intrinsics(settings) or _marks_holes(files):
         return ScannetRig(path, KINECT), []
     return ScannetRig(path, KINECT), [
         f"{path}: has no intrinsics ({', '.join(MATRIX_FILES)}): those of 7-Scenes' Kinect are assumed "
