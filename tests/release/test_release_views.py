@@ -19,6 +19,7 @@ from synthetic_release import RECORDINGS, synthetic_settings
 
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.depth import depth_in_mm
+from kinectbench.core.images import read_gray
 from kinectbench.core.sequence import depth_in_metres
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes, read_pair
 from kinectbench.core.voxels.seen_cells import seen_cells
@@ -78,7 +79,7 @@ NO_CELL = f"{PAIR}: [0-9]+ pixels of depth in its view's mask lie in no cell of 
 SEEN = f"{PAIR}: [0-9]+ cells of 'seen' are not as its view's depth has them"
 FORGED: dict[str, tuple[Change, tuple[str, ...]]] = {
     "depth is farther by 5 mm": (
-        image("depth", lambda depth: np.where(depth > 0, depth + 5, 0).astype(np.uint16)),
+        image("depth", lambda depth: np.where(depth != 0, depth + 5, 0).astype(np.uint16)),
         (NO_DEPTH, NO_CELL),
     ),
     "depth is without rows": (image("depth", cut), (NO_DEPTH, SEEN)),
@@ -150,7 +151,7 @@ def test_depth_of_any_unit_agrees_with_its_millimetres(copy: Path, scale: float)
     of = read_pair(copy / PAIR)
     rng = np.random.default_rng(0)
     camera = Camera(320, 240, *(float(of.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))))
-    stored = cv2.imread(f"{copy / VIEW}.depth.png", cv2.IMREAD_UNCHANGED)
+    stored = read_gray(Path(f"{copy / VIEW}.depth.png"))
     exact_m = (stored / 1000 + rng.uniform(-0.0005, 0.0005, stored.shape)) * (stored > 0)
     depth_m = depth_in_metres(np.rint(exact_m * scale).astype(np.uint16), scale)
     fine, coarse = partial_grids(depth_m, camera, of.T_world_camera, of.grid)
@@ -163,7 +164,7 @@ def test_depth_of_any_unit_agrees_with_its_millimetres(copy: Path, scale: float)
 def test_depth_beyond_what_an_image_holds_is_not_missed(copy: Path) -> None:
     """What lies along a pixel of 0 is seen if its depth was too far for the image, as a warning says."""
     of = read_pair(copy / PAIR)
-    depth = cv2.imread(f"{copy / VIEW}.depth.png", cv2.IMREAD_UNCHANGED).astype(np.uint16)
+    depth = read_gray(Path(f"{copy / VIEW}.depth.png"))
     camera = Camera(320, 240, *(float(of.K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2))))
     far_m = np.where(depth > 0, depth / 1000, 80).astype(np.float32)
     before = replace(of, seen=seen_cells(far_m, camera, of.T_world_camera, of.grid))
