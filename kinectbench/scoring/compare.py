@@ -143,10 +143,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         for scope, of in groups.items()
         if not any(of.values())
     ]
-    notes += filter(None, [tables[0].left_out_line(protocol)])
-    for name, table in complete.items():
-        marks = [mark.words for mark in table.marks if mark.kind != BASELINE]
-        notes += [f"{name}: {'; '.join(marks)}"] if marks else []
+    notes += [*filter(None, [tables[0].left_out_line(protocol)]), *_qualified(complete)]
     of_truth = tables[0].averages(protocol)
     unknown = {scope: of_truth.get(OVERALL if scope == ALL else scope) for scope in scopes}
     return Comparison(
@@ -164,6 +161,12 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
         {name: table.standing for name, table in complete.items()},
         tuple(sorted(all_of.keys() - complete.keys())),
     )
+
+
+def _qualified(tables: Mapping[str, ScoreTable]) -> list[str]:
+    """What to know before a method's figures are believed, a line each."""
+    marks = {name: [m.words for m in table.marks if m.kind != BASELINE] for name, table in tables.items()}
+    return [f"{name}: {'; '.join(words)}" for name, words in marks.items() if words]
 
 
 def find_scores(paths: Sequence[Path]) -> list[Path]:
