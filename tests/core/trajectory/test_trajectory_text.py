@@ -38,7 +38,9 @@ def test_stamp_round_trip(stamp_ns: int) -> None:
 
 
 def test_first_by_stamp() -> None:
-    assert first_by_stamp([5, 3, 5, 4, 3]) == ([1, 3, 0], 2)
+    line = "a.txt: 2 rows repeat an earlier stamp and were left out"
+    assert first_by_stamp([5, 3, 5, 4, 3], "a.txt", "rows") == ([1, 3, 0], [line])
+    assert first_by_stamp([5, 3], "a.txt", "rows") == ([1, 0], [])
 
 
 def write(path: Path, *rows: str) -> Path:
