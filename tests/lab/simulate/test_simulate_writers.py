@@ -59,7 +59,6 @@ NUMBERED = {
     "nerfstudio",
     "record3d",
     "scannet",
-    "sun3d",
     "ycb",
 }
 # Their layout has no place for poses; nor for saying that colour is registered.
