@@ -76,7 +76,7 @@ def fit_of_view(
     border[1:-1, 1:-1] = False
     return ViewFit(
         pixels=pixels,
-        visible_share=pixels / area,
+        visible_share=int((mask & silhouette).sum()) / area,
         border_share=int(border.sum()) / area,
         truncated_share=truncated_share(sequence.camera, T_world_camera, renderer),
         dropped_share=int((inner & ~mask).sum()) / int(inner.sum()),

@@ -60,6 +60,15 @@ def test_the_mesh_takes_the_place_of_what_was_fused(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.shape.labels, shape.labels)
 
 
+def test_what_lies_below_the_floor_is_kept(tmp_path: Path) -> None:
+    """Nobody saw the lowest 4 cm of what a hand held: the floor is higher than the mesh reaches down."""
+    whole = ARM + FOOT
+    seen = model_of(mesh_of(whole.trim_by_plane((0.0, 0.0, 1.0), 0.04)))
+    shape = reference_as_truth(seen, written(mesh_of(whole), tmp_path)).shape
+    volume_m3 = int(shape.solid.sum()) * shape.grid.voxel_size_m**3
+    assert volume_m3 == pytest.approx(whole.volume(), rel=0.01)
+
+
 def test_of_a_box_the_other_pose_is_a_warning(tmp_path: Path) -> None:
     upright = mesh_of(manifold3d.Manifold.cube([0.5, 0.3, 0.4]))
     fused = replace(model_of(upright), surface_sigma_m=0.0025)

@@ -24,7 +24,12 @@ from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.reference.mesh import Reference, read_reference
 from kinectbench.stages.segment.solid.evidence import SHELL_M
-from kinectbench.stages.segment.solid.grids import REFERENCE_VOXEL_M, object_grid, surround_grid
+from kinectbench.stages.segment.solid.grids import (
+    FLOOR_LAYERS,
+    REFERENCE_VOXEL_M,
+    object_grid,
+    surround_grid,
+)
 from kinectbench.stages.segment.solid.solid import SolidShape
 
 # No mesh of another instrument lies nearer to a fused surface than a share of its error. Residuals of exact
@@ -78,8 +83,11 @@ def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float
     """The inside of a mesh on a grid around all of it; as deep as fused surfaces reach it is SURFACE."""
     from scipy import ndimage
 
-    box = fit_box(transform_points(floor.T_floor_world, mesh.vertices), yaw_rad, 0.0)
-    grid = object_grid(box, floor, voxel_size_m)
+    vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
+    box = fit_box(vertices_floor, yaw_rad, 0.0)
+    # What is held, or registered low, reaches below the floor.
+    below = int(np.ceil(-float(vertices_floor[:, 2].min()) / voxel_size_m))
+    grid = object_grid(box, floor, voxel_size_m, layers=FLOOR_LAYERS + max(0, below))
     finest = object_cube(mesh.vertices, grid.T_world_grid)
     if _costs_too_much(mesh, grid) or _costs_too_much(mesh, finest):
         raise ShapeError(

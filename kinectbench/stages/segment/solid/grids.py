@@ -39,15 +39,17 @@ VOXELS_LONG = 80
 STEP_M = 0.00025
 
 
-def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: bool = False) -> Grid:
-    """The fine grid around a box (`given`: a person's): aligned with it, from four cells below the floor.
+def object_grid(
+    box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: bool = False, layers: int = FLOOR_LAYERS
+) -> Grid:
+    """The fine grid around a box (`given`: a person's): aligned with it, from some layers below the floor.
 
     Raises:
         SegmentationError: it would have more than 2^26 voxels: over a minute, and more than 5 GB.
     """
     margin_m = min(MARGIN_M, MARGIN_VOXELS * voxel_size_m)
     size_m = np.array(box.size_m) + 2 * margin_m
-    size_m[2] = box.center_m[2] + box.size_m[2] / 2 + margin_m + FLOOR_LAYERS * voxel_size_m
+    size_m[2] = box.center_m[2] + box.size_m[2] / 2 + margin_m + layers * voxel_size_m
     blocks = np.ceil(size_m / (voxel_size_m * CUBE_VOXELS))  # as floats: as integers the product may overflow
     if blocks.prod() > MAX_VOXELS // CUBE_VOXELS**3:
         what, advice = "the object", "give a box around the object"
@@ -61,7 +63,7 @@ def object_grid(box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: b
     nx, ny, nz = (int(n) * CUBE_VOXELS for n in blocks)
     turn = yaw_rotation(box.yaw_rad)
     corner = turn @ np.array([-nx / 2, -ny / 2, 0.0]) * voxel_size_m
-    corner += [box.center_m[0], box.center_m[1], -FLOOR_LAYERS * voxel_size_m]
+    corner += [box.center_m[0], box.center_m[1], -layers * voxel_size_m]
     return Grid((nx, ny, nz), voxel_size_m, floor.T_world_floor @ rigid(turn, corner))
 
 
