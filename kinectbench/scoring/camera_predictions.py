@@ -28,7 +28,7 @@ from kinectbench.scoring.depth_agreement import (
     likeliest,
 )
 from kinectbench.scoring.predictions import stray_files, stray_lines
-from kinectbench.scoring.sameness import Content, content_of, same_lines
+from kinectbench.scoring.sameness import Held, content_of, same_lines
 
 # Number of predictions that `score` compares with their depth (chosen here).
 LOOKED_AT = 5
@@ -121,7 +121,7 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
     )
 
 
-def shape_content(shape: CameraShape) -> Content:
+def shape_content(shape: CameraShape) -> Held:
     """Return what a predicted shape holds: vertices and faces, points, or cells."""
     return content_of(shape.points_m, shape.faces)
 
@@ -156,7 +156,7 @@ def check_camera(
         f"{MethodFile.FILE}: 'T_camera_prediction' has '{name}', which is no view here; correct it"
         for name in sorted(_unknown(release, method))[:1]
     ]
-    compared, contents, answered = dict[str, Agreement](), dict[str, Content](), 0
+    compared, contents, answered = dict[str, Agreement](), dict[str, Held](), 0
     is_compared = method.scale == "metric" and not _without_depth(release)
     for done, (target, name, found) in enumerate(find_files(folder, release.targets, method), start=1):
         if isinstance(found, CameraPredictionFile):

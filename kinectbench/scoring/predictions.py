@@ -19,7 +19,7 @@ from kinectbench.scoring.declared import NAMED, changed_files, form_problem, met
 from kinectbench.scoring.grid_axes import MOST_LOOKED_AT, axes_problem
 from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
 from kinectbench.scoring.prediction_file import load_hashed, load_prediction
-from kinectbench.scoring.sameness import Content, content_of, same_lines
+from kinectbench.scoring.sameness import Held, content_of, same_lines
 from kinectbench.scoring.suspicious import MOST_OUTSIDE
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 
@@ -303,7 +303,7 @@ def check_grids(
     answered = {target.split for target in (*predictions.files, *predictions.problems)}
     required = {"test", "validation"} & answered | {"test"}
     missing = {target: missing_line(target) for target in predictions.missing if target.split in required}
-    problems, readable = method_problems(folder, predictions.method, release), dict[Target, Content]()
+    problems, readable = method_problems(folder, predictions.method, release), dict[Target, Held]()
     for done, target in enumerate(release.targets, start=1):
         line = predictions.problems.get(target) or missing.get(target)
         if target in predictions.files:
@@ -330,7 +330,7 @@ def _looked_at(
         yield load_prediction(predictions.files[target], voxel_size_m=float(size_m)), unpack(partial)
 
 
-def _file_content(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | Content:
+def _file_content(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | Held:
     """Return the fault of one file, or what it holds."""
     size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
     name = target.name + path.suffix

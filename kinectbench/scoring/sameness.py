@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 LEAST_EQUAL = 0.5
 
 
-class Content(NamedTuple):
+class Held(NamedTuple):
     """What a prediction holds.
 
     Attributes:
@@ -25,7 +25,7 @@ class Content(NamedTuple):
     constant: float | None = None
 
 
-def content_of(*arrays: NDArray[np.generic]) -> Content:
+def content_of(*arrays: NDArray[np.generic]) -> Held:
     """Return what a prediction holds: one grid, or the arrays of a shape."""
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
@@ -34,10 +34,10 @@ def content_of(*arrays: NDArray[np.generic]) -> Content:
     constant = None
     if len(arrays) == 1 and (low := arrays[0].min()) == arrays[0].max():
         constant = float(low)
-    return Content(digest.hexdigest(), constant)
+    return Held(digest.hexdigest(), constant)
 
 
-def same_lines(contents: Mapping[str, Content]) -> Iterator[str]:
+def same_lines(contents: Mapping[str, Held]) -> Iterator[str]:
     """Yield a line for each value that predictions have in all cells, and one if most equal another one.
 
     Args:

@@ -185,15 +185,9 @@ def score_methods(
     request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)
     methods, tables = _methods(release, predictions, method, request), list[ScoreTable]()
-    left_out = _left_out(methods, protocols)
-    for name, folder in methods.items():
+    left_out = _left_out(release, methods, protocols, rule, out)
+    for name, folder in ((name, folder) for name, folder in methods.items() if name not in left_out):
         target = out if len(methods) == 1 else out / name
-        if name in left_out:
-            table = left_out_table(release, name, tuple(protocols or ()), rule, left_out[name])
-            if not (target / ScoreTable.FILE).is_file():  # earlier scores are kept
-                table.write(target)
-            tables.append(table)
-            continue
         table = score(
             release,
             folder,
@@ -208,33 +202,48 @@ def score_methods(
             resume_in=target,
             close=close,
         )
-        _write(table, folder, target, alone=len(methods) == 1)
-        tables.append(table)
+        tables.append(_written(table, folder, target, alone=len(methods) == 1))
         _freeze(release, table, save_thresholds)
-    return tables
+    return [*tables, *left_out.values()]
 
 
-def _left_out(methods: Mapping[str, Path], protocols: Sequence[str] | None) -> dict[str, str]:
-    """Return {method: why it cannot be scored under these protocols}, if another one can."""
+def _left_out(
+    release: Release,
+    methods: Mapping[str, Path],
+    protocols: Sequence[str] | None,
+    missing: Missing,
+    out: Path,
+) -> dict[str, ScoreTable]:
+    """Return tables without figures of methods that the protocols do not fit, if they fit another one.
+
+    They are written for the page, but for those of methods with earlier scores, which are kept.
+
+    Raises:
+        SettingsError: the protocols fit no method.
+    """
     declared = {name: read_in_camera(folder) for name, folder in methods.items()}
     reasons = {name: unfit(protocols, of) for name, of in declared.items() if of is not None}
     found = {name: reason for name, reason in reasons.items() if reason is not None}
     if len(found) == len(methods):
         raise SettingsError(next(iter(found.values())))
-    return found
+    asked = tuple(protocols or ())
+    tables = {name: left_out_table(release, name, asked, missing, reason) for name, reason in found.items()}
+    for name, table in tables.items():
+        if not (out / name / ScoreTable.FILE).is_file():
+            table.write(out / name)
+    return tables
 
 
-def _write(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> None:
-    """Write the table of a folder of predictions; if none can be scored, keep earlier scores.
+def _written(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> ScoreTable:
+    """Write the table of a folder of predictions and return it; if none can be scored, keep earlier scores.
 
     Raises:
         PredictionError: none can be scored, and it is the only method.
     """
     if table.rows:
         table.write(out)
-        return
-    if not alone:  # the caller reports its failures with the other methods' tables
-        return
+    if table.rows or not alone:  # the caller reports its failures with the other methods' tables
+        return table
     kept = f"; the earlier scores in {out} are kept" if (out / ScoreTable.FILE).is_file() else ""
     reason = table.failures[0].reason if table.failures else "no view"
     raise PredictionError(

@@ -57,7 +57,7 @@ def test_protocols_that_do_not_fit_are_refused_of_one_method(
     check_request(Request(protocols), folder)
     assert not (tmp_path / "out").exists()
     tables = score_methods(release, folder, tmp_path / "out", protocols=protocols, surface=False)
-    assert [table.complete for table in tables] == [True, False]
+    assert [(table.method, table.complete) for table in tables] == [("cells", True), ("net", False)]
     assert re.match(words, tables[1].failures[0].reason)
 
 

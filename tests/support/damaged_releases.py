@@ -212,7 +212,11 @@ def _of_pairs(pair: str) -> Iterator[Damage]:
         lambda f: empty_full(f / pair),
         (f"{pair}: 'full' is empty", f"{pair}: containment is 0.000"),
         True,
-        (f"{pair}: 0.0 of the true shape is unknown", "cells of 'full' are not as its mesh.ply"),
+        (
+            f"{pair}: 0.0 of the true shape is unknown",
+            "cells of 'full' are not as its mesh.ply",
+            "visible_share is",
+        ),
     )
     yield Damage(
         "nothing known",
@@ -226,6 +230,7 @@ def _of_pairs(pair: str) -> Iterator[Damage]:
         pair_with(seen=np.zeros((256, 256, 32), np.uint8)),
         (f"{pair}: only 0 of the", "cells of 'seen' are not as its view's depth has them"),
         True,
+        ("visible_share is",),
     )
     yield Damage(
         "another framing",
