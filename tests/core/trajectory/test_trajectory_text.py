@@ -53,7 +53,7 @@ def test_unsorted_and_repeated_poses(tmp_path: Path) -> None:
     trajectory, warnings = read_trajectory_file(file)
     assert trajectory.stamps_ns.tolist() == [1_500_000_000, 2_000_000_000]
     assert warnings == [
-        f"{file}: 1 poses repeat the stamp of an earlier row and were left out",
+        f"{file}: 1 poses repeat an earlier stamp and were left out",
         f"{file}: its rows are in no order of time: each pose is taken by its stamp",
     ]
     np.testing.assert_allclose(
