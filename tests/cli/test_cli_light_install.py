@@ -46,6 +46,8 @@ def test_a_release_is_loaded_checked_and_scored(folder: Path, tmp_path: Path) ->
     ):
         done = kinectbench(tmp_path, tmp_path, *command)
         assert done.returncode == 0, (command, done.stderr)
+        unchecked = "no partial was compared with its view's depth: " in done.stdout
+        assert unchecked is (command[0] == "verify"), done.stdout
     loaded = "import sys, kinectbench as k; p = k.load(sys.argv[1])[0]; print(p['full'].shape)"
     done = kinectbench(tmp_path, tmp_path, "-c", loaded, release)
     assert done.stdout == "(256, 256, 256)\n", done.stderr

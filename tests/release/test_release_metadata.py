@@ -55,7 +55,7 @@ def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
     assert places == sorted((target.recording, target.view) for target in release.targets)
     first = cameras[0]
     assert first["cameras/view"] == b"000" and first["cameras/width"] == 80
-    np.testing.assert_array_equal(first["cameras/K"], [[5.0, 0, 3.5], [0, 5.0, 2.5], [0, 0, 1]])
+    np.testing.assert_array_equal(first["cameras/K"], [[50.0, 0, 39.5], [0, 50.0, 29.5], [0, 0, 1]])
     records = [
         {
             key.removeprefix("targets/"): value.decode() if isinstance(value, bytes) else value

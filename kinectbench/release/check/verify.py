@@ -38,7 +38,7 @@ from kinectbench.release.check.agreement_check import Stated, agreement_problems
 from kinectbench.release.check.object_check import object_problems, recording_of, surface_lines
 from kinectbench.release.check.pair_check import input_problems, pair_problems
 from kinectbench.release.check.truth_check import TruthCheck
-from kinectbench.release.check.view_check import StatedView, image_names, view_lines
+from kinectbench.release.check.view_check import StatedView, image_names, no_decoder, view_lines
 from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents
 from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents
@@ -139,7 +139,11 @@ def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
         )
     pairs = [name for name in sums if name.startswith("pairs/")]
     without = sum(not sums.keys() >= set(image_names(name)) for name in pairs)
-    if without and not checksums_only:
+    if checksums_only or not pairs:
+        return clauses
+    if without < len(pairs) and (missing := no_decoder()):
+        clauses.append(f"no partial was compared with its view's depth: {missing}")
+    elif without:
         clauses.append(
             f"{without} of {len(pairs)} partials were compared with no depth, which is not published"
         )
@@ -162,9 +166,11 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
 
 
 def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a line for each file that is not in SHA256SUMS."""
+    """Yield a line for each file or empty folder that is not of SHA256SUMS."""
     for name in contents.entries:
-        if name not in sums and name != SHA256SUMS:
+        # Where files of the list are missing from a folder, they are reported, not the folder.
+        is_theirs = name.endswith("/") and any(each.startswith(name) for each in sums)
+        if name not in sums and name != SHA256SUMS and not is_theirs:
             yield _extra(name)
 
 

@@ -7,6 +7,7 @@ intervals allow.
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 
 import numba
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.extras import missing_module
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.depth import MOST_MM
 from kinectbench.core.types import MM_PER_M, Bools, Float32
@@ -33,6 +35,11 @@ MOST_OTHER_SHARE = 0.001
 MOST_FAR_CELLS = 1e9
 # Most cells that the pixels of one view may reach: 8,300,000 pixels of 4K, of 60 cells each. It takes 1 s.
 MOST_REACHED = 500_000_000
+
+
+def no_decoder() -> str | None:
+    """Return why images cannot be decoded here, where a package is missing; None if they can."""
+    return None if find_spec("cv2") else missing_module(ModuleNotFoundError(name="cv2"))
 
 
 def image_names(pair_name: str) -> tuple[str, str]:
@@ -59,6 +66,8 @@ def view_lines(
 ) -> list[str]:
     """Return a line for each difference of a pair's input from its view; none if the view has no images.
 
+    Without the packages that decode images there is none, either (`no_decoder`).
+
     Args:
         contents: the release.
         name: the pair's file.
@@ -67,7 +76,7 @@ def view_lines(
         whole: names of the files whose bytes are the published ones; others are reported elsewhere.
     """
     of_depth, of_mask = image_names(name)
-    if of_depth not in whole or of_mask not in whole:
+    if of_depth not in whole or of_mask not in whole or no_decoder():
         return []
     try:
         depth = depth_mm(contents.read(of_depth), of_depth)
