@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -137,7 +138,7 @@ def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | Non
     if begun is not None:
         begun.ended()
     quiet, config = replace(common, as_json=False), out / DEFAULT_CONFIG
-    on_interrupt.words = f"stopped; `kinectbench build --config {config}` goes on from here"
+    on_interrupt.words = f"stopped; `kinectbench build --config {quote(str(config))}` goes on from here"
     init_command(folder=out)
     with ExitStack() as stack:
         if begun is not None:

@@ -9,6 +9,7 @@ import typer
 
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import RESULTS
 from kinectbench.core.storage import NAME
 
 if TYPE_CHECKING:
@@ -108,8 +109,6 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
         recordings: the recordings found in it.
         suffixes: endings of files that are recordings, such as ".bag".
     """
-    from kinectbench.engine.stages import RESULTS
-
     known = set(recordings)
     holding = {parent for path in recordings for parent in path.relative_to(folder).parents}
     left, waiting = list[Path](), [] if folder in known else [folder]

@@ -96,3 +96,12 @@ def first_clash(rows: Iterable[Named]) -> Clash | None:
                 f"object '{row.object}' is in two categories, {both}; it belongs to one", index, earlier
             )
     return None
+
+
+# Folders that commands write beside benchmark.yaml; they are no part of a recording in the same folder.
+RESULTS = frozenset(
+    {
+        *("build", "benchmark", "benchmark-private", "predictions", "scores", "triage", "reproduce"),
+        "evaluation",
+    }
+)

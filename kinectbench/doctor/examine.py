@@ -38,7 +38,7 @@ from kinectbench.settings.models import (
     Vector4,
 )
 from kinectbench.stages.ingest.readers import open_recording, recordings_inside
-from kinectbench.stages.ingest.recording import Recording
+from kinectbench.stages.ingest.recording import FileRecording, Recording
 
 # Focal length of a Kinect, as a ratio of the image width.
 KINECT_FOCAL_RATIO = 525 / 640
@@ -118,7 +118,7 @@ def inspect(
         recording = replace(recording, given_trajectory=None, trajectory_error="")
     probe = probe_recording(recording)
     findings += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
-    findings += _inside(path)
+    findings += _inside(path, recording)
     early = [*check_clock(probe), *check_depth(probe)]
     if not any(finding.name == "intrinsics" for finding in findings):
         early += check_intrinsics(probe)
@@ -134,10 +134,12 @@ def inspect(
     return Diagnosis(facts, gravest_first(findings)), probe
 
 
-def _inside(path: Path) -> Iterator[Finding]:
+def _inside(path: Path, recording: Recording) -> Iterator[Finding]:
     """Report other recordings inside a recording's folder: none of their frames is read."""
+    places = recording.places if isinstance(recording, FileRecording) else ()
+    read = {file.parent for place in places for file in (place.depth, place.color, place.mask) if file}
     with suppress(OSError):  # a folder that cannot be read stops the reader, too
-        inside = recordings_inside(path)
+        inside = recordings_inside(path, read)
         if inside:
             first, kind = inside[0]
             more = f" and {len(inside) - 1} more" if len(inside) > 1 else ""

@@ -9,6 +9,7 @@ from pydantic import JsonValue
 
 from kinectbench.core.artefacts.views import MasksFile
 from kinectbench.core.errors import RecordingError
+from kinectbench.core.names import RESULTS
 from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, whole_manifest
 from kinectbench.engine.slim import kept_source
 from kinectbench.engine.stage_settings import (
@@ -36,14 +37,7 @@ from kinectbench.settings.models import (
     RecordingSettings,
 )
 
-# What commands write beside benchmark.yaml; it is no part of a recording in the same folder.
-RESULTS = frozenset(
-    {
-        *("build", "benchmark", "benchmark-private", "predictions", "scores", "triage", "reproduce"),
-        "evaluation",
-    }
-)
-# Endings of archives of releases there, whose names begin with the benchmark's.
+# Endings of archives of releases beside benchmark.yaml, whose names begin with the benchmark's.
 ARCHIVES = (".zip", ".zip.sha256")
 
 

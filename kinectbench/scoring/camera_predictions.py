@@ -157,16 +157,21 @@ def check_camera(
         for name in sorted(_unknown(release, method))[:1]
     ]
     compared, contents, answered = dict[str, Agreement](), dict[str, Held](), 0
+    last: Target | None = None
     is_compared = method.scale == "metric" and not _without_depth(release)
     for done, (target, name, found) in enumerate(find_files(folder, release.targets, method), start=1):
         if isinstance(found, CameraPredictionFile):
             answered += 1
             try:
                 if not is_compared:
-                    contents[name] = shape_content(load_camera_shape(found, method))
+                    content: Held | None = shape_content(load_camera_shape(found, method))
                 elif (here := view_agreement(release, found, method)) is not None:
-                    compared[name] = here
-                    contents |= {name: here.content} if here.content is not None else {}
+                    compared[name], content = here, here.content
+                else:
+                    content = None
+                # Several predictions of one view may be equal.
+                contents |= {name: content} if content and last is not target else {}
+                last = target
             except PredictionError as error:
                 problems.append(str(error))
         elif found is not None:

@@ -23,7 +23,7 @@ from kinectbench.doctor.finding import Diagnosis, gravest_first
 from kinectbench.doctor.probe import frames_to_read
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.settings.models import CameraSettings, FusionSettings
-from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.readers import open_recording, recordings_inside
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 CHAIR = RECORDINGS / "chair_01"
@@ -126,6 +126,18 @@ def test_a_recording_inside_another_is_noted(small_chair: Path, tmp_path: Path) 
     shutil.copytree(small_chair, outer / "second")
     found = inspect(outer, CameraSettings())[0].findings
     assert [each.what.endswith(" and 1 more") for each in found if each.name == "recording_inside"] == [True]
+
+
+def test_folders_that_are_read_and_results_are_no_recordings_inside(
+    small_chair: Path, tmp_path: Path
+) -> None:
+    """Apps keep images in a folder that is a recording by itself; results lie where `init` was run."""
+    outer = Path(shutil.copytree(small_chair, tmp_path / "outer"))
+    shutil.copytree(small_chair, outer / "benchmark")
+    assert "recording_inside" not in names(inspect(outer, CameraSettings())[0])
+    shutil.copytree(small_chair, outer / "keyframes")
+    assert recordings_inside(outer, {outer / "keyframes" / "depth"}) == []
+    assert len(recordings_inside(outer, ())) == 1
 
 
 def test_frames_are_read_evenly() -> None:

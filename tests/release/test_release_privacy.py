@@ -62,6 +62,8 @@ def test_what_follows_the_picture_is_taken_out() -> None:
     between = plain[:second] + comment + plain[second:]
     assert without_metadata(between) == (plain, ["comment"])
     assert without_metadata(plain[:-2] + comment + plain[-2:]) == (plain, ["comment"])
+    damaged = plain[:-200] + b"\xff\xe1\x00\x09" + plain[-196:]  # of a scan: no segment follows
+    assert without_metadata(damaged) == (damaged, [])
     assert without_metadata(plain + bytes(9)) == (plain, [])  # some cameras fill up with zeros
     assert without_metadata(plain[:-2]) == (plain[:-2], [])  # and some leave the end marker out
 
@@ -83,6 +85,7 @@ def test_what_is_no_jpeg(data: bytes) -> None:
         ({"w": r"C:\Users\jo\x.bag"}, {"w": "x.bag"}, ["a path in 'w'"]),
         ({"w": "ask jo@example.org"}, {"w": "ask (address removed)"}, ["an e-mail address in 'w'"]),
         ({"w": r"C:\Users\Jo Doe\x.bag: bad"}, {"w": "x.bag: bad"}, ["a path in 'w'"]),
+        ({"w": r"C:\x.bag and then y/z"}, {"w": "x.bag and then y/z"}, ["a path in 'w'"]),
         ({"w": "/Users/jo doe/b/x: bad"}, {"w": "x: bad"}, ["a path in 'w'"]),
         ({"w": "at /nfs/home/jo/b/x, bad"}, {"w": "at x, bad"}, ["a path in 'w'"]),
         ({"w": "file:///home/jo/x.bag"}, {"w": "x.bag"}, ["a path in 'w'"]),

@@ -93,7 +93,10 @@ FORGED: dict[str, tuple[Change, tuple[str, ...]]] = {
         pair(lambda of: replace(of, K=of.K * [[1.02], [1.02], [1]])),
         (NO_DEPTH, NO_CELL),
     ),
-    "all is seen": (pair(lambda of: replace(of, seen=np.full_like(of.seen, 255))), (SEEN,)),
+    "all is seen": (
+        pair(lambda of: replace(of, seen=np.full_like(of.seen, 255))),
+        (SEEN, "benchmark.json: its recordings.chair_02.visible_share is 0.[0-9]+ where its pairs have 1.0"),
+    ),
     "the mask has another size": (
         image("mask", lambda mask: mask[:-1]),
         (f"{PAIR}: its depth image has 320 x 240 pixels, its mask 320 x 239",),
@@ -117,7 +120,8 @@ def test_an_input_that_is_not_of_its_view_is_found(copy: Path, name: str) -> Non
     lines = verify(copy)
     for pattern in expected:
         assert any(re.match(pattern, line) for line in lines), lines
-    assert [line for line in lines if not line.startswith((PAIR, VIEW))] == []
+    others = [line for line in lines if not line.startswith((PAIR, VIEW))]
+    assert [line for line in others if not any(re.match(pattern, line) for pattern in expected)] == []
 
 
 @pytest.fixture(scope="module")

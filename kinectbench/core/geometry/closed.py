@@ -49,6 +49,8 @@ def why_open(faces: Int32) -> str:
     """What keeps a mesh from being closed, in words; "" if it `is_closed`."""
     from kinectbench.core.geometry.pieces import sorted_edges
 
+    if not len(faces):
+        return "no face has an area"
     edges, counts = np.unique(sorted_edges(faces) >> 1, return_counts=True)
     one, more = int((counts == 1).sum()), int((counts > 2).sum())
     found = [f"{one} of {len(edges)} edges with one face: holes"] if one else []

@@ -4,7 +4,7 @@ import hashlib
 import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import cast
 
 import numpy as np
@@ -167,10 +167,10 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
 
 def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
     """Yield a line for each file or empty folder that is not of SHA256SUMS."""
+    # Where files of the list are missing from a folder, they are reported, not the folder.
+    folders = {f"{above}/" for name in sums for above in PurePosixPath(name).parents}
     for name in contents.entries:
-        # Where files of the list are missing from a folder, they are reported, not the folder.
-        is_theirs = name.endswith("/") and any(each.startswith(name) for each in sums)
-        if name not in sums and name != SHA256SUMS and not is_theirs:
+        if name not in sums and name != SHA256SUMS and name not in folders:
             yield _extra(name)
 
 

@@ -27,11 +27,13 @@ _ROOTS = (
     r"home|homes|users|root|tmp|mnt|media|data|work|workspace|var|opt|srv|private|volumes|scratch|nfs|cluster|"
     r"lustre|gpfs|beegfs|afs|net|export|storage|projects?|run|cygdrive"
 )
-_OF_USER = rf"(?:/{_PART}+)*/(?i:homes?|users)/{_PART}+(?: {_PART}+){{1,2}}(?=/)"
+# Bounded, as a text of many slashes would take the square of its length.
+_FOLDER = rf"/{_PART}{{1,255}}"
+_OF_USER = rf"(?:{_FOLDER}){{0,9}}/(?i:homes?|users){_FOLDER}(?: {_PART}{{1,255}}){{1,2}}(?=/)"
 PATHS = re.compile(
     rf"(?:\bfile://|(?<![\w./]))(?:{_OF_USER}(?:/{_PART}*)*|/(?i:{_ROOTS})\d*(?![\w-])(?:/{_PART}*)*"
-    rf"|(?:/{_PART}+)+/{_PART}*\.{_PART}+)"
-    rf"|(?:\b[A-Za-z]:[\\/]|(?<!\\)\\\\(?=\w))(?:[^\\/:*?\"<>|;,\r\n]+[\\/])*{_PART}*"
+    rf"|(?:{_FOLDER}){{1,30}}/{_PART}*\.{_PART}+)"
+    rf"|(?:\b[A-Za-z]:[\\/]|(?<!\\)\\\\(?=\w))(?:{_PART}+(?: {_PART}+){{0,2}}\\|{_PART}+/)*{_PART}*"
 )
 HOMES = ("home", "homes", "users")
 EMAIL = re.compile(r"\b[\w.+-]+@[\w-]+(\.[\w-]+)+\b")
@@ -239,9 +241,23 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
         payload = data[at + 2 : at + length]
         at += length
         if marker == START_OF_SCAN:
-            has_scan, following = True, AFTER_SCAN.search(data, at)
-            at = len(data) if following is None else following.start()
+            has_scan, at = True, _end_of_scan(data, at)
         yield marker, start, at, payload
+
+
+def _end_of_scan(data: bytes, at: int) -> int:
+    """Return where the scan that begins at a byte ends: at a marker that may follow, with its whole segment.
+
+    A damaged byte of a scan may look like a marker; it is followed by no segment and no other marker.
+    """
+    for following in AFTER_SCAN.finditer(data, at):
+        start = following.start()
+        marker, length = data[start + 1], int.from_bytes(data[start + 2 : start + 4], "big")
+        # The header of another scan has 8 to 14 bytes (T.81, B.2.3); what follows it is no marker.
+        is_scan = marker == START_OF_SCAN and 8 <= length <= 14
+        if marker == END_OF_IMAGE or is_scan or data[start + 2 + length : start + 3 + length] == b"\xff":
+            return start
+    return len(data)
 
 
 def _name(marker: int, payload: bytes) -> str:

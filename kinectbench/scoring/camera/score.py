@@ -109,9 +109,10 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
     """
     of_view = len(asked) * len(get_args(ShapePart)) * (3 if hypotheses > 1 else 1)
     if views * of_view > MOST_ROWS_IN_SPACE:
+        fewer = "ask for one --protocol, or " if len({name for name, _ in asked}) > 1 else ""
         raise SettingsError(
             f"{views} views with {of_view} rows each are more than the {MOST_ROWS_IN_SPACE} rows of a score "
-            f"table in space: ask for one --protocol, or score a release of at most "
+            f"table in space: {fewer}score a release of at most "
             f"{MOST_ROWS_IN_SPACE // of_view} views",
             what="too-large",
         )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.closed import is_closed, joined_vertices
+from kinectbench.core.geometry.closed import is_closed, joined_vertices, why_open
 from kinectbench.core.geometry.mesh import isosurface
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import closed_mesh
@@ -59,3 +59,8 @@ def test_a_mesh_whose_faces_all_collapse_is_open() -> None:
     assert vertices.shape == (1, 3)
     assert faces.shape == (0, 3)
     assert not is_closed(faces)
+
+
+def test_a_mesh_of_faces_without_area_is_open_for_that_reason() -> None:
+    faces = joined_vertices(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))[1]
+    assert len(faces) == 0 and why_open(faces) == "no face has an area"

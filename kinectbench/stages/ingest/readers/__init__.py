@@ -1,7 +1,7 @@
 """The table of readers, one for each format; it selects a reader, and detects how depth is coded."""
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.errors import IntrinsicsError, RecordingError, StorageError
 from kinectbench.core.even_choice import evenly
+from kinectbench.core.names import RESULTS
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
@@ -170,11 +171,12 @@ def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str
     return list(_recordings_below(folder, iter(range(most))))
 
 
-def recordings_inside(recording: Path) -> list[tuple[Path, str]]:
+def recordings_inside(recording: Path, read: Collection[Path]) -> list[tuple[Path, str]]:
     """Find the recordings in subfolders of a recording's folder, which its reader does not read.
 
     Args:
-        recording: the folder or file of a recording; hidden subfolders are skipped.
+        recording: the folder or file of a recording; hidden subfolders and results are skipped.
+        read: folders below it whose files its reader reads; what holds one is part of the recording.
 
     Returns:
         Pairs (path, format), sorted.
@@ -184,7 +186,13 @@ def recordings_inside(recording: Path) -> list[tuple[Path, str]]:
     """
     if not recording.is_dir():
         return []
-    folders = sorted(child for child in recording.iterdir() if child.is_dir() and child.name[0] != ".")
+    folders = [
+        child
+        for child in sorted(recording.iterdir())
+        if child.is_dir()
+        and not (child.name.startswith(".") or child.name in RESULTS)
+        and not any(each.is_relative_to(child) for each in read)
+    ]
     numbers = iter(range(LOOKED_AT))
     return [found for folder in folders for found in _recordings_below(folder, numbers)]
 

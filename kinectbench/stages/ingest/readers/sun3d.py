@@ -62,7 +62,8 @@ class Sun3dRecording(FileRecording):
             )
         if color.files and depth.timed != color.timed:
             raise RecordingError(
-                f"{path}: only one of depth/ and image/ has times in its names; name both as SUN3D does, "
+                f"{path / ('image' if depth.timed else 'depth')}: its names hold no times, as those of the "
+                "other folder do, or times that run back or mostly repeat; name both as SUN3D does, "
                 "0000001-000000000000",
                 what="unpaired",
             )
