@@ -35,7 +35,7 @@ VERSIONS: dict[str, int] = {
     "track": 15,
     "fuse": 7,
     "segment": 43,
-    "sample-views": 5,
+    "sample-views": 6,
     "pairs": 4,
     "suggest": 7,
     "publish": 43,
