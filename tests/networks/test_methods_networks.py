@@ -24,7 +24,7 @@ REDUCED: dict[NetworkName, tuple[int, int, float, int]] = {
     "3d-recae": (16, 64, 3e-3, 160),
     "3d-epn": (16, 256, 1e-2, 180),
     "varley": (32, 256, 1e-3, 45),
-    "han-like": (8, 256, 5e-3, 180),
+    "han-like": (8, 256, 5e-3, 280),
 }
 
 

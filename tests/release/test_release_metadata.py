@@ -54,8 +54,8 @@ def test_croissant(release: Release, caplog: pytest.LogCaptureFixture) -> None:
     places = [(each["cameras/recording"].decode(), each["cameras/view"].decode()) for each in cameras]
     assert places == sorted((target.recording, target.view) for target in release.targets)
     first = cameras[0]
-    assert first["cameras/view"] == b"000" and first["cameras/width"] == 80
-    np.testing.assert_array_equal(first["cameras/K"], [[50.0, 0, 39.5], [0, 50.0, 29.5], [0, 0, 1]])
+    assert first["cameras/view"] == b"000" and first["cameras/width"] == 320
+    np.testing.assert_array_equal(first["cameras/K"], [[200.0, 0, 159.5], [0, 200.0, 119.5], [0, 0, 1]])
     records = [
         {
             key.removeprefix("targets/"): value.decode() if isinstance(value, bytes) else value
@@ -136,8 +136,8 @@ def test_each_row_of_a_viewer_has_a_picture(build: Path, tmp_path: Path) -> None
             size = read_color(here / row.pop("file_name")).shape
             assert row == {name: getattr(target, name) for name in COLUMNS}
             sizes.setdefault(target.name, []).append(size)
-    assert all(plain == (60, 80, 3) for plain, _ in sizes.values())
-    assert any(wide == (60, 160, 3) for _, wide in sizes.values())
+    assert all(plain == (240, 320, 3) for plain, _ in sizes.values())
+    assert any(wide == (240, 640, 3) for _, wide in sizes.values())
 
 
 @pytest.mark.parametrize("change", ["row", "gone", "more"])

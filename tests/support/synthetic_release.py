@@ -46,7 +46,8 @@ RECORDINGS: Recordings = (
     ("table_01", "table", "old_table", "test", 1),
     ("table_02", "table", "val_table", "validation", 1),
 )
-DEPTH_CAMERA = Camera(80, 60, 50.0, 50.0, 39.5, 29.5)
+# At the shapes a pixel is as wide as a cell.
+DEPTH_CAMERA = Camera(320, 240, 200.0, 200.0, 159.5, 119.5)
 CAMERA = {
     "format_version": 2,
     **{key: getattr(DEPTH_CAMERA, key) for key in ("width", "height", "fx", "fy", "cx", "cy")},
@@ -76,7 +77,7 @@ def ball(center: tuple[float, float, float], radius: float) -> Bools:
 
 
 def synthetic_view(number: int, category: str) -> tuple[NDArray[np.uint16], Bools]:
-    """Depth in whole millimetres, and mask, of the shape of `synthetic_pair`; (60, 80)."""
+    """Depth in whole millimetres, and mask, of the shape of `synthetic_pair`; (240, 320)."""
     if category == "chair":
         shape = sphere((120 + number, 128, 130), 90.0 - 3 * number)
     else:

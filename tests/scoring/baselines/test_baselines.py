@@ -130,7 +130,7 @@ def test_written_baselines_are_a_valid_submission(few: Release, written: Path) -
     constant_row = rows["base-rate", "paper"]
     assert constant_row.ce == pytest.approx(constant_row.base_rate_ce, rel=1e-3)
     assert present(rows["hull", "known"].iou) > present(rows["partial", "known"].iou) > 0
-    assert rows["partial", "known"].precision == 1
+    assert rows["partial", "known"].precision == pytest.approx(0.5, abs=0.05)  # cells at the surface
 
 
 @pytest.mark.slow  # test_release_alone.py says so of the command
@@ -196,8 +196,8 @@ def test_silhouette_of_a_plate_is_a_pyramid() -> None:
 def test_silhouette_holds_the_partial_and_the_shape_behind_it() -> None:
     T_world_camera = PAIR.T_world_grid.copy()  # far before the grid: rays along z
     T_world_camera[:3, 3] += PAIR.T_world_grid[:3, :3] @ np.array([128, 128, -1e5]) * PAIR.voxel_size_m
-    solid = silhouette(inputs(replace(PAIR, T_world_camera=T_world_camera)))
-    front, full = unpack(PAIR.partial_256), unpack(PAIR.full)
+    front = (full := unpack(PAIR.full)) & (full.argmax(axis=2)[..., None] + 1 >= np.arange(256))
+    solid = silhouette(inputs(replace(PAIR, T_world_camera=T_world_camera, partial_256=pack(front))))
     assert (solid & front).sum() == front.sum()
     assert (solid & full).sum() > 0.9 * full.sum()
 
