@@ -161,7 +161,7 @@ def test_a_stamp_of_sun3d_that_repeats_leaves_the_others_on_one_clock(tmp_path: 
     np.testing.assert_allclose(given.T_world_camera[-1], pose(12), atol=1e-12)
     for file in (folder / "image").iterdir():
         file.rename(file.with_name(f"{file.name[:7]}.jpg"))
-    with raises(RecordingError, "recording.unpaired", match="only one of depth/ and image/ has times"):
+    with raises(RecordingError, "recording.unpaired", match="its names hold no times"):
         open_recording(folder)
 
 
