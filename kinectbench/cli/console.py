@@ -277,6 +277,7 @@ def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
     with err.status(title) as status:
 
         def update(frames: int, seconds: float, advice: str) -> None:
+            """Show how far the recording is, and the guide's advice."""
             check_interrupt()
             text = f"{title}: {frames} frames, {seconds:.0f} s; Ctrl-C ends it"
             text = f"{advice.upper()} ({text})" if advice else text

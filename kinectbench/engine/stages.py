@@ -1,7 +1,7 @@
 """The stages in order, with the inputs and settings of each. `steps` runs them."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -225,15 +225,16 @@ def _recording(job: Job) -> Mapping[str, Source]:
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)
     if job.root.is_relative_to(job.source):
-        files = [file for file in files if not _is_of_benchmark(job, file)]
+        files = _without_results(job, files)
     return {"recording": Source(job.source, content_hash(files, job.source, job.build))}
 
 
-def _is_of_benchmark(job: Job, file: Path) -> bool:
-    """Whether a file in the folder of benchmark.yaml is the benchmark's own, not a recording's."""
+def _without_results(job: Job, files: Sequence[Path]) -> list[Path]:
+    """A recording's files without those of the benchmark, whose folder is the recording's or below it."""
     own = {job.root / name for name in (*RESULTS, "benchmark.yaml", f"masks/{job.recording.id}")}
-    archive = file.parent == job.root and file.name.endswith(ARCHIVES)
-    return not own.isdisjoint((file, *file.parents)) or (archive and file.name.startswith(job.settings.name))
+    begin = f"{job.settings.name}-"
+    own |= {file for file in files if file.name.startswith(begin) and file.name.endswith(ARCHIVES)}
+    return [file for file in files if own.isdisjoint((file, *file.parents))]
 
 
 STAGES: tuple[Stage, ...] = (

@@ -123,6 +123,7 @@ def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSur
     about = rigid(np.eye(3), middle)
 
     def advance(T: Float64) -> tuple[Float64, float]:
+        """The next motion; no step is small enough to be the last."""
         outward_m = built.signed_distance_m(transform_points(invert_rigid(T), points))
         near = np.abs(outward_m) <= REACH_M
         arms = np.cross(points[near] - middle, normals[near]) / size_m

@@ -60,8 +60,9 @@ Order = Literal["little", "big"]
 # Kept segments: JFIF, the colour profile and Adobe's mark, which say how pixels are decoded.
 KEPT_SEGMENTS = ((0xE0, b"JFIF\0"), (0xE0, b"JFXX\0"), (0xE2, b"ICC_PROFILE\0"), (0xEE, b"Adobe"))
 NAMES = ((b"Exif\0\0", "EXIF"), (b"http://ns.adobe.com/xap/1.0/\0", "XMP"), (b"Photoshop 3.0\0", "IPTC"))
+# Markers of ITU-T T.81, table B.1.
 APP0, APP15, COMMENT, START_OF_SCAN, END_OF_IMAGE = 0xE0, 0xEF, 0xFE, 0xDA, 0xD9
-# Markers that may follow a scan: tables, the next scan, the end, application segments, comments.
+# Those that may follow a scan: tables, the next scan, the end, application segments, comments.
 AFTER_SCAN = re.compile(rb"\xff[\xc4\xd9-\xdd\xe0-\xef\xfe]")
 ALONE = (0x01, *range(0xD0, 0xD9))
 

@@ -7,8 +7,9 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.scoring.baselines.inputs import Inputs
 
-ANGLES = 36
-OFFSETS = 49
+# Planes that are tried: every 5 degrees of half a turn, and a sixteenth of the partial's extent apart over
+# three extents (chosen by hand).
+ANGLES, OFFSETS = 36, 49
 BLOCK = 4
 SAMPLED = 1500
 

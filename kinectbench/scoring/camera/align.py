@@ -163,6 +163,7 @@ def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> 
     free, size_m = KINDS[kind], pair.truth.size_m
 
     def advance(T: Float64) -> tuple[Float64, float]:
+        """The next motion, and how far the step to it moved the samples, metres."""
         places, targets, normals, middle, weights, _ = _matches(pair, T)
         H, g = step_equations(places, targets, normals, weights, middle, along, free)
         step = np.zeros(7)

@@ -40,6 +40,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
     free_votes, surface_votes = volume.free, volume.surface
 
     def surface_of(brick: Int32) -> tuple[Int32, TriangleMesh]:
+        """A brick's first voxel (3,), and its surface in voxels from there."""
         first = (brick * BRICK_BLOCKS).astype(np.int32)
         # One block more than the brick on the far sides: cells across the border belong to this brick.
         side = BRICK_BLOCKS * BLOCK_VOXELS + 1

@@ -319,6 +319,7 @@ def read_masks(folder: Path) -> GivenMasks:
     """A person's masks in a folder: PNGs with nonzero pixels inside; each is read on request."""
 
     def read(name: str) -> Bools:
+        """A mask (height, width) by its file's name."""
         mask = _read_mask(folder / name)
         if mask is None:
             raise SegmentationError(

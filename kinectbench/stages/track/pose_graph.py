@@ -99,6 +99,7 @@ class _Graph:
         """Levenberg-Marquardt: reject a step that raises the cost, and increase the damping."""
 
         def advance(state: tuple[Float64, float, float]) -> tuple[tuple[Float64, float, float], float]:
+            """The next poses, cost and damping, and the size of the step."""
             poses, cost, damping = state
             step = self.step(poses, kernel, damping)
             moved = poses @ np.array([rigid_from_twist(twist) for twist in step])

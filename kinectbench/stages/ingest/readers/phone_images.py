@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
 from kinectbench.core.types import Float64
+from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
     OddImageError,
@@ -18,7 +19,7 @@ from kinectbench.stages.ingest.images import (
     encode_png,
     image_header,
 )
-from kinectbench.stages.ingest.intrinsics import Intrinsics
+from kinectbench.stages.ingest.intrinsics import Intrinsics, gives_intrinsics
 from kinectbench.stages.ingest.recording import FileRecording, read_image_file
 
 # Size of ARKit's colour images, used if there is none.
@@ -115,6 +116,25 @@ def scaled_to_depth(
         cx=(float(K[0, 2]) + 0.5) * x - 0.5,
         cy=(float(K[1, 2]) + 0.5) * y - 0.5,
     )
+
+
+def intrinsics_of_depth(
+    K: Float64,
+    color_px: tuple[int, int] | None,
+    depth_px: tuple[int, int],
+    path: Path,
+    settings: CameraSettings,
+) -> Intrinsics:
+    """Colour's intrinsics (3, 3) at depth's size, overridden by the settings.
+
+    Without colour K is taken for images of the phone's usual size, and for none if the settings give all.
+
+    Raises:
+        RecordingError: as `scaled_to_depth`.
+    """
+    if color_px is None and gives_intrinsics(settings):
+        return Intrinsics().overridden_by(settings)
+    return scaled_to_depth(K, color_px or COLOR_PX, depth_px, path).overridden_by(settings)
 
 
 def _same_shape(color_px: tuple[int, int], depth_px: tuple[int, int]) -> bool:

@@ -12,18 +12,12 @@ from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_f
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import (
-    Intrinsics,
-    gives_intrinsics,
-    json_numbers,
-    read_camera_of_frame,
-)
+from kinectbench.stages.ingest.intrinsics import json_numbers, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (
-    COLOR_PX,
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
     PhoneRecording,
-    scaled_to_depth,
+    intrinsics_of_depth,
     times_or_counted,
 )
 from kinectbench.stages.ingest.recording import (
@@ -73,14 +67,11 @@ class ScannerAppRecording(PhoneRecording):
         )
         size_px = first_depth_size(files)
         K = next((_matrix(camera, "intrinsics", 3) for camera in cameras if camera), None)
-        color_px = first_color_size(files)
         K = np.full((3, 3), np.nan) if K is None else K
-        known = color_px is None and gives_intrinsics(settings)  # the size that K is for is not
-        recorded = Intrinsics() if known else scaled_to_depth(K, color_px or COLOR_PX, size_px, path)
         trajectory, lost, error = read_given(
             lambda: trajectory_from_matrices(stamps_ns, [_pose(camera) for camera in cameras], str(path))
         )
-        intrinsics = recorded.overridden_by(settings)
+        intrinsics = intrinsics_of_depth(K, first_color_size(files), size_px, path, settings)
         return cls(
             path=path,
             places=files,

@@ -18,12 +18,10 @@ from kinectbench.core.untrusted import is_too_large, printable, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.images import DamagedImageError
-from kinectbench.stages.ingest.intrinsics import Intrinsics, gives_intrinsics
 from kinectbench.stages.ingest.readers.phone_images import (
-    COLOR_PX,
     GRAVITY_UP,
     PhoneRecording,
-    scaled_to_depth,
+    intrinsics_of_depth,
 )
 from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
 
@@ -110,9 +108,7 @@ class StrayScannerRecording(PhoneRecording):
         if color_px is None:
             warnings.append(f"{path}: rgb.mp4 is missing or cannot be read; there will be no colour")
         K = read_matrix(path / "camera_matrix.csv", 3)
-        known = color_px is None and gives_intrinsics(settings)  # the size that K is for is not
-        recorded = Intrinsics() if known else scaled_to_depth(K, color_px or COLOR_PX, size_px, path)
-        intrinsics = recorded.overridden_by(settings)
+        intrinsics = intrinsics_of_depth(K, color_px, size_px, path, settings)
         poses = [row for _, row in paired]
         trajectory, pose_warnings, error = read_given(lambda: trajectory_from_poses(poses, str(path)))
         return cls(

@@ -283,6 +283,7 @@ def settled(
     chosen, few = ours.few(samples), theirs.few(samples)
 
     def advance(T: Float64) -> tuple[Float64, float]:
+        """The next motion, and how far the step to it moved the samples, metres."""
         back: Float64 = np.linalg.inv(T).astype(np.float64)
         turned = T[:3, :3] / np.cbrt(np.linalg.det(T[:3, :3]))
         far_there, there = theirs.tree.query(transform_points(back, ours.points[chosen]))
