@@ -34,7 +34,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 14,
     "track": 15,
     "fuse": 7,
-    "segment": 43,
+    "segment": 44,
     "sample-views": 6,
     "pairs": 4,
     "suggest": 7,

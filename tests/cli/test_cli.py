@@ -43,7 +43,7 @@ def test_help_is_fast_and_imports_nothing_heavy(tmp_path: Path) -> None:
         "try: kinectbench.cli.main.main()\n"
         "except SystemExit: print(sorted({'open3d', 'cv2', 'numba', 'trimesh', 'scipy'} & set(sys.modules)))"
     )
-    with children_within(1):
+    with children_within(2.5):  # idle 1.5
         result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.splitlines()[-1] == "[]"
 

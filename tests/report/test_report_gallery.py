@@ -197,12 +197,12 @@ def test_a_pair_has_its_view_with_colour_where_that_is_published(release: Releas
         size: tuple[int, ...] = decoded_picture(base64.b64decode(text)).shape
         return size
 
-    assert size(release) == (60, 80, 3)
+    assert size(release) == (150, gallery.VIEW_PX, 3)
     write_build(tmp_path / "build")
     names = [recording[0] for recording in RECORDINGS]
     settings = synthetic_settings(publish={"color": True})
     colored = publish(settings, tmp_path / "build", tmp_path / "b", names).folder
-    assert size(open_release(colored)) == (60, 160, 3)
+    assert size(open_release(colored)) == (150, 2 * gallery.VIEW_PX, 3)
 
 
 def test_from_predictions_to_the_page(release: Release, tmp_path: Path) -> None:

@@ -58,6 +58,9 @@ class EstimateMethod(StoredPart):
     )
     off_per_sigma: float = Field(description="how much farther, of the surface's standard deviation")
     off_per_pose: float = Field(description="how much farther, of what a usual pose may be off by")
+    fitted_frames: int | None = Field(
+        None, description="of each recording it was fitted to: more of them are taken for so many"
+    )
     missed_more: float = Field(description="of what is estimated to be missing, that may be missing, too")
     missed_less: float = Field(description="of what is estimated to be missing, that may not be missing")
     missed_least: float = Field(description="of the solid, that may be missing or not, besides")

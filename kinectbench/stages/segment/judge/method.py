@@ -87,6 +87,7 @@ def method(rules: Rules) -> SolidMethod:
             off_if_thin_m=estimate.OFF_M_IF_THIN,
             off_per_sigma=estimate.OFF_PER_SIGMA,
             off_per_pose=estimate.OFF_PER_POSE,
+            fitted_frames=estimate.FITTED_FRAMES,
             missed_more=estimate.MISSED_MORE,
             missed_less=estimate.MISSED_LESS,
             missed_least=estimate.MISSED_LEAST,
