@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
-from kinectbench.core.storage import sha256_file, storage_errors
+from kinectbench.core.storage import sha256_file, sha256_text, storage_errors
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import FULL_CELLS, PairInput, checked_pair, pack, pair_values, unpack
@@ -38,6 +38,8 @@ PRECISIONS: tuple[Precision, ...] = ("packed", "float16")
 # Levels of deflate. float16 at 256^3 take 26 MB; compressing them further takes longer than predicting them.
 # Packed ones take 6.7 MB at level 1, 6.1 MB at 4 and 5.8 MB at 6, in 0.15, 0.25 and 0.85 s a view.
 LEVEL, PACKED_LEVEL = 1, 4
+# Folders of installed packages; one's own code may lie above such a one.
+INSTALLED = {"site-packages", "dist-packages"}
 
 
 def predict(
@@ -116,10 +118,20 @@ def run_of(
 
 
 def _code_sha256(trained: Trained) -> str:
-    """Return the hash of the file with the network's class; what it imports is no part of it."""
-    path = Path(inspect.getfile(type(trained.network)))
+    """Return the hash of the file with the network's class, and of what was imported beside or below it."""
+    own = type(trained.network)
+    path = Path(inspect.getfile(own)).resolve()
+    # The folder of its outermost package; of a single module, the folder that it lies in.
+    root = path.parents[max(own.__module__.count(".") - 1, 0)]
+    paths = {path}
+    for name, module in list(sys.modules.items()):
+        file = Path(getattr(module, "__file__", None) or "").resolve()
+        if file.suffix == ".py" and file.is_relative_to(root) and name.partition(".")[0] != "kinectbench":
+            paths |= {file} if file.is_file() else set()  # torch names files that there are not
+    installed = {one for one in paths if INSTALLED & set(one.relative_to(root.parent).parts)}
     with storage_errors(path):
-        return sha256_file(path)
+        hashes = [sha256_file(one) for one in sorted((paths - installed) | {path})]
+    return hashes[0] if len(hashes) == 1 else sha256_text("".join(hashes))
 
 
 def _write_all(

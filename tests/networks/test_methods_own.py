@@ -1,6 +1,8 @@
 """A network of the user's own: trained and run as the others are; what is no network is never called."""
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,6 +67,32 @@ def test_it_is_trained_predicts_and_is_scored(command: Command, nets: Path, lear
     assert changed.status == 0 and "of another run (other code of the network)" in changed.err
     words = ("--benchmark", benchmark, "--no-surface", "--no-baselines")
     assert command(nets, "score", "predictions", *words).status == 0
+
+
+def test_what_it_imports_from_its_own_folder_is_its_code(nets: Path, learning: Release) -> None:
+    (nets / "my_layers.py").write_text("SIGN = 1")
+    (nets / "my_nets.py").write_text("import json, numpy\nfrom my_layers import SIGN\n" + CODE)
+    code = (
+        "import sys; sys.path.insert(0, '.')\n"
+        "from types import SimpleNamespace\n"
+        "from kinectbench.networks.config import NetworkSettings\n"
+        "from kinectbench.networks.predict import _code_sha256\n"
+        "from kinectbench.networks.registry import make_network\n"
+        "network = make_network(NetworkSettings(kind='own', class_path='my_nets:Mine'))\n"
+        "print(_code_sha256(SimpleNamespace(network=network)))\n"
+    )
+
+    def found() -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=nets, capture_output=True, text=True, check=True
+        )
+        return done.stdout
+
+    before = found()
+    (nets / "other.py").write_text("SIGN = 2")  # nobody imports it
+    assert found() == before
+    (nets / "my_layers.py").write_text("SIGN = -1")
+    assert found() != before
 
 
 @pytest.mark.parametrize(
