@@ -167,7 +167,9 @@ class UnfinishedFile(Stored):
     torch: str | None = Field(None, description="version of torch")
     hardware: str | None = Field(None, description="that it runs on: sums are rounded in another order there")
     code_sha256: str | None = Field(
-        None, pattern=SHA256, description="of the code of one's own network: its file, and its imports from there; missing: another"
+        None,
+        pattern=SHA256,
+        description="of one's own network: its file, and what it imports from there; missing: another",
     )
 
     @property

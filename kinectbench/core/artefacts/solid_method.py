@@ -103,6 +103,16 @@ class SolidMethod(StoredPart):
     shell_m: float | None = Field(
         None, description="a surface tells what lies so far behind it, metres; deeper it is unseen"
     )
+    shell_voxels: float | None = Field(None, description="the same in voxels, where that is more")
+    measured_voxels: float | None = Field(
+        None, description="a voxel is measured up to so far from a surface, voxels"
+    )
+    ruled: tuple[float, float] | None = Field(
+        None, description="probability of a voxel that a rule calls solid, and air, against what was measured"
+    )
+    least_field: tuple[float, float] | None = Field(
+        None, description="least absolute value of the field before it is smoothed, and after, voxels"
+    )
     probability_by_signed_voxels: Curve | None = Field(
         None, description="[signed distance in voxels, probability] of observed voxels"
     )

@@ -19,6 +19,8 @@ OUTLIER_M = 0.15
 HUBER_SIGMAS = 1.5
 # Distance of the pixels for normals: nearer pixels share their noise, farther ones lie beside thin parts.
 NORMAL_REACH_PX = 4
+# Neighbours whose depths differ by more lie on two surfaces.
+STEP_M = 0.05
 # Largest number of Gauss-Newton steps.
 ITERATIONS = 12
 # The stride on the object's pixels is 2 to 4, so that about this many points are left (chosen by hand, for
@@ -77,7 +79,7 @@ def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> Oriente
     at = points[centre]
     smooth = (at[..., 2] > 0) & (at[..., 2] < MAX_DEPTH_M) & (length > 0)
     for other in around:
-        smooth &= (other[..., 2] > 0) & (np.abs(other[..., 2] - at[..., 2]) < 0.05)
+        smooth &= (other[..., 2] > 0) & (np.abs(other[..., 2] - at[..., 2]) < STEP_M)
     unit = normals[smooth] / length[smooth][:, None]
     return OrientedPoints(at[smooth], unit, np.asarray(depth_sigma_m(at[smooth][:, 2])))
 

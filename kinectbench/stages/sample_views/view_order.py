@@ -15,7 +15,7 @@ from kinectbench.stages.sample_views.masks import agreement_mask
 from kinectbench.stages.segment.object_model import ObjectModel
 
 # Size of the strata; smaller ones would hold a frame or two of a usual recording.
-SECTOR_RAD, BAND_RAD = np.radians(30), np.radians(15)
+SECTOR_DEG, BAND_DEG = 30, 15
 # Bounds of the three classes of the visible share.
 SHARES = (0.0, 0.5, 0.8, 1.0)
 # The share only needs one of three classes, so every eighth pixel along rows and columns suffices.
@@ -60,7 +60,9 @@ def direction(T_world_camera: Float64, model: ObjectModel) -> tuple[int, int]:
     """
     x, y, z = transform_points(model.floor.T_floor_world, T_world_camera[:3, 3]) - model.box.center_m
     azimuth_rad, height_rad = np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
-    return int(azimuth_rad / SECTOR_RAD) % 12, min(5, int(np.floor(height_rad / BAND_RAD)))
+    sector = int(azimuth_rad / np.radians(SECTOR_DEG))
+    band = int(np.floor(height_rad / np.radians(BAND_DEG)))
+    return sector % (360 // SECTOR_DEG), min(band, 90 // BAND_DEG - 1)
 
 
 def visible_share(
@@ -87,8 +89,8 @@ def stratum_text(stratum: Stratum) -> str:
     """Describe sector, height and visible share in words."""
     sector, band, share = stratum
     return (
-        f"coverage: azimuth {30 * sector} to {30 * sector + 30} deg, "
-        f"height {15 * band} to {15 * band + 15} deg, "
+        f"coverage: azimuth {SECTOR_DEG * sector} to {SECTOR_DEG * (sector + 1)} deg, "
+        f"height {BAND_DEG * band} to {BAND_DEG * (band + 1)} deg, "
         f"{SHARES[share]:.0%} to {SHARES[share + 1]:.0%} visible"
     )
 

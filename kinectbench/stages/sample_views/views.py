@@ -41,6 +41,8 @@ from kinectbench.stages.segment.object_model import ObjectModel
 
 # Only for colour that was not recorded as JPEG (chosen by hand: artefacts are hardly visible).
 JPEG_QUALITY = 90
+# The image border cuts a view's object if more than these shares of it are cut off, or of its mask lie there.
+CUT_OFF, AT_BORDER = 0.02, 0.01
 # Figures of a view's fit that have the same names in views.json.
 FIT_FIGURES = tuple(field.name for field in fields(ViewFit) if field.name != "pixels")
 
@@ -189,7 +191,7 @@ def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> li
         warnings.append(
             f"{len(views)} views instead of {settings.count}: all {good_frames} good frames were tried"
         )
-    cut = sum(view.fit.truncated_share > 0.02 or view.fit.border_share > 0.01 for view in views)
+    cut = sum(view.fit.truncated_share > CUT_OFF or view.fit.border_share > AT_BORDER for view in views)
     if cut > len(views) / 2:
         warnings.append(f"the image border cuts the object in {cut} of {len(views)} views: step back")
     far = [view.too_far_share for view in views if view.too_far_share > 0]

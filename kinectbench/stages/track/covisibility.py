@@ -12,6 +12,7 @@ from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps
+from kinectbench.stages.track.map_kernels import PROJECTED_FROM_M
 
 # Resolution level of the thumbnails.
 COARSEST = 2
@@ -101,7 +102,7 @@ def _shared(depth, intrinsics, points, T):  # type: ignore[no-untyped-def]
         x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
         y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
         z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-        if z <= 0.1:
+        if z <= PROJECTED_FROM_M:
             continue
         u, v = int(fx * x / z + cx + 0.5), int(fy * y / z + cy + 0.5)
         if u < 0 or v < 0 or u >= width or v >= height:

@@ -27,6 +27,7 @@ from kinectbench.core.geometry.gauss_newton import NormalEquations, eliminated, 
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
 from kinectbench.stages.track.frame_maps import Level, MapCache
+from kinectbench.stages.track.map_kernels import PROJECTED_FROM_M
 from kinectbench.stages.track.registration import CORRELATED_POINTS
 
 # Points that each pair contributes.
@@ -140,7 +141,7 @@ def _linearised(view: CalibrationView) -> tuple[Float64, Float64, Float64]:
     points = source.points[::every].astype(np.float64)
     p, normals = points[:, :3], points[:, 3:6]
     at = transform_points(view.T_target_source, p)
-    ahead = at[:, 2] > 0.1
+    ahead = at[:, 2] > PROJECTED_FROM_M
     p, normals, at = p[ahead], normals[ahead], at[ahead]
     u, v = np.rint(target.camera.project(at)).astype(int).T
     height, width = target.depth_m.shape

@@ -24,6 +24,10 @@ from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 MAX_FEATURES = 600
 # A third of OpenCV's default: shaded depth has little contrast.
 FAST_THRESHOLD = 7
+# Pixels of the working image: half of OpenCV's border, and a smaller patch than its 31.
+BORDER_PX, PATCH_PX = 16, 25
+# RANSAC of a pose (OpenCV's default is 100 rounds, at .99).
+ROUNDS, CONFIDENCE = 200, 0.999
 # Largest distance ratio of the best candidate match to the second best (Lowe 2004).
 RATIO = 0.85
 # Fewer matches or inliers may fit a pose by chance.
@@ -76,7 +80,9 @@ def find_features(maps: FrameMaps) -> Features:
 
     level = maps[0]
     image = level.intensity if maps.has_intensity else shading(level.normals)
-    orb = cv2.ORB.create(nfeatures=MAX_FEATURES, fastThreshold=FAST_THRESHOLD, edgeThreshold=16, patchSize=25)
+    orb = cv2.ORB.create(
+        nfeatures=MAX_FEATURES, fastThreshold=FAST_THRESHOLD, edgeThreshold=BORDER_PX, patchSize=PATCH_PX
+    )
     keypoints, descriptors = orb.detectAndCompute(np.clip(image, 0, 255).astype(np.uint8), None)
     if not keypoints:
         return Features(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 32), np.uint8))
@@ -132,9 +138,9 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
         source.pixels[pairs[:, 0]],
         camera.K,
         None,
-        iterationsCount=200,
+        iterationsCount=ROUNDS,
         reprojectionError=REPROJECTION_PX,
-        confidence=0.999,
+        confidence=CONFIDENCE,
         flags=cv2.SOLVEPNP_AP3P,
     )
     if not is_solved or inliers is None or len(inliers) < MIN_INLIERS:

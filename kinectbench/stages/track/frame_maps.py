@@ -28,6 +28,7 @@ from kinectbench.core.images import image_sharpness
 from kinectbench.core.sequence import Sequence, depth_in_metres
 from kinectbench.core.types import Float32
 from kinectbench.stages.track.map_kernels import (
+    PROJECTED_FROM_M,
     chosen_points,
     halved,
     normal_differences,
@@ -52,6 +53,10 @@ CACHED_FRAMES = 150
 READ_FRAMES = 2000
 # Reduced depth is stored in tenths of a millimetre: at most 6.5 m.
 STORED_PER_M = 10_000.0
+# Standard deviation of the blur of intensities, working pixels, so that their gradients are less noisy.
+BLUR_PX = 0.7
+# A depth is averaged with that of another frame within so many standard deviations, and a slack for the pose.
+SAME_SIGMAS, SAME_SLACK_M = 4, 0.003
 # Largest number of frames to average; more would only cost time. Chosen by hand.
 MAX_FRAMES = 16
 
@@ -192,7 +197,7 @@ class MapCache:
             depth_m = corrected_depth_m(depth_m, self.correction_per_m)
         intensity = np.zeros((0, 0), np.float32)
         if gray.size:
-            intensity = np.asarray(cv2.GaussianBlur(gray.astype(np.float32), (0, 0), 0.7), np.float32)
+            intensity = np.asarray(cv2.GaussianBlur(gray.astype(np.float32), (0, 0), BLUR_PX), np.float32)
         return FrameMaps(camera, depth_m, intensity)
 
     def _reduced(self, index: int) -> ReducedFrame:
@@ -347,7 +352,7 @@ def _add(total, count, keyframe, frame, intrinsics, T):  # type: ignore[no-untyp
                 continue
             a = (u - cx) * over_fx
             z = (r20 * a + r21 * b + r22) * d + t2
-            if z < 0.1:
+            if z < PROJECTED_FROM_M:
                 continue
             over_z = 1 / z
             x = fx * ((r00 * a + r01 * b + r02) * d + t0) * over_z + cx
@@ -355,7 +360,8 @@ def _add(total, count, keyframe, frame, intrinsics, T):  # type: ignore[no-untyp
             if x < 0 or y < 0 or x >= width - 1 or y >= height - 1:
                 continue
             near = frame[np.uint32(y + 0.5), np.uint32(x + 0.5)]
-            reach = 4 * (SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2) + 0.003
+            sigma_m = SIGMA_NEAR_M + SIGMA_GROWTH_PER_M * (z - SIGMA_NEAR_DEPTH_M) ** 2
+            reach = SAME_SIGMAS * sigma_m + SAME_SLACK_M
             if near <= 0 or abs(near - z) > reach:
                 continue
             # Unsigned, so that no index is negative.

@@ -18,7 +18,7 @@ from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH
 from kinectbench.core.geometry.gauss_newton import NormalEquations, add_products, eliminated, symmetric_matrix
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import Level
-from kinectbench.stages.track.map_kernels import MIN_COSINE
+from kinectbench.stages.track.map_kernels import MIN_COSINE, PROJECTED_FROM_M
 
 # Larger residuals get less weight: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
 HUBER_SIGMAS = 1.5
@@ -30,6 +30,9 @@ PHOTOMETRIC_WEIGHT = 0.25
 MIN_INTENSITIES = 100
 # Surfaces whose normals differ by more than 60 degrees are different surfaces.
 MIN_FACING = 0.5
+# Added to three standard deviations of the depth noise: what misalignment a point may have and be an inlier,
+# and to be compared by its intensity.
+INLIER_SLACK_M, INTENSITY_SLACK_M = 0.003, 0.01
 # Gain 1 and offset 0.
 NO_EXPOSURE_CHANGE = np.array([1.0, 0.0])
 # Standard deviations between two frames: 0.3 for the gain, and 30 of 255 for the offset (chosen by hand).
@@ -182,7 +185,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
         for i in range(first, min(first + BLOCK, n)):
             px, py, pz = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
             z = r20 * px + r21 * py + r22 * pz + t2
-            if z < 0.1:
+            if z < PROJECTED_FROM_M:
                 continue
             x = r00 * px + r01 * py + r02 * pz + t0
             y = r10 * px + r11 * py + r12 * pz + t1
@@ -227,7 +230,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             J[0, m], J[1, m], J[2, m] = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
             J[3, m], J[4, m], J[5, m], J[6, m] = nx, ny, nz, r
             J_weights[m] = w
-            inlies = _within(r, variance, 0.003)
+            inlies = _within(r, variance, INLIER_SLACK_M)
             if inlies:
                 inliers += 1
                 squares += r * r
@@ -243,7 +246,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
                     inlying[m] * (pz / (np.float64(points[i, 6]) * max(cosine, MIN_COSINE))) ** 2
                 )
             m += 1
-            if not has_intensity or not _within(d - z, variance, 0.01):
+            if not has_intensity or not _within(d - z, variance, INTENSITY_SLACK_M):
                 continue
             u0, v0 = np.uint32(u), np.uint32(v)
             au, av = u - u0, v - v0

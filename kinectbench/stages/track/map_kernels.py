@@ -10,6 +10,11 @@ from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH
 
 # A Kinect measures nothing nearer; farther its noise exceeds 33 mm.
 MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5
+# Points nearer to a camera are not projected into it: their pixels move without bound.
+PROJECTED_FROM_M = 0.1
+# Depths within this ratio of the nearest one are averaged with it when an image is reduced: by blocks of the
+# sensor's pixels, and from level to level.
+SAME_DEPTH, SAME_DEPTH_OF_LEVELS = 1.02, 1.03
 # Normals are binned on a grid of this many cells each way over the half sphere that faces the camera.
 NORMAL_CELLS = 12
 # Marks a pixel without cell; the 12 x 12 cells have smaller numbers.
@@ -40,7 +45,7 @@ def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no
             for dv in range(factor):
                 for du in range(factor):
                     d = native[v * factor + dv, u * factor + du]
-                    if low < d <= nearest * 1.02:
+                    if low < d <= nearest * SAME_DEPTH:
                         total += d
                         count += 1
             out[v, u] = np.uint16(total / (count * depth_scale) * stored_per_m + 0.5)
@@ -64,7 +69,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
             for dv in range(2):
                 for du in range(2):
                     d = depth_m[2 * v + dv, 2 * u + du]
-                    if d > 0 and d <= nearest * np.float32(1.03):
+                    if d > 0 and d <= nearest * np.float32(SAME_DEPTH_OF_LEVELS):
                         total += d
                         count += 1
             if count:

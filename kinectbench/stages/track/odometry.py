@@ -31,6 +31,10 @@ MUCH_FEWER_INLIERS, SAME_VIEW = 0.03, 0.7
 ENOUGH_INLIERS, ENOUGH_OVERLAP, ENOUGH_CORRELATION = 0.9, 0.25, 0.3
 # A frame becomes the next keyframe below this overlap, or beyond this turn or shift (ratio of the depth).
 KEYFRAME_OVERLAP, KEYFRAME_TURN_RAD, KEYFRAME_SHIFT = 0.7, 0.26, 0.2
+# Weights of the reference quality and of a new registration in their mean: it is over some ten frames.
+KEPT, ADDED = 0.9, 0.1
+# The last motion predicts the next one if the ratio of the two times between frames lies between these.
+MIN_STEP_RATIO, MAX_STEP_RATIO = 0.3, 3.0
 # A frame is registered to the latest RECENT_SEGMENTS segments, unless they ended longer ago than both limits:
 # a symmetric object also fits itself elsewhere, and one registration is no proof. Of 36 simulated scans,
 # three were joined by one registration after 4 s (13 frames) and more, and two of these are 0.8 m off. Stamps
@@ -93,7 +97,8 @@ class ReferenceQuality:
         correlation = registration.intensity_correlation
         known = self.correlation if np.isnan(correlation) else correlation
         return ReferenceQuality(
-            0.9 * self.inlier_share + 0.1 * registration.inlier_share, 0.9 * self.correlation + 0.1 * known
+            KEPT * self.inlier_share + ADDED * registration.inlier_share,
+            KEPT * self.correlation + ADDED * known,
         )
 
     def is_possible(self, registration: Registration) -> bool:
@@ -275,7 +280,7 @@ class Follower:
                 moved = invert_rigid(before.T_segment_camera) @ last.T_segment_camera
                 elapsed_ns = np.diff(stamps_ns[index - 2 : index + 1])
                 ratio = float(elapsed_ns[1] / elapsed_ns[0])
-                if 0.3 < ratio < 3:
+                if MIN_STEP_RATIO < ratio < MAX_STEP_RATIO:
                     predictions.append(T_reference_last @ rigid_from_twist(ratio * twist_from_rigid(moved)))
             predictions.append(T_reference_last)
         return predictions or [np.eye(4)]

@@ -24,8 +24,14 @@ from kinectbench.stages.track.tracked import Constraint
 SYSTEMATIC = np.array([0.0007] * 3 + [0.001] * 3)
 # The systematic error grows as the views overlap less, and by this factor with the ratio of outliers.
 PER_DISAGREEING_SHARE = 100.0
+# A lower overlap counts as this one.
+LEAST_OVERLAP = 0.1
 # Regularises unconstrained directions: a step of one radian or one metre costs this much.
 LOOSE = 1e-3
+# Damping (Levenberg and Marquardt) after a step that raises the cost, and after one that lowers it.
+DAMPED, UNDAMPED = 30, 10
+# Information of the first pose where no prior holds it: it does not move.
+HELD = 1e12
 # Squared error of a constraint, in its standard deviations, at which it loses three quarters of its weight.
 KERNEL = 30.0
 # Information of the priors: standard deviations of 30 mrad and 50 mm.
@@ -83,7 +89,7 @@ def softened(constraint: Constraint) -> Float64:
 def growth(constraint: Constraint) -> float:
     """Systematic error of a constraint relative to that of equal views; fitted to simulated orbits."""
     edge = constraint.registration
-    return (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, 0.1) ** 2
+    return (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, LEAST_OVERLAP) ** 2
 
 
 @dataclass(frozen=True)
@@ -105,8 +111,8 @@ class _Graph:
             moved = poses @ np.array([rigid_from_twist(twist) for twist in step])
             lower = self.cost(moved, kernel)
             if lower > cost:
-                return (poses, cost, 30 * damping), np.inf
-            return (moved, lower, max(damping / 10, 1e-9)), float(np.abs(step).max())
+                return (poses, cost, DAMPED * damping), np.inf
+            return (moved, lower, max(damping / UNDAMPED, 1e-9)), float(np.abs(step).max())
 
         return descend(advance, (poses, self.cost(poses, kernel), 1e-6), iterations, STEP_ENOUGH)[0][0]
 
@@ -147,7 +153,7 @@ class _Graph:
             diagonal[node] += weight * PRIOR
             gradient[node, :, 0] -= weight * PRIOR @ error
         if self.T_prior is None:
-            diagonal[0] += 1e12 * np.eye(6)
+            diagonal[0] += HELD * np.eye(6)
         across = np.arange(6)
         diagonal[:, across, across] += damping * diagonal[:, across, across] + LOOSE
         nodes = np.arange(k)

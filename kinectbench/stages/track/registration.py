@@ -51,6 +51,8 @@ SEARCH_GATE_M = 0.1
 SETTLE_ITERATIONS, SETTLE_ENOUGH = 10, 3e-4
 # The score of a start with less overlap than this is reduced in proportion.
 ENOUGH_OVERLAP = 0.5
+# What a full correlation of the intensities adds to it, beside a share of inliers of at most 1.
+PER_CORRELATION = 0.25
 # State of a registration: the motion (4, 4) since the start; for each target its exposure and its last terms.
 Moving = tuple[Float64, list[Float64], list[LinearTerms]]
 
@@ -311,5 +313,5 @@ def _score_at(terms: LinearTerms, points: Level) -> float:
 
 
 def _score(inlier_share: float, overlap: float, correlation: float) -> float:
-    agreement = 0.0 if np.isnan(correlation) else 0.25 * max(correlation, 0.0)
+    agreement = 0.0 if np.isnan(correlation) else PER_CORRELATION * max(correlation, 0.0)
     return inlier_share * min(1.0, overlap / ENOUGH_OVERLAP) + agreement

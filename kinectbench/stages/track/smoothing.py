@@ -25,6 +25,8 @@ MAX_NOISE, ROUGHER = 0.5, 2.0
 KERNEL = 9.0
 # Regularises a frame without information: radians and metres.
 LOOSE = 1e-3
+# Of the median time between frames, the least step that is counted: stamps may be equal.
+LEAST_STEP = 0.1
 # With fewer frames the usual accelerations are unknown: three frames have one.
 MIN_FRAMES = 5
 
@@ -70,7 +72,7 @@ def second_differences(times_s: Float64) -> list[Float64]:
 def _spans(times_s: Float64) -> tuple[Float64, Float64, Float64]:
     """Seconds before and after each inner frame, and their mean; equal stamps get a least step."""
     steps = np.diff(times_s)
-    steps = np.maximum(steps, 0.1 * max(float(np.median(steps)), 1e-6))
+    steps = np.maximum(steps, LEAST_STEP * max(float(np.median(steps)), 1e-6))
     return steps[:-1], steps[1:], (steps[:-1] + steps[1:]) / 2
 
 

@@ -41,6 +41,7 @@ ASIDE = {
 }
 # Constants that shape nothing but words, extents of grids, or solids that are only compared.
 NO_FIGURES = {
+    ("frontiers", "STREAKS"): "words of advice, as is the size of a frontier",
     ("frontiers", "STEEP"): "words of advice; `look_from` is recorded",
     ("frontiers", "LEVEL"): "words of advice; `look_from` is recorded",
     ("frontiers", "LOWER"): "words of advice; `look_from` is recorded",
@@ -52,6 +53,7 @@ NO_FIGURES = {
     ("grids", "MARGIN_VOXELS"): "extents of grids, as above",
     ("grids", "FLOOR_LAYERS"): "extents of grids, as above",
     ("grids", "SURROUND_FACTOR"): "extents of grids, as above",
+    ("grids", "SURROUND_RADII"): "extents of grids, as above",
     ("grids", "MAX_VOXELS"): "extents of grids, as above",
     ("grids", "MAX_SURROUND_CELLS"): "extents of grids, as above",
     ("grids", "CUBE_VOXELS"): "extents of grids, as above",

@@ -28,6 +28,8 @@ MIN_CELLS = 30
 # their focus is so near to its surface, and so many times nearer than to any larger piece (chosen by hand; on
 # furniture the focus is higher above the floor than such a piece reaches).
 SMALL_CELLS, SMALL_FOCUS_M, SMALL_NEARER = 6, 0.06, 2.0
+# Of the points, those beyond each face of a box that is fitted to them: streaks at edges.
+BEYOND_FACE = 0.0005
 # A piece that ends inside a box is meant if it has this share of the largest one's cells.
 ENDING_SHARE = 0.3
 NOTHING_STANDS = (
@@ -169,7 +171,9 @@ def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:
     return np.asarray(in_box & kept[label[which]])
 
 
-def fit_box(points_floor: Float64, yaw_rad: float | None = None, left_out: float = 0.0005) -> OrientedBox:
+def fit_box(
+    points_floor: Float64, yaw_rad: float | None = None, left_out: float = BEYOND_FACE
+) -> OrientedBox:
     """The upright box around points (n, 3), from the floor to their top.
 
     Without a yaw, the one of least ground area is taken, in [-pi/4, pi/4), which makes it unique. A share of

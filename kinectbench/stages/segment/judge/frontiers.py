@@ -22,6 +22,8 @@ Direction = Literal["up", "side", "down"]
 
 # A frontier is reported from this share of the solid's volume and this area on (chosen by hand).
 LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
+# Of a region's voxels, those left out at either end of its extent: streaks of single voxels extend far.
+STREAKS = 0.01
 # Less probable voxels are almost certainly air.
 LEAST_PROBABILITY = 0.025
 # Directions tried for how much of a region they show: 16 degrees apart (chosen by hand).
@@ -268,6 +270,6 @@ def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float)
 
 
 def _extent_m(values: Float64, voxel_m: float) -> float:
-    """The extent without the outermost hundredth at either end, as streaks of single voxels extend far."""
-    low, high = np.quantile(values, [0.01, 0.99])
+    """The extent without streaks at either end."""
+    low, high = np.quantile(values, [STREAKS, 1 - STREAKS])
     return float(high - low) + voxel_m

@@ -21,6 +21,8 @@ LEAST_WEIGHT_SHARE = 0.015
 MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
 # A voxel that lies farther behind a measured surface may be on the far side of a thin wall.
 SHELL_M = 0.0125
+# The same in voxels, where these are large.
+SHELL_VOXELS = 1.5
 # A line of sight ends within so many voxels of a measured surface, on both sides. If it ended in the whole
 # band behind the surface, every opening would narrow. It does not pass through a sheet of one voxel.
 SHEET_VOXELS = 1.2
@@ -211,7 +213,7 @@ def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float
     That is `SHELL_M`, or one and a half voxels if that is more, by the fused distance and by the distance to
     the nearest voxel in front of a surface: far behind a surface, the fused distance is too short.
     """
-    shell_m = max(SHELL_M, 1.5 * voxel_m)
+    shell_m = max(SHELL_M, SHELL_VOXELS * voxel_m)
     # A surface lies half a voxel from the voxels on both of its sides.
     shown_m = shell_m + voxel_m / 2
     far = distance_within_m(in_front, voxel_m, shown_m + voxel_m) > shown_m

@@ -23,6 +23,8 @@ MARGIN_M, MARGIN_VOXELS = 0.05, 10
 FLOOR_LAYERS = 4
 # Voxels along a cell of the coarse grid, which only tells what is far from the object.
 SURROUND_FACTOR = 4
+# Half the side of the coarse grid, in radii of the ball around the fine one's cube, so that no ray misses it.
+SURROUND_RADII = 1.1
 # Most voxels of the fine grid, and most cells of the coarse one along an axis: a laptop's memory.
 MAX_VOXELS, MAX_SURROUND_CELLS = 1 << 26, 400
 # The sides of both grids are multiples of it: fusion works in blocks of 8.
@@ -96,7 +98,7 @@ def surround_grid(grid: Grid, floor: Floor) -> Grid:
     Its cells are four voxels wide, and wider around very large objects.
     """
     radius_m = 0.5 * float(np.linalg.norm(grid.size_m))
-    half_m = 1.1 * np.sqrt(3.0) * radius_m
+    half_m = SURROUND_RADII * np.sqrt(3.0) * radius_m
     factor = max(SURROUND_FACTOR, int(np.ceil(2 * half_m / (MAX_SURROUND_CELLS * grid.voxel_size_m))))
     voxel_m = factor * grid.voxel_size_m
     side = int(np.ceil(2 * half_m / (voxel_m * CUBE_VOXELS))) * CUBE_VOXELS

@@ -17,6 +17,13 @@ from kinectbench.stages.segment.solid.guess import inside_probability, measured_
 
 # A wider Gaussian thins slats, a narrower one leaves the sensor's noise.
 SMOOTHING_VOXELS = 0.7
+# Of a voxel, the least absolute value of the field before it is smoothed, and after: an exact 0 would make
+# triangles without area.
+LEAST_FIELD, LEAST_SMOOTHED = 0.1, 0.02
+# A voxel this near to a measured surface, in voxels, is measured.
+MEASURED_VOXELS = 1.5
+# Probability of a voxel that a rule calls solid, or air, against what was measured there.
+RULED_SOLID, RULED_AIR = 0.75, 0.05
 # A piece with less than this share of the largest one's voxels is noise.
 SPECK_SHARE = 0.02
 # A lower piece on the floor may be noise; a piece that ends farther below the object carries something else.
@@ -133,7 +140,7 @@ def _label(observation: Observation, evidence: VoxelEvidence, solid: Bools, belo
 
     What lies behind a measured surface and was smoothed away is unknown: it is no air that anybody saw.
     """
-    near = np.abs(evidence.signed_m) <= 1.5 * observation.grid.voxel_size_m
+    near = np.abs(evidence.signed_m) <= MEASURED_VOXELS * observation.grid.voxel_size_m
     measured = evidence.observed & near & ~evidence.free
     labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
     labels[~solid & evidence.free] = Label.FREE
@@ -161,7 +168,7 @@ def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid:
     probability[measured] = measured_probability(evidence.signed_m[measured], voxel_m)
     # Decisions of the rules above (floor contact, specks, neighbours) stay.
     decided = np.where(solid, probability <= 0.5, probability >= 0.5)
-    return np.where(decided, np.where(solid, np.float32(0.75), np.float32(0.05)), probability)
+    return np.where(decided, np.where(solid, np.float32(RULED_SOLID), np.float32(RULED_AIR)), probability)
 
 
 def _smooth_field(evidence: VoxelEvidence, solid: Bools, voxel_size_m: float) -> Float32:
@@ -176,7 +183,7 @@ def _smooth_field(evidence: VoxelEvidence, solid: Bools, voxel_size_m: float) ->
     # The distance is trusted only next to the surface; farther away it belongs to another surface.
     distance_m = np.abs(evidence.signed_m)
     magnitude = np.where(evidence.observed & (distance_m < 2 * step), distance_m, step)
-    magnitude = np.clip(magnitude, np.float32(0.1) * step, step)
+    magnitude = np.clip(magnitude, np.float32(LEAST_FIELD) * step, step)
     field = np.where(solid, -magnitude, magnitude)
     return np.asarray(ndimage.gaussian_filter(field, SMOOTHING_VOXELS, mode="nearest", truncate=3.0))
 
@@ -184,8 +191,8 @@ def _smooth_field(evidence: VoxelEvidence, solid: Bools, voxel_size_m: float) ->
 def _closed_mesh(field: Float32, grid: Grid) -> TriangleMesh:
     """Marching cubes of a signed field padded by empty cells, so that the surface is closed."""
     step = np.float32(grid.voxel_size_m)
-    # A field of exactly 0 would make triangles without area.
-    away = np.where(field < 0, np.minimum(field, -0.02 * step), np.maximum(field, 0.02 * step))
+    least = LEAST_SMOOTHED * step
+    away = np.where(field < 0, np.minimum(field, -least), np.maximum(field, least))
     mesh = isosurface(np.pad(away, 1, constant_values=step).astype(np.float32))
     points_grid = (mesh.vertices - 0.5) * grid.voxel_size_m
     return TriangleMesh(transform_points(grid.T_world_grid, points_grid), mesh.faces)
