@@ -40,7 +40,7 @@ VERSIONS: dict[str, int] = {
     "suggest": 7,
     "publish": 43,
     "synthesize": 2,
-    "score": 12,
+    "score": 13,
     "baselines": 4,
 }
 

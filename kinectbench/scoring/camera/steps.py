@@ -41,7 +41,9 @@ def drawn_together(ours, theirs, normals, asked, found, nearest, affine):  # typ
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def step_equations(places, targets, normals, weights, middle, along, free):  # type: ignore[no-untyped-def]
-    """The normal equations of a step of the registration: H (free, free) and gradient (free,).
+    """The normal equations of a step of the registration: H (free, free), gradient (free,), and a sum.
+
+    The sum is that of the weighted squared distances along the normals.
 
     A step shifts (3), scales by e^s and turns by a rotation vector (3) about `middle`. What it lessens is the
     weighted sum of squared distances along the normals, and `along` times the whole squared distances.
@@ -55,7 +57,7 @@ def step_equations(places, targets, normals, weights, middle, along, free):  # t
         along: a factor.
         free: 3, 4 or 7, the first so many of these.
     """
-    H, g = np.zeros((free, free)), np.zeros(free)
+    H, g, squares = np.zeros((free, free)), np.zeros(free), 0.0
     row, whole = np.empty(7), np.empty(7)
     # Products of the columns of the Jacobian: (1 0 0), (0 1 0), (0 0 1), p, and the unit axes x p.
     of = np.zeros((7, 7))
@@ -73,6 +75,7 @@ def step_equations(places, targets, normals, weights, middle, along, free):  # t
         of[4, 1], of[4, 2], of[5, 0], of[5, 2], of[6, 0], of[6, 1] = -z, y, z, -x, -y, x
         of[4, 4], of[5, 5], of[6, 6] = z * z + y * y, z * z + x * x, y * y + x * x
         of[5, 4], of[6, 4], of[6, 5] = -x * y, -z * x, -y * z
+        squares += weight * across * across
         for i in range(free):
             g[i] += weight * (row[i] * across + along * whole[i])
             for j in range(i + 1):
@@ -80,7 +83,7 @@ def step_equations(places, targets, normals, weights, middle, along, free):  # t
     for i in range(free):
         for j in range(i):
             H[j, i] = H[i, j]
-    return H, g
+    return H, g, squares
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
