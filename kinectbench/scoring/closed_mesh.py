@@ -1,11 +1,12 @@
 """Closed meshes among predicted shapes, and which of them are refused before they are made solid."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from kinectbench.core.errors import PredictionError
-from kinectbench.core.geometry.closed import is_closed, joined_vertices, why_open
+from kinectbench.core.geometry.closed import is_closed, joined_vertices, outwards, why_open
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.scoring.camera_shape import CameraShape
@@ -18,6 +19,13 @@ class ClosedMesh:
 
     vertices_m: Float64
     faces: Int32
+
+    @cached_property
+    def outward(self) -> tuple[Int32, float]:
+        """The faces with each piece turned outwards, and the volume that they enclose, m^3."""
+        faces = outwards(self.vertices_m, self.faces)
+        a, b, c = (self.vertices_m[faces[:, corner]] for corner in range(3))
+        return faces, abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
 
 
 def closed_mesh(shape: CameraShape) -> ClosedMesh | None:

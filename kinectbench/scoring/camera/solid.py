@@ -6,7 +6,6 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid, transform_points
-from kinectbench.core.geometry.closed import outwards
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
@@ -79,10 +78,10 @@ def solid_in(
         PredictionError: the mesh is too far away, or has too many faces across each other.
     """
     if shape.form == "mesh" and (mesh is not None or close is not None):
+        if mesh is not None:
+            return _of_mesh(truth, mesh, T_grid_prediction)
         from kinectbench.scoring.camera.kernels import mapped
 
-        if mesh is not None:
-            return _of_mesh(truth, mapped(mesh.vertices_m, T_grid_prediction[:3]), mesh.faces)
         return _by_winding(truth, mapped(shape.points_m, T_grid_prediction[:3]), shape.faces.astype(np.int32))
     if shape.cells is None or shape.T_camera_grid is None or shape.voxel_size_m is None:
         return None
@@ -107,18 +106,19 @@ def _is_same_place(T_cells: Float64) -> bool:
     return bool(np.abs(T_cells - np.eye(4)).max() < 1e-6)
 
 
-def _of_mesh(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
+def _of_mesh(truth: SpaceTruth, mesh: ClosedMesh, T_grid_mesh: Float64) -> Solid:
     from kinectbench.core.voxels.solid import voxelize_solid
+    from kinectbench.scoring.camera.kernels import mapped
 
+    vertices_m, faces = mapped(mesh.vertices_m, T_grid_mesh[:3]), mesh.faces
     refuse_mesh(vertices_m, faces, truth.voxel_size_m)
     grid = Grid((FULL_CELLS,) * 3, truth.voxel_size_m, np.eye(4))
     vertices = vertices_m / truth.voxel_size_m
     cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)
-    faces = outwards(vertices, faces)
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    volume = abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
+    faces, volume_m3 = mesh.outward  # a similarity turns no piece
+    volume = volume_m3 * (similarity_scale(T_grid_mesh) / truth.voxel_size_m) ** 3
     return Solid(cells, volume * outside_share(vertices, faces, FULL_CELLS))
 
 
