@@ -9,7 +9,7 @@ from pydantic import JsonValue
 
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.artefacts.views import MasksFile
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.names import RESULTS
 from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, has_sizes, whole_manifest
 from kinectbench.engine.slim import kept_source
@@ -236,17 +236,47 @@ def _recording(job: Job) -> Source:
 
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)
-    if job.root.is_relative_to(job.source):
-        files = _without_results(job, files)
+    files = _without(_results(job, files) | _named_apart(job, files), files)
     return Source(job.source, content_hash(files, job.source, job.build))
 
 
-def _without_results(job: Job, files: Sequence[Path]) -> list[Path]:
-    """A recording's files without those of the benchmark, whose folder is the recording's or below it."""
+def _without(others: set[Path], files: list[Path]) -> list[Path]:
+    """Files that are none of the others, nor below them."""
+    return [file for file in files if others.isdisjoint((file, *file.parents))] if others else files
+
+
+def _results(job: Job, files: Sequence[Path]) -> set[Path]:
+    """Files and folders of a benchmark whose folder is the recording's or below it; else none."""
+    if not job.root.is_relative_to(job.source):
+        return set()
     own = {job.root / name for name in (*RESULTS, "benchmark.yaml", f"masks/{job.recording.id}")}
     begin = f"{job.settings.name}-"
     own |= {file for file in files if file.name.startswith(begin) and file.name.endswith(ARCHIVES)}
-    return [file for file in files if own.isdisjoint((file, *file.parents))]
+    return own
+
+
+def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
+    """Of a recording's files those that other inputs name: the reference mesh, a person's masks, masks.json.
+
+    Masks in a folder that ingest reads, too, stay the recording's.
+    """
+    drawn = [file for file in files if file.parent == job.masks] if job.masks else []
+    named = {job.reference} & set(files) if job.reference else set()
+    named |= {file for file in drawn if file.name == MasksFile.FILE}
+    if not drawn:
+        return named
+    from kinectbench.stages.ingest.readers import open_recording
+    from kinectbench.stages.ingest.recording import MASKS_FOLDER, FileRecording
+    from kinectbench.stages.sample_views.masks import mask_name
+
+    try:
+        recording = open_recording(job.source, job.recording.camera, follow_links=job.recording.follow_links)
+    except KinectBenchError:  # ingest reports it
+        return named
+    read = recording.folders if isinstance(recording, FileRecording) else set()
+    if job.masks in {job.source / MASKS_FOLDER, *read}:
+        return named
+    return named | {file for file in drawn if mask_name(file.name, plain_of_frame=True)}
 
 
 # Makes each input from outside `build/`, by its name.
