@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -94,8 +95,9 @@ def test_frames_that_a_build_leaves_out_are_not_compared(
     assert isinstance(of_folder, FileRecording)
     right = read_picture(getattr(of_folder.places[8], part), cv2.IMREAD_UNCHANGED)
     (tmp_path / "0008.png").write_bytes(change(right))
-    places = list(of_folder.places)
-    places[8] = replace(places[8], **{part: tmp_path / "0008.png"})
+    changed: dict[str, Any] = {part: tmp_path / "0008.png"}
+    *before, old = of_folder.places[:9]
+    places = (*before, replace(old, **changed), *of_folder.places[9:])
     (found, *_) = check_grade(probe_recording(replace(of_folder, places=places)), TRACKING, mode="refine")
     which = "" if most == FRAMES else f", by {most - 1} of {FRAMES} frames"
     assert found.what.startswith(f"the given trajectory{which}: ")
