@@ -59,8 +59,8 @@ class EdgeFit:
 def fit_edges(probe: Probe) -> EdgeFit | None:
     """Correlate edges of depth with edges of colour, over all frames read at full size.
 
-    The result is None if colour is missing or has another aspect ratio than depth, and for images too flat for
-    the shifts that are tried.
+    The result is None if colour is missing or has another aspect ratio than depth, and for images too flat
+    for the shifts that are tried.
     """
     import cv2
 
