@@ -87,7 +87,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
     """Whether colour (height, width, 3) and depth (height, width) have one aspect ratio."""
     ratio, of_depth = (image.shape[1] / image.shape[0] for image in (bgr, depth))
-    return abs(ratio - of_depth) <= 0.02
+    return bool(abs(ratio - of_depth) <= 0.02)
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
