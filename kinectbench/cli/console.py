@@ -292,7 +292,7 @@ class RecordingBars:
     """Progress bars: one for each recording that is being built, and one over all if there are several.
 
     Call the object with (recording, stage, done, total); it also reports outcomes. See
-    `kinectbench.engine.parallel.Watcher`.
+    `kinectbench.engine.parallel.ProgressWatcher`.
     """
 
     def __init__(

@@ -55,12 +55,18 @@ def fetch_recipe(
 
 
 def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
-    """Fetch, build and delete one scan after another; return the exit status."""
+    """Fetch, build and delete one scan after another; return the exit status.
+
+    What is built is not fetched again, nor what would fail again.
+    """
+    import shutil
+
     from kinectbench.cli import console
     from kinectbench.cli.build import build_jobs
-    from kinectbench.core.artefacts.manifest import Failed
     from kinectbench.core.errors import SettingsError
     from kinectbench.core.extras import missing_extra
+    from kinectbench.engine.artefact import whole_manifest
+    from kinectbench.engine.failures import stored_failure, would_fail_again
     from kinectbench.engine.slim import is_slim, keep_failed_source, slim
     from kinectbench.engine.stages import Job
     from kinectbench.release.recipe import BENCHMARK, FetchedScan, remove_scan
@@ -71,15 +77,17 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
     rows = []
     for number, scan in enumerate(scans, 1):
         build = recipe.out / "build" / scan.id
-        failed = Failed.read_if_there(build) if build.is_dir() else None
-        if is_slim(build / "sequence") or failed is not None:
-            if failed is None:  # a killed run may have left some
-                slim(build)
-                remove_scan(recipe.out, scan)
-            rows.append(
-                FetchedScan(scan, False, f"{scan.id}: failed before: {failed.error}" if failed else None)
-            )
+        failed, has_frames = stored_failure(build), not is_slim(build / "sequence")
+        if failed is not None and would_fail_again(failed):
+            rows.append(FetchedScan(scan, False, f"{scan.id}: failed before: {failed.error}"))
             continue
+        if failed is None and not has_frames and whole_manifest(build / "pairs") is not None:
+            slim(build)  # a killed run may have left some
+            remove_scan(recipe.out, scan)
+            rows.append(FetchedScan(scan, False))
+            continue
+        if not has_frames:  # a build would refuse what is left
+            shutil.rmtree(build)
         console.lines("fetch", [f"{scan.id}, {number} of {len(scans)}"], "cyan")
         row = recipe.fetch(scan, partial(_refuse_beyond, recipe.out))
         if row.error is None:

@@ -59,7 +59,8 @@ class EdgeFit:
 def fit_edges(probe: Probe) -> EdgeFit | None:
     """Correlate edges of depth with edges of colour, over all frames read at full size.
 
-    The result is None if colour is missing or has another aspect ratio than depth.
+    The result is None if colour is missing or has another aspect ratio than depth, and for images too flat
+    for the shifts that are tried.
     """
     import cv2
 
@@ -67,10 +68,10 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
     factor = 1.0
     for frame in probe.whole:
         height, width = frame.depth.shape
-        if frame.bgr is None or abs(frame.bgr.shape[1] / frame.bgr.shape[0] - width / height) > 0.02:
-            continue
         factor = width / COLUMNS
         size = (COLUMNS, round(height / factor))
+        if frame.bgr is None or not _of_one_shape(frame.bgr, frame.depth) or size[1] <= 2 * REACH_PX:
+            continue
         gray = cv2.cvtColor(frame.bgr, cv2.COLOR_BGR2GRAY)
         jumps, edges = depth_jumps(frame.depth, size), color_edges(np.asarray(gray, np.uint8), size)
         sums.append(np.stack([_correlation(jumps, edges), _correlation(jumps, edges[:, ::-1])]))
@@ -83,10 +84,17 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
     return EdgeFit(float(near[REACH_PX, REACH_PX]), float(near.max()), float(_around(mirrored).max()), shift)
 
 
+def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
+    """Whether colour (height, width, 3) and depth (height, width) have one aspect ratio."""
+    ratio, of_depth = (image.shape[1] / image.shape[0] for image in (bgr, depth))
+    return bool(abs(ratio - of_depth) <= 0.02)
+
+
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
     """Compare the result of the edge test with what the recording states about colour."""
     if fit is None:
-        if probe.recording.color_registered and any(f.bgr is not None for f in probe.whole):
+        shapes = (_of_one_shape(frame.bgr, frame.depth) for frame in probe.whole if frame.bgr is not None)
+        if probe.recording.color_registered and not all(shapes):
             what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
             advice = "`color_registered: false` in camera.json"
             yield Finding("color_not_registered", "warning", what, probe.where, advice)

@@ -136,8 +136,7 @@ def inspect(
 
 def _inside(path: Path, recording: Recording) -> Iterator[Finding]:
     """Report other recordings inside a recording's folder: none of their frames is read."""
-    places = recording.places if isinstance(recording, FileRecording) else ()
-    read = {file.parent for place in places for file in (place.depth, place.color, place.mask) if file}
+    read = recording.folders if isinstance(recording, FileRecording) else set()
     with suppress(OSError):  # a folder that cannot be read stops the reader, too
         inside = recordings_inside(path, read)
         if inside:

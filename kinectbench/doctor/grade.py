@@ -7,13 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError, TrackingError
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.probe import Probe
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
-from kinectbench.stages.ingest.plausibility import trajectory_problem
+from kinectbench.stages.ingest.images import decode_color_bgr
+from kinectbench.stages.ingest.plausibility import check_color, check_size, trajectory_problem
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.sequence_writer import onto_depth
 from kinectbench.stages.track import track
@@ -35,11 +37,8 @@ def check_grade(
     """
     count = len(probe.recording)
     every = count <= MOST_FRAMES
-    # Of longer recordings some frames are read; of shorter ones all but damaged frames.
-    indices = [frame.index for frame in probe.frames]
-    if not every:
-        indices = np.linspace(0, count - 1, MOST_FRAMES).round().astype(int).tolist()
-    which = "" if every else f", by {MOST_FRAMES} of {count} frames"
+    indices = [index for index in evenly(count, MOST_FRAMES).tolist() if _is_whole(probe.recording, index)]
+    which = "" if every else f", by {len(indices)} of {count} frames"
     refined, given = mode == "refine", probe.recording.given_trajectory
     assert given is not None
     posed = has_pose(poses_at(given, probe.recording.stamps_ns, tracking.max_stamp_gap_s))
@@ -71,12 +70,25 @@ def check_grade(
         yield Finding("trajectory_check", "note", line, probe.where)
 
 
+def _is_whole(recording: Recording, index: int) -> bool:
+    """Whether a frame can be graded; a build leaves out what is damaged or of another size."""
+    try:
+        frame = recording.frame(index)
+        check_size(frame, recording)
+        check_color(frame, recording)
+        if frame.color is not None:
+            decode_color_bgr(frame.color[1], f"colour of {frame.name}")
+    except RecordingError:
+        return False
+    return True
+
+
 def as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
     """Return some frames of a recording, with the depth and colour that `write_sequence` would write.
 
     Args:
         recording: the opened recording.
-        indices: indices of the frames, increasing; none is damaged.
+        indices: indices of the frames, increasing; none is damaged or of another size.
 
     Returns:
         A sequence of these frames; colour that is not registered to depth is left out.

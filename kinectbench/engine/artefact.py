@@ -159,6 +159,26 @@ def whole_hash(sources: Sources) -> str:
     return sha256_text(canonical_json(sources.sha256))
 
 
+def has_sizes(root: Path, cache: Path, sha256: str) -> bool:
+    """Whether the files of a known hash lie at a path, by their names and sizes; none of them is read.
+
+    Args:
+        root: path of the recording.
+        cache: folder where `content_hash` keeps names and sizes; without them the result is True.
+        sha256: the hash over the files.
+    """
+    known = _known(cache)
+    if not known:
+        return True
+    if whole_hash(Sources.model_validate(known)) != sha256:
+        return False
+    paths = (f"{root}{os.sep}{name}" if name else root for name in known)
+    try:
+        return [os.stat(path).st_size for path in paths] == [file.size for file in known.values()]  # noqa: PTH116
+    except OSError:
+        return False
+
+
 def _relative(path: Path, root: Path) -> str:
     """The name of a file relative to its recording's path; "" for the path itself."""
     if path == root:

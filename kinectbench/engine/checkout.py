@@ -16,7 +16,7 @@ from kinectbench.core.storage import UNTOUCHED, canonical_json, sha256_text, sto
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import Store, StoredObject, fetch_all, in_parallel
 from kinectbench.core.untrusted import below, printable
-from kinectbench.engine.artefact import VERSIONS, Artefact
+from kinectbench.engine.artefact import VERSIONS, Artefact, whole_hash
 from kinectbench.engine.pipeline import artefacts_upto
 from kinectbench.engine.scratch import SCRATCH_VARIABLE, scratch_folder
 from kinectbench.engine.stages import STAGES, Job
@@ -28,6 +28,8 @@ from kinectbench.stages.ingest.sources import MOST_FILES
 SOURCES = "sources"
 # Largest failed.json, which holds a line of text.
 MOST_FAILED_BYTES = 1 << 20
+# What keys of a recording name that lies in the store.
+LIE_BELOW = {"path": "recordings", "masks": "masks", "reference": "meshes"}
 Report = Callable[[str, int, int], None]
 
 
@@ -130,17 +132,44 @@ def _of_known_files(listing: _Listing, job: Job, upto: str) -> Checkout | None:
 def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkout:
     """Check out a recording with its masks, its reference mesh, and its last failure."""
     store, name = listing.store, job.recording.id
-    if job.masks is not None:
-        fetch_files(store, job.root, store.objects(str(job.recording.masks)))
-    if job.recording.reference is not None and (mesh := store.head(job.recording.reference)) is not None:
-        fetch_files(store, job.root, [mesh])
-    job = replace(job, source_sha256=sha256_text(canonical_json(known.sha256)))
+    fetch_named(store, job)
+    job = replace(job, source_sha256=whole_hash(known))
     artefacts = artefacts_upto(job, upto)
     current = tuple(stage for stage, made in artefacts.items() if is_stored(listing.built, name, made))
     failed = f"build/{name}/{Failed.FILE}"
     if failed in listing.built:
         store.fetch(failed, job.build / Failed.FILE, MOST_FAILED_BYTES)
     return Checkout(store, job, artefacts, current, listing.built, failed in listing.built)
+
+
+def fetch_named(store: Store, job: Job) -> None:
+    """Download a person's masks and the reference mesh to the job's places, if benchmark.yaml names any."""
+    masks, mesh = name_there(store, job, "masks"), name_there(store, job, "reference")
+    if masks is not None:
+        fetch_files(store, job.root, store.objects(masks))
+    if mesh is not None and (found := store.head(mesh)) is not None:
+        fetch_files(store, job.root, [found])
+
+
+def name_there(store: Store, job: Job, key: str) -> str | None:
+    """The name in the store of what a key of the recording names: "path", "masks" or "reference".
+
+    Returns:
+        None if it names nothing, or something on a disk that all machines share, by an absolute path.
+
+    Raises:
+        SettingsError: it leads out of the store.
+    """
+    path = PurePosixPath(getattr(job.recording, key) or "/")
+    if path.is_absolute():
+        return None
+    if ".." in path.parts or not path.parts:
+        raise SettingsError(
+            f"recordings.{job.recording.id}.{key}: '{printable(str(path))}' leads out of {store.place()}; "
+            f"{LIE_BELOW[key]} of a benchmark in a store lie below it",
+            what="outside-folder",
+        )
+    return str(path)
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
@@ -182,26 +211,21 @@ def fetch_files(
 
 def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
     """List a recording's files in the store: one file, or all below its folder and known files beside it."""
-    path = PurePosixPath(job.recording.path)
-    if path.is_absolute():
-        return []  # on a disk that all machines share
-    if ".." in path.parts or not path.parts:
-        raise SettingsError(
-            f"recordings.{job.recording.id}.path: '{printable(str(path))}' leads out of {store.place()}; "
-            "recordings of a benchmark in a store lie below it",
-            what="outside-folder",
-        )
+    name = name_there(store, job, "path")
+    if name is None:
+        return []
+    path = PurePosixPath(name)
     clicked = str(path / PICK_FILE)  # not part of the recording, as in `source_files`
-    objects = store.objects(str(path), MOST_FILES)
+    objects = store.objects(name, MOST_FILES)
     listed = [each for each in objects if not _hidden(each.name) and each.name != clicked]
     if listed:
         names = names_beside(PurePosixPath(each.name).name for each in listed)
         beside = in_parallel(partial(store.head, str(path.parent / name)) for name in names)
         return listed + [each for each in beside if each is not None]
-    file = store.head(str(path))
+    file = store.head(name)
     if file is None:
         raise RecordingError(
-            f"{store.place(str(path))}: no such recording; correct `path` of '{job.recording.id}'",
+            f"{store.place(name)}: no such recording; correct `path` of '{job.recording.id}'",
             what="not-found",
         )
     return [file]

@@ -32,6 +32,11 @@ def stored_failure(build: Path) -> Failed | None:
         return None
 
 
+def would_fail_again(failed: Failed) -> bool:
+    """Whether the same inputs would fail again: the recording or the settings caused the failure."""
+    return failed.fingerprint is not None and failed.package_version == __version__
+
+
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
     """The stored failure of a stage that would fail again, because its inputs have not changed.
 

@@ -1,6 +1,5 @@
 """Masks for all frames of a recording: drawn by a person, recorded with it, or of a turntable's object."""
 
-import re
 from pathlib import Path
 
 from kinectbench.core.errors import SegmentationError
@@ -13,9 +12,6 @@ from kinectbench.settings.models import SegmentBy, Vector4
 from kinectbench.stages.sample_views.masks import mask_name
 from kinectbench.stages.sample_views.views import read_masks
 from kinectbench.stages.segment.find.turntable import plane_below, turntable_masks
-
-# File name of a mask: the number of a frame, alone or after "frame_", and ".png".
-FRAME_MASK = re.compile(r"(?:frame_)?([0-9]{1,9})\.(?i:png)")
 
 
 def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -> Masks | None:
@@ -68,15 +64,16 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
     given = read_masks(folder)
     names: dict[int, str] = {}
     for name in given.names:
-        kind = named.kind if (named := mask_name(name)) and named.of_frame else ""
-        if kind:
+        named = mask_name(name, plain_of_frame=True)
+        if named is None:
+            continue
+        if named.kind:
             raise SegmentationError(
                 f"{folder}/{name}: with `segment_by: masks` a mask is all of the object in a frame, so that "
-                f"nothing can be added or taken away; name the whole mask {name.replace(kind, '')}",
+                f"nothing can be added or taken away; name the whole mask {name.replace(named.kind, '')}",
                 what="bad-mask",
             )
-        match = FRAME_MASK.fullmatch(name)
-        if match and (before := names.setdefault(int(match[1]), name)) != name:
+        if (before := names.setdefault(named.number, name)) != name:
             raise SegmentationError(
                 f"{folder}: {before} and {name} are masks of one frame; remove the one that is wrong",
                 what="bad-mask",

@@ -188,19 +188,22 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
     for stage in stages_upto(upto):
         manifest = whole_manifest(job.build / stage.folder)
         if manifest is not None and manifest.stage_version == stage.version:
-            then, now = _by_key(manifest.settings), _by_key(stage.settings(job))
-            changed |= {
-                key: (then[key], value) for key, value in now.items() if then.get(key, value) != value
-            }
+            changed |= _differences(manifest.settings, stage.settings(job))
     return changed
 
 
-def _by_key(settings: Mapping[str, object], above: str = "") -> dict[str, object]:
-    """Flatten nested settings to keys as `--set` names them, such as fusion.voxel_size_m."""
-    flat: dict[str, object] = {}
-    for key, value in settings.items():
-        flat |= _by_key(value, f"{above}{key}.") if isinstance(value, Mapping) else {f"{above}{key}": value}
-    return flat
+def _differences(
+    then: Mapping[str, object], now: Mapping[str, object], above: str = ""
+) -> dict[str, tuple[object, object]]:
+    """Compare settings by keys such as fusion.voxel_size_m; keys that are left out are at their default."""
+    found: dict[str, tuple[object, object]] = {}
+    for key in {**then, **now}:
+        old, new = then.get(key, "default"), now.get(key, "default")
+        if isinstance(old, Mapping) and isinstance(new, Mapping):
+            found |= _differences(old, new, f"{above}{key}.")
+        elif old != new:
+            found[f"{above}{key}"] = (old, new)
+    return found
 
 
 def listed_box(job: Job, number: int) -> BoxPart:

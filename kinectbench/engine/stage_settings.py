@@ -31,6 +31,8 @@ from kinectbench.settings.models import (
 from kinectbench.settings.pick import PickSettings
 
 Section = TypeVar("Section", bound=Settings)
+# Name of the source for the recording's files.
+RECORDING = "recording"
 # Name of the source for a person's masks.
 MASKS = "masks"
 # Name of the source for a mesh that replaces the fused ground truth.

@@ -7,13 +7,15 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
+from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.artefacts.views import MasksFile
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.names import RESULTS
-from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, whole_manifest
+from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, has_sizes, whole_manifest
 from kinectbench.engine.slim import kept_source
 from kinectbench.engine.stage_settings import (
     MASKS,
+    RECORDING,
     REFERENCE,
     FuseSettings,
     IngestSettings,
@@ -98,14 +100,14 @@ class Stage:
         folder: folder of its artefact, below `build/<recording>/`.
         inputs: names of the stages that it reads.
         needs: makes the settings that it depends on; its step gets no others.
-        sources: makes its inputs from outside `build/`, by name.
+        outside: names its inputs from outside `build/`, as in SOURCES.
     """
 
     name: str
     folder: str
     inputs: tuple[str, ...]
     needs: Callable[[Job], StageSettings]
-    sources: Callable[[Job], Mapping[str, Source]] = lambda job: {}
+    outside: Callable[[Job], tuple[str, ...]] = lambda job: ()
 
     @property
     def version(self) -> int:
@@ -115,6 +117,10 @@ class Stage:
     def settings(self, job: Job) -> Mapping[str, JsonValue]:
         """The settings that the stage depends on, as plain JSON values."""
         return self.needs(job).fingerprinted()
+
+    def sources(self, job: Job) -> Mapping[str, Source]:
+        """Its inputs from outside `build/`, by name, as they are now."""
+        return {name: SOURCES[name](job) for name in self.outside(job)}
 
 
 def _ingest(job: Job) -> StageSettings:
@@ -184,65 +190,108 @@ def check_masks(job: Job) -> None:
         raise RecordingError(f"{job.masks}: {missing}", what="not-found")
 
 
-def _masks(job: Job) -> Mapping[str, Source]:
+def _masks_named(job: Job) -> tuple[str, ...]:
+    """A person's masks, of views or of frames, if benchmark.yaml names any."""
+    return () if job.masks is None else (MASKS,)
+
+
+def _frame_masks_named(job: Job) -> tuple[str, ...]:
+    """A person's masks of frames; none if the folder holds masks of views."""
+    return _masks_named(job) if job.recording.segment_by == "masks" else ()
+
+
+def _of_object_named(job: Job) -> tuple[str, ...]:
+    """Sources about the object: a person's masks of frames, and the reference mesh."""
+    return (*_frame_masks_named(job), *(() if job.reference is None else (REFERENCE,)))
+
+
+def _masks(job: Job) -> Source:
+    assert job.masks is not None
     check_masks(job)
-    if job.masks is None:
-        return {}
     from kinectbench.stages.ingest.sources import files_below
 
     files = files_below(job.masks, follow_links=job.recording.follow_links)
     # masks.json only permits or refuses masks (`drawn_masks`); it never changes a result.
     given = [file for file in files if file.parent == job.masks and file.name != MasksFile.FILE]
-    return {MASKS: Source(job.masks, content_hash(given, job.masks))}
+    return Source(job.masks, content_hash(given, job.masks))
 
 
-def _frame_masks(job: Job) -> Mapping[str, Source]:
-    """A person's masks of frames, as a source; empty if the folder holds masks of views."""
-    return _masks(job) if job.recording.segment_by == "masks" else {}
-
-
-def _of_object(job: Job) -> Mapping[str, Source]:
-    """Sources about the object: a person's masks of frames, and the reference mesh."""
-    if job.reference is None:
-        return _frame_masks(job)
+def _reference(job: Job) -> Source:
+    assert job.reference is not None
     from kinectbench.stages.ingest.sources import check_there
 
     check_there(
         job.reference, f"no such reference mesh; add it, or correct `reference` of '{job.recording.id}'"
     )
-    mesh = Source(job.reference, content_hash([job.reference], job.reference.parent))
-    return {**_frame_masks(job), REFERENCE: mesh}
+    return Source(job.reference, content_hash([job.reference], job.reference.parent))
 
 
-def _recording(job: Job) -> Mapping[str, Source]:
+def _recording(job: Job) -> Source:
     if job.source_sha256 is not None:
-        return {"recording": Source(job.source, job.source_sha256)}
+        return Source(job.source, job.source_sha256)
     if not os.path.exists(job.source) and (kept := kept_source(job.build)):  # noqa: PTH110 - of any name
-        return {"recording": Source(job.source, kept)}
+        return Source(job.source, kept)
     from kinectbench.stages.ingest.readers import source_files
     from kinectbench.stages.ingest.sources import check_there
 
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)
-    if job.root.is_relative_to(job.source):
-        files = _without_results(job, files)
-    return {"recording": Source(job.source, content_hash(files, job.source, job.build))}
+    files = _without(_results(job, files) | _named_apart(job, files), files)
+    return Source(job.source, content_hash(files, job.source, job.build))
 
 
-def _without_results(job: Job, files: Sequence[Path]) -> list[Path]:
-    """A recording's files without those of the benchmark, whose folder is the recording's or below it."""
+def _without(others: set[Path], files: list[Path]) -> list[Path]:
+    """Files that are none of the others, nor below them."""
+    return [file for file in files if others.isdisjoint((file, *file.parents))] if others else files
+
+
+def _results(job: Job, files: Sequence[Path]) -> set[Path]:
+    """Files and folders of a benchmark whose folder is the recording's or below it; else none."""
+    if not job.root.is_relative_to(job.source):
+        return set()
     own = {job.root / name for name in (*RESULTS, "benchmark.yaml", f"masks/{job.recording.id}")}
     begin = f"{job.settings.name}-"
     own |= {file for file in files if file.name.startswith(begin) and file.name.endswith(ARCHIVES)}
-    return [file for file in files if own.isdisjoint((file, *file.parents))]
+    return own
 
+
+def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
+    """Of a recording's files those that other inputs name: the reference mesh, a person's masks, masks.json.
+
+    Masks in a folder that ingest reads, too, stay the recording's.
+    """
+    drawn = [file for file in files if file.parent == job.masks] if job.masks else []
+    named = {job.reference} & set(files) if job.reference else set()
+    named |= {file for file in drawn if file.name == MasksFile.FILE}
+    if not drawn:
+        return named
+    from kinectbench.stages.ingest.readers import open_recording
+    from kinectbench.stages.ingest.recording import MASKS_FOLDER, FileRecording
+    from kinectbench.stages.sample_views.masks import mask_name
+
+    try:
+        recording = open_recording(job.source, job.recording.camera, follow_links=job.recording.follow_links)
+    except KinectBenchError:  # ingest reports it
+        return named
+    read = recording.folders if isinstance(recording, FileRecording) else set()
+    if job.masks in {job.source / MASKS_FOLDER, *read}:
+        return named
+    return named | {file for file in drawn if mask_name(file.name, plain_of_frame=True)}
+
+
+# Makes each input from outside `build/`, by its name.
+SOURCES: Mapping[str, Callable[[Job], Source]] = {
+    RECORDING: _recording,
+    MASKS: _masks,
+    REFERENCE: _reference,
+}
 
 STAGES: tuple[Stage, ...] = (
-    Stage("ingest", "sequence", (), _ingest, _recording),
-    Stage("track", "trajectory", ("ingest",), _track, _frame_masks),
-    Stage("fuse", "reconstruction", ("ingest", "track"), _fuse, _frame_masks),
-    Stage("segment", "object", ("ingest", "track", "fuse"), _segment, _of_object),
-    Stage("sample-views", "views", ("ingest", "track", "segment"), _sample_views, _masks),
+    Stage("ingest", "sequence", (), _ingest, lambda job: (RECORDING,)),
+    Stage("track", "trajectory", ("ingest",), _track, _frame_masks_named),
+    Stage("fuse", "reconstruction", ("ingest", "track"), _fuse, _frame_masks_named),
+    Stage("segment", "object", ("ingest", "track", "fuse"), _segment, _of_object_named),
+    Stage("sample-views", "views", ("ingest", "track", "segment"), _sample_views, _masks_named),
     Stage("pairs", "pairs", ("ingest", "track", "segment", "sample-views"), _pairs),
 )
 
@@ -258,20 +307,37 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
     return STAGES[: names.index(name) + 1]
 
 
-def _has_reference(stage: Stage, job: Job) -> bool:
-    """Whether a stage of the job depends on a reference mesh."""
-    return stage.name == "segment" and job.reference is not None
+def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, build: Path) -> bool:
+    """Whether an artefact was made from the inputs that a job names; an input that is gone is not compared.
+
+    The recording is compared by the names and sizes of its files, others by their content.
+    """
+    named = stage.outside(job)
+    if manifest.inputs.keys() - set(stage.inputs) != set(named):
+        return False
+    paths = {RECORDING: job.source, MASKS: job.masks, REFERENCE: job.reference}
+
+    def is_same(name: str) -> bool:
+        path, sha256 = paths[name], manifest.inputs[name]
+        if path is None or not os.path.exists(path):  # noqa: PTH110 - of any name
+            return True
+        return has_sizes(path, build, sha256) if name == RECORDING else SOURCES[name](job).sha256 == sha256
+
+    try:
+        return all(map(is_same, named))
+    except RecordingError:  # a build would refuse it
+        return False
 
 
 def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
     """The folders of current stages in `build/<recording>/`, by stage.
 
     A current folder is complete, and was made by the stage's present version from the present artefacts of
-    its input stages. Changes of the recording's own files are not checked.
+    its input stages. A change of the recording's files is seen only if a name or a size changes.
 
     Args:
         build: `build/<recording>/`.
-        job: a job whose settings the artefacts must have; None: any settings.
+        job: a job whose settings and sources the artefacts must have; None: any.
     """
     folders: dict[str, Path] = {}
     fingerprints: dict[str, str] = {}
@@ -282,7 +348,7 @@ def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
             manifest.inputs.get(name) != fingerprints.get(name, "") for name in stage.inputs
         ):
             continue
-        if job and (REFERENCE in manifest.inputs) != _has_reference(stage, job):
+        if job and not _is_of_sources(manifest, stage, job, build):
             continue
         settings = stage.settings(job) if job else manifest.settings
         if manifest.fingerprint == fingerprint(stage.name, stage.version, settings, manifest.inputs):

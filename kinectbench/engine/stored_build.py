@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import PurePosixPath
 
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import QualityFile
@@ -27,6 +26,7 @@ from kinectbench.engine.checkout import (
     checked_out,
     fetch_recording,
     files_of_recording,
+    name_there,
     nobody,
     store_of,
 )
@@ -109,9 +109,9 @@ def _built(
     _fetch_needed(copy, missing, report)
     drawn = _masks_file(copy)
     outcome = build()
-    if _masks_file(copy) != drawn:
-        place = PurePosixPath(f"{copy.job.recording.masks}", MasksFile.FILE)
-        copy.store.put(str(place), _masks_file(copy).encode())
+    masks = name_there(copy.store, copy.job, "masks")
+    if masks is not None and _masks_file(copy) != drawn:
+        copy.store.put(f"{masks}/{MasksFile.FILE}", _masks_file(copy).encode())
     if outcome.error is not None:
         outcome = replace(outcome, error=as_there(copy.store, copy.job.root, outcome.error))
     outcome = replace(outcome, row=summary(copy.job, outcome))

@@ -1,9 +1,8 @@
 """The result of a run on a recording, as in the table at the end of a build."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from statistics import median
 from typing import Self, TypeVar
 
 from kinectbench.core.artefacts.object import QualityFile
@@ -13,6 +12,7 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.medians import known_median
 from kinectbench.engine.pipeline import FOLDERS, Outcome
 from kinectbench.engine.recording_summary import RecordingSummary as RecordingSummary
 from kinectbench.engine.stages import Job
@@ -85,8 +85,8 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         views=len(views.views) if views else None,
         pairs=len(rows) if pairs else None,
         refused=len(pairs.refused) + (len(views.refused) if views else 0) if pairs else None,
-        containment=_median(row.containment for row in rows),
-        residual_m=_median(row.residual_m for row in rows),
+        containment=_rounded(known_median(row.containment for row in rows)),
+        residual_m=_rounded(known_median(row.residual_m for row in rows)),
         warnings=tuple(
             line for part in (sequence, health, scene, quality, views) if part for line in part.warnings
         )
@@ -136,7 +136,5 @@ def _to_do_first(
     return next(iter(ranked), None)
 
 
-def _median(values: Iterable[float | None]) -> float | None:
-    """The median of the known values, as on the page; None if no value is known."""
-    known = [value for value in values if value is not None]
-    return round(median(known), 9) if known else None
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 9)

@@ -1,10 +1,8 @@
 """The list of a page with many recordings: one row each, read only from small files."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
-
-import numpy as np
 
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import QualityFile
@@ -12,6 +10,7 @@ from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
 from kinectbench.core.listing import PAGE_ROWS, SHOWN, Listing
+from kinectbench.core.medians import known_median
 from kinectbench.engine.stages import Job, current_stages
 from kinectbench.report.figures import per_cent
 
@@ -81,12 +80,6 @@ def shortened(settings: Mapping[str, Any]) -> tuple[dict[str, object], int]:
     recordings = settings.get("recordings") or []
     left_out = max(0, len(recordings) - SHOWN)
     return dict(settings) | ({"recordings": recordings[:SHOWN]} if left_out else {}), left_out
-
-
-def known_median(values: Iterable[float | None]) -> float | None:
-    """Return the median of the known values; None if none is known."""
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
 
 
 def millimetres(value_m: float | None) -> str:

@@ -17,6 +17,7 @@ from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_own_ply
+from kinectbench.core.medians import known_median
 from kinectbench.core.trajectory.trajectory import read_poses
 from kinectbench.core.turntable import QUALITY, turntable
 from kinectbench.core.types import Bools, Float64
@@ -24,7 +25,7 @@ from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.engine.stages import STAGES, Job, current_stages
 from kinectbench.report import looks
 from kinectbench.report.figures import StageFigures, health_figures, per_cent, quality_figures, text_of
-from kinectbench.report.many import known_median, millimetres
+from kinectbench.report.many import millimetres
 from kinectbench.report.plan import draw_plan
 from kinectbench.report.unseen import ObjectPicture, object_pictures
 from kinectbench.settings.models import RecordingSettings

@@ -140,6 +140,25 @@ def test_folders_that_are_read_and_results_are_no_recordings_inside(
     assert len(recordings_inside(outer, ())) == 1
 
 
+@pytest.mark.parametrize("size", [(1024, 64), (640, 96), (640, 98), (2048, 2), (64, 512)])
+def test_flat_and_tall_images_are_inspected(size: tuple[int, int], tmp_path: Path) -> None:
+    """As of a spinning lidar; no shift of colour is looked for in fewer rows than are tried."""
+    width, height = size
+    rng = np.random.default_rng(0)
+    for number in range(4):
+        across = 1500 + 400 * np.sin((np.arange(width) + 7 * number) / 60)
+        depth = across + rng.normal(0, 3, (height, width))
+        color = rng.integers(0, 255, (height, width, 3))
+        for name, image in (("depth", depth.astype(np.uint16)), ("rgb", color.astype(np.uint8))):
+            (tmp_path / name).mkdir(exist_ok=True)
+            cv2.imwrite(str(tmp_path / name / f"{number:04d}.png"), image)
+    camera = {"fx": 900, "fy": 900, "cx": width / 2, "cy": height / 2, "depth_scale": 1000}
+    (tmp_path / "camera.json").write_text(json.dumps(camera | {"color_registered": True}))
+    diagnosis, _ = inspect(tmp_path)
+    assert diagnosis.facts["frames"] == 4
+    assert "color_not_registered" not in {found.name for found in diagnosis.findings}
+
+
 def test_frames_are_read_evenly() -> None:
     assert frames_to_read(7).tolist() == list(range(7))
     for count in (251, 1000, 30_000):

@@ -39,6 +39,14 @@ def test_two_masks_of_one_frame_are_refused_by_name(names: tuple[str, ...], tmp_
     assert all(name in str(told.value) for name in names)
 
 
+@pytest.mark.parametrize("kind", ["include", "exclude"])
+@pytest.mark.parametrize("name", ["3.{}.png", "000003.{}.png", "frame_000003.{}.PNG"])
+def test_a_part_of_a_mask_is_refused(name: str, kind: str, tmp_path: Path) -> None:
+    with raises(SegmentationError, "segmentation.bad-mask") as told:
+        masks_of(tmp_path / "masks", ("000003.png", name.format(kind)))
+    assert str(told.value).endswith(f"name the whole mask {name.replace('.{}', '')}")
+
+
 @pytest.mark.parametrize("name", [f"{'9' * 200}.png", "000009.png", "3.jpg"])
 def test_names_of_no_frame(name: str, tmp_path: Path) -> None:
     with raises(SegmentationError, "segmentation.no-masks"):

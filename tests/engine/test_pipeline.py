@@ -228,7 +228,9 @@ def test_why_a_stage_failed_is_kept_for_the_page_until_it_succeeds(command: Comm
     elsewhere = "recordings.chair.box={center_m: [9, 9, 0.5], size_m: [0.2, 0.2, 0.2]}"
     result = command(one, "report", "--set", elsewhere)
     assert result.status == 1
-    told = result.err.splitlines()[0].removeprefix("chair: error: ")
+    note, error, *_ = result.err.splitlines()
+    assert note.startswith("note: chair: built with other settings (box was None, now ")
+    told = error.removeprefix("chair: error: ")
     file = one / "build" / "chair" / "failed.json"
     kept = {"format_version": 1, "stage": "segment", "error": told, "code": "segmentation.empty-box"}
     assert json.loads(file.read_text()).items() >= kept.items()

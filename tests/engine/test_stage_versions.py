@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from stage_sample import SYNTHESIS, Sample, jobs, make_sample, read_sample
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.voxels.npz import load_arrays, npz_bytes
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.engine.pipeline import build_recording
+from kinectbench.engine.pipeline import STAGE_NAMES, build_recording
 from kinectbench.engine.stages import STAGES, SUGGEST, current_stages
 from kinectbench.lab.synthesize.make import Task
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
@@ -206,6 +207,31 @@ def test_another_version_is_not_current(root: Path, monkeypatch: pytest.MonkeyPa
     assert [*current_stages(job.build, boxed)] == names[:3]  # it has another box
     monkeypatch.setitem(VERSIONS, "fuse", VERSIONS["fuse"] + 1)
     assert [*current_stages(job.build)] == names[:2]
+
+
+@pytest.mark.parametrize(
+    ("recording", "named", "last"),
+    [
+        ("boxed", {}, "sample-views"),
+        ("boxed", {"masks": None}, "segment"),
+        ("boxed", {"masks": "other"}, "segment"),
+        ("boxed", {"path": "half"}, None),
+        ("given", {}, "pairs"),
+        ("given", {"masks": "masks"}, "segment"),
+        ("given", {"reference": "cad.ply"}, "fuse"),
+        ("given", {"path": "half"}, None),
+        ("given", {"path": "deleted"}, "pairs"),  # it may have been deleted after the build
+    ],
+)
+def test_other_sources_are_not_current(
+    root: Path, recording: str, named: dict[str, str | None], last: str | None
+) -> None:
+    for name in ("other/000.exclude.png", "cad.ply"):
+        (root / name).parent.mkdir(exist_ok=True)
+        (root / name).write_bytes(b"another")
+    job = next(job for job in jobs(root) if job.recording.id == recording)
+    job = replace(job, recording=job.recording.model_copy(update=named))
+    assert max(current_stages(job.build, job), key=STAGE_NAMES.index, default=None) == last
 
 
 def test_another_version_publishes_again(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

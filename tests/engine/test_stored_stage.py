@@ -12,15 +12,17 @@ from small_benchmark import hashes
 from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import s3, s3_server
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.store.packed import pack_files
 from kinectbench.core.store.store import Store
 from kinectbench.engine.artefact import Artefact
-from kinectbench.engine.checkout import checkout
+from kinectbench.engine.checkout import checkout, fetch_named
 from kinectbench.engine.pipeline import STAGE_NAMES, artefacts_upto
+from kinectbench.engine.stages import Job
 from kinectbench.engine.stored_build import build_stored
 from kinectbench.engine.stored_stage import ARCHIVE, fetch_file, fetch_stage, put_stage, stored_folder
 from kinectbench.engine.unnamed import remove, unnamed
+from kinectbench.settings.models import BenchmarkSettings
 
 __all__ = ["s3", "s3_server"]
 pytestmark = pytest.mark.xdist_group("stores")
@@ -39,6 +41,32 @@ def test_the_same_made_by_another_version_is_success(small: Path, tmp_path: Path
     store.put(place, theirs)
     put_stage(store, "chair", artefact)
     assert store.read(place) == theirs
+
+
+def naming(root: Path, **named: str) -> Job:
+    recording = {"id": "a", "path": "a", "category": "chair", **named}
+    settings = BenchmarkSettings.model_validate({"name": "b", "recordings": [recording]})
+    return Job(settings, settings.recordings[0], root)
+
+
+@pytest.mark.parametrize("written", ["{}", "./{}", "{}/", "x/{}", "x//{}", "x/./{}", "/elsewhere/{}"])
+def test_masks_and_mesh_are_named_as_on_a_disk(written: str, tmp_path: Path) -> None:
+    place = tmp_path / "there" / written.format("").strip("/")
+    (place / "masks").mkdir(parents=True)
+    for file in ("masks/000.png", "cad.ply"):
+        (place / file).write_bytes(b"content")
+    job = naming(tmp_path / "here", masks=written.format("masks"), reference=written.format("cad.ply"))
+    fetch_named(Store(f"file://{tmp_path}/there"), job)
+    assert job.masks is not None and job.reference is not None
+    shared = written.startswith("/")  # a disk of all machines: nothing to fetch
+    assert (job.masks / "000.png").exists() == job.reference.exists() == (not shared)
+
+
+@pytest.mark.parametrize("key", ["masks", "reference"])
+@pytest.mark.parametrize("name", ["../x", "a/../../x", "."])
+def test_masks_and_mesh_lie_in_the_store(key: str, name: str, tmp_path: Path) -> None:
+    with raises(SettingsError, "settings.outside-folder", match=f"recordings.a.{key}: '{name}' leads out"):
+        fetch_named(Store(f"file://{tmp_path}"), naming(tmp_path, **{key: name}))
 
 
 def other_bytes(artefact: Artefact, folder: Path) -> Artefact:

@@ -6,6 +6,8 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from made_once import made_once
@@ -13,10 +15,16 @@ from scan_server import ScanServer
 from small_benchmark import Run, run
 from small_recipe import SOURCES, make_scans, served, write_recipe
 
+from kinectbench._version import __version__
 from kinectbench.cli import recipe as cli_recipe
+from kinectbench.cli.common import Common
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
-from kinectbench.core.artefacts.manifest import Manifest
-from kinectbench.engine.slim import is_slim
+from kinectbench.core.artefacts.manifest import Failed, Manifest
+from kinectbench.core.errors import RecordingError, StorageError
+from kinectbench.engine.artefact import Artefact
+from kinectbench.engine.failures import keep_failure
+from kinectbench.engine.slim import is_slim, slim
+from kinectbench.release.recipe import FetchedScan
 
 Command = Callable[..., Run]
 HERE = {"no_proxy": "*", "KINECTBENCH_STORE_PATIENCE_S": "2"}
@@ -134,3 +142,51 @@ def test_a_scan_that_cannot_be_read_is_deleted_and_its_reason_stays(
         assert again.status == 1 and "failed before: " in again.err and len(server.asked) == asked
     built = command(root, "build")
     assert built.status == 1 and "only colour" in built.err and "no such recording" not in built.err
+
+
+FULL = "/x: the disk is full: free some space and run the command again"
+
+
+@pytest.mark.parametrize(
+    ("left", "failure", "version", "outcome"),
+    [
+        ((), None, __version__, "fetched"),
+        ((), RecordingError("no depth"), __version__, "failed before: no depth"),
+        ((), RecordingError("no depth"), "0.0.1", "fetched"),  # another version may read it
+        (("sequence",), StorageError(FULL), __version__, "fetched"),
+        (("sequence",), OSError(28, "No space"), __version__, "fetched"),
+        (("sequence",), None, __version__, "fetched"),  # killed, or too full a disk for failed.json
+        (("sequence", "pairs"), None, __version__, ""),
+    ],
+)
+def test_only_what_would_fail_again_is_not_fetched_again(
+    left: tuple[str, ...], failure: Exception | None, version: str, outcome: str, tmp_path: Path
+) -> None:
+    build = tmp_path / "build" / "a"
+    build.mkdir(parents=True)
+    artefacts = [Artefact(build / name, name, 1, {}, {}) for name in ("sequence", "pairs")]
+    for artefact in artefacts:
+        if artefact.folder.name in left:
+            with artefact.write() as folder:
+                (folder / "000000.png").write_bytes(b"depth")
+    slim(build)
+    if failure is not None:
+        keep_failure(build, "ingest", str(failure), failure, artefacts[0])
+        stored = Failed.read(build)
+        if stored.package_version is not None:
+            stored.model_copy(update={"package_version": version}).write(build)
+    scan: Any = SimpleNamespace(id="a", path="scans/a", folder="scans/a")
+    asked = []
+
+    def fetch(scan: Any, room: object) -> FetchedScan:
+        asked.append(not build.exists() or not is_slim(build / "sequence"))
+        return FetchedScan(scan, False, "a: no answer")
+
+    recipe: Any = SimpleNamespace(out=tmp_path, fetch=fetch, other_attribution=lambda scans: [])
+    with pytest.MonkeyPatch.context() as patch:
+        rows: list[FetchedScan] = []
+        patch.setattr(cli_recipe, "_tell", lambda common, recipe, told, then: rows.extend(told))
+        cli_recipe._stream(Common(), recipe, [scan])
+    (row,) = rows
+    assert row.error == {"fetched": "a: no answer", "": None}.get(outcome, f"a: {outcome}")
+    assert asked == ([True] if outcome == "fetched" else [])

@@ -14,7 +14,7 @@ from raising import raises
 from score_rows import row, table
 from small_benchmark import Run
 
-from kinectbench.core.artefacts import score_columns
+from kinectbench.core.artefacts import score_columns, scores
 from kinectbench.core.artefacts.score_columns import MOST_BYTES, MOST_ROWS, MOST_ROWS_IN_SPACE, ROWS_NPZ
 from kinectbench.core.artefacts.scores import NO_FACTS, ScoreTable
 from kinectbench.core.errors import StorageError
@@ -48,6 +48,31 @@ def test_many_rows_lie_beside_the_table(many: ScoreTable, tmp_path: Path) -> Non
     few.write(tmp_path)  # where the other one lies
     assert not (tmp_path / ROWS_NPZ).exists() and ScoreTable.read(tmp_path).rows == few.rows
     assert "rows_file" not in json.loads((tmp_path / "scores.json").read_text())
+
+
+@pytest.mark.parametrize("count", [5, 9, 10])
+def test_a_table_of_another_name_leaves_the_rows_of_the_one_beside_it(
+    many: ScoreTable, count: int, tmp_path: Path
+) -> None:
+    many.write(tmp_path)
+    other = many.model_copy(update={"rows": many.rows[:count]})
+    other.write(tmp_path, "other.json")
+    assert ScoreTable.read(tmp_path).rows == many.rows
+    assert ScoreTable.read_file(tmp_path / "other.json").rows == other.rows
+
+
+def test_until_it_is_replaced_a_table_keeps_its_rows(
+    many: ScoreTable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    many.write(tmp_path)
+
+    def full(path: Path) -> NoReturn:
+        raise StorageError(f"{path}: the disk is full", what="no-room")
+
+    monkeypatch.setattr(scores, "replaced_file", full)
+    with raises(StorageError, "storage.no-room"):
+        many.model_copy(update={"rows": many.rows[:5]}).write(tmp_path)
+    assert ScoreTable.read(tmp_path).rows == many.rows
 
 
 @pytest.mark.parametrize("count", [0, 1, 10])

@@ -276,6 +276,7 @@ def write_manifests(folder: Path, job: Job | None = None) -> None:
     last = max(index for index, stage in enumerate(STAGES) if (folder / stage.folder).is_dir())
     for stage in STAGES[: last + 1]:
         here, inputs = folder / stage.folder, {name: fingerprints[name] for name in stage.inputs}
+        inputs |= dict.fromkeys(stage.outside(job) if job else (), "of no file")
         artefact = Artefact(here, stage.name, stage.version, stage.settings(job) if job else {}, inputs)
         here.mkdir(exist_ok=True)
         with artefact.write() as made:

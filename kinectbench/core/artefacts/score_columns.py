@@ -18,7 +18,7 @@ from kinectbench.core.artefacts.score_figures import ByThreshold, InSpace, Score
 from kinectbench.core.artefacts.score_marks import Sha256
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.errors import StorageError, pydantic_message
-from kinectbench.core.storage import canonical_json, replaced_file, storage_errors
+from kinectbench.core.storage import canonical_json, replaced_file, sha256_file, storage_errors
 from kinectbench.core.types import Arrays
 from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
@@ -62,24 +62,41 @@ def rows_as_json(rows: Sequence[ScoreRow]) -> Iterator[str]:
     yield "]" if rows else "[]"
 
 
-def write_rows(rows: Sequence[ScoreRow], folder: Path) -> RowsFile | None:
-    """Write rows.npz into a folder; for few rows delete it instead.
+def write_rows(rows: Sequence[ScoreRow], folder: Path, *, over: bool) -> RowsFile | None:
+    """Write many rows as rows.npz into a folder.
+
+    Args:
+        rows: of a table.
+        folder: of its JSON file.
+        over: whether other rows that lie there are replaced.
 
     Returns:
-        The entry for scores.json; None where it holds the rows itself.
+        The entry for the JSON file; None where that holds the rows itself: few rows, or others lie there.
 
     Raises:
         StorageError: the disk is full or read-only.
     """
     path = folder / ROWS_NPZ
     if len(rows) <= ROWS_IN_JSON:
-        with storage_errors(path):
-            path.unlink(missing_ok=True)
         return None
     content = npz_bytes(_columns(rows), level=1)
+    entry = RowsFile(rows=len(rows), sha256=hashlib.sha256(content).hexdigest())
+    with storage_errors(path):
+        if not over and path.exists() and sha256_file(path) != entry.sha256:
+            return None
     with replaced_file(path) as temporary:
         temporary.write_bytes(content)
-    return RowsFile(rows=len(rows), sha256=hashlib.sha256(content).hexdigest())
+    return entry
+
+
+def remove_rows(folder: Path) -> None:
+    """Delete the rows.npz of an earlier table, if there is one.
+
+    Raises:
+        StorageError: the disk is read-only.
+    """
+    with storage_errors(folder / ROWS_NPZ):
+        (folder / ROWS_NPZ).unlink(missing_ok=True)
 
 
 def _columns(rows: Sequence[ScoreRow]) -> Arrays:

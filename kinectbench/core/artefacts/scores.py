@@ -11,7 +11,14 @@ from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.score_columns import RowsFile, flat, read_rows, rows_as_json, write_rows
+from kinectbench.core.artefacts.score_columns import (
+    RowsFile,
+    flat,
+    read_rows,
+    remove_rows,
+    rows_as_json,
+    write_rows,
+)
 from kinectbench.core.artefacts.score_figures import (
     FINITE,
     IN_UNIT_RANGE,
@@ -314,18 +321,22 @@ class ScoreTable(Stored):
 
         Args:
             folder: made if it is not there.
-            name: of the JSON file, if it is another one; then there is no scores.csv.
+            name: of the JSON file, if it is another one; then there is no scores.csv, and the rows.npz of
+                another table stays.
 
         Raises:
             StorageError: the disk is full or read-only.
         """
-        table, beside = self, write_rows(self.rows, folder)
+        is_own = name == SCORES_JSON
+        table, beside = self, write_rows(self.rows, folder, over=is_own)
         if beside is not None:
             table = self.model_copy(update={"rows": (), "rows_file": beside})
-        files = {SCORES_CSV: self.csv()} if name == SCORES_JSON else {}
+        files = {SCORES_CSV: self.csv()} if is_own else {}
         for file, text in (files | {name: table.text()}).items():
             with replaced_file(folder / file) as temporary:
                 temporary.write_text(text, encoding="utf-8")
+        if is_own and beside is None:  # last: until it is replaced, a table that lies there needs them
+            remove_rows(folder)
 
     @classmethod
     def read_file(cls, path: Path) -> Self:

@@ -44,13 +44,15 @@ def parse_stamp_ns(text: str, where: str) -> int:
         stamp = Decimal(text)
     except InvalidOperation:
         stamp = Decimal("NaN")
-    if not stamp.is_finite() or stamp.adjusted() > 11 or abs(stamp) * NS_PER_S >= LIMIT_NS:
+    is_short = stamp.is_finite() and stamp.adjusted() <= 11
+    stamp_ns = int((stamp * NS_PER_S).to_integral_value()) if is_short else LIMIT_NS
+    if abs(stamp_ns) >= LIMIT_NS:
         unit = UNITS_OF_TODAY.get(stamp.adjusted() // 3 * 3) if stamp.is_finite() else None
         advice = f"it looks like {unit}: write seconds" if unit else "correct or remove the line"
         raise RecordingError(
             f"{where}: '{printable(text)}' is not a time stamp in seconds; {advice}", what="bad-stamp"
         )
-    return int((stamp * NS_PER_S).to_integral_value())
+    return stamp_ns
 
 
 def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median
 from string import Template
 from typing import get_args
 
@@ -15,6 +14,7 @@ import yaml
 from kinectbench.core.artefacts.benchmark import UNSPECIFIED, RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import SPLITS, Target
+from kinectbench.core.medians import known_median
 from kinectbench.core.types import Float64, Underside
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.contents import LICENSE, PREVIEWS, SPLIT_TARGETS
@@ -248,9 +248,10 @@ def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
         qualities = [each.quality for each in found]
         sizes_m = np.array([quality.box.size_m for quality in qualities if quality.box is not None])
         unknown, *estimates = (
-            _median([getattr(quality, key) for quality in qualities]) for key in ("unknown_share", *ESTIMATES)
+            known_median(getattr(quality, key) for quality in qualities)
+            for key in ("unknown_share", *ESTIMATES)
         )
-        visible = _median([each.visible_share for each in found])
+        visible = known_median(each.visible_share for each in found)
         rows.append([category, _ranges(sizes_m), *_words((visible, unknown, *estimates))])
     if not any(any(row[1:]) for row in rows):
         return ""
@@ -283,12 +284,6 @@ def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
     shares = ["" if share is None else f"{share:.1%}" for share in (visible, unknown)]
     interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
     return shares[0], shares[1], "" if estimate is None else f"{estimate:.2f}{interval}"
-
-
-def _median(values: Sequence[float | None]) -> float | None:
-    """Return the median of the known values."""
-    known = [value for value in values if value is not None]
-    return median(known) if known else None
 
 
 def card_figures(info: ReleaseInfo) -> str:

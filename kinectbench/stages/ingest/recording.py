@@ -40,7 +40,8 @@ Pixel = TypeVar("Pixel", bound=np.generic)
 # What a reader was tested on: a real recording, one with a licence to copy it, or files that a writer of this
 # project made from the format's description.
 Evidence = Literal["recording", "copy", "writer"]
-
+# Folder of a person's masks beside the folders of a recording's images.
+MASKS_FOLDER = "masks"
 
 # Settings of a camera that only some formats have a use for; others warn of them.
 OF_SOME_FORMATS = (
@@ -241,6 +242,12 @@ class FileRecording(Recording):
     channels: tuple[int, int] | None = None
     kind: tuple[str, Path] | None = None
 
+    @property
+    def folders(self) -> set[Path]:
+        """The folders of its images."""
+        images = (file for place in self.places for file in (place.depth, place.color, place.mask) if file)
+        return {file.parent for file in images}
+
     def frame(self, index: int) -> RawFrame:
         """Read and decode the files of a frame."""
         files = self.places[index]
@@ -313,18 +320,18 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
     """
     if depth.parent == recording:
         return None
-    return first_file([depth.parent.parent / "masks" / f"{depth.stem}.png"])
+    return first_file([depth.parent.parent / MASKS_FOLDER / f"{depth.stem}.png"])
 
 
 def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
     """A line with the number of masks in a recording's masks/ that belong to no frame; empty if none."""
     used = {frame.mask for frame in files}
-    others = sorted(mask for mask in visible(path / "masks", "*.png") if mask not in used)
+    others = sorted(mask for mask in visible(path / MASKS_FOLDER, "*.png") if mask not in used)
     if not others:
         return ()
     count = "1 mask is" if len(others) == 1 else f"{len(others)} masks are"
     such = f"{count} of no frame, such as {printable(others[0].name)}"
-    return (f"{path / 'masks'}: {such}: name each as its depth image is named",)
+    return (f"{path / MASKS_FOLDER}: {such}: name each as its depth image is named",)
 
 
 def visible(folder: Path, pattern: str) -> list[Path]:

@@ -23,10 +23,17 @@ def test_stamps_are_exact() -> None:
     assert parse_stamp_ns("1305031107.130308", "") == 1_305_031_107_130_308_000
     assert parse_stamp_ns("1305031107.123456789", "") == 1_305_031_107_123_456_789
     assert parse_stamp_ns("1.305031107e9", "") == 1_305_031_107_000_000_000
-    assert parse_stamp_ns("0", "") == 0
+    assert parse_stamp_ns("0", "") == parse_stamp_ns("1e-999999999", "") == 0
+    assert parse_stamp_ns("9223372036.8547758074", "") == 2**63 - 1
 
 
-@pytest.mark.parametrize("text", ["nan", "inf", "1e30", "-1e18", "abc", "", "12:30"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("nan", "inf", "1e30", "-1e18", "abc", "", "12:30", "1e999999999"),
+        *("9223372036.8547758079", "9223372036.8547758075", "-9223372036.854775808"),  # 2^63 when rounded
+    ],
+)
 def test_what_is_no_stamp(text: str) -> None:
     with raises(RecordingError, "recording.bad-stamp", match=r"f\.txt, line 3.*not"):
         parse_stamp_ns(text, "f.txt, line 3")

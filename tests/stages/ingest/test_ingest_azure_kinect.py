@@ -64,6 +64,7 @@ def write(
     frames: int = 4,
     tracks: tuple[str, str] = ("DEPTH", "COLOR"),
     color_px: tuple[int, int] = (64, 48),
+    step_ms: int = 33,
 ) -> Path:
     with av.open(str(path), "w", format="matroska", options={"allow_raw_vfw": "1"}) as out:
         depth = out.add_stream("rawvideo", rate=30)
@@ -83,8 +84,8 @@ def write(
         for i in range(frames):
             native = np.full((depth_px[1], depth_px[0]), 1000 + 7 * i, ">u2")
             for track, stamp_ms, data in (
-                (depth, 33 * i, native.tobytes()),
-                (color, 33 * i + 5, stored(i, mode)),
+                (depth, step_ms * i, native.tobytes()),
+                (color, step_ms * i + 5, stored(i, mode)),
             ):
                 packet = av.Packet(data)
                 packet.stream, packet.time_base, packet.is_keyframe = track, Fraction(1, 1000), True
@@ -326,6 +327,12 @@ def test_a_file_that_was_cut_off_is_read_to_its_end(tmp_path: Path) -> None:
         file.truncate(700)
     with pytest.raises(RecordingError):
         open_recording(path)
+
+
+def test_images_of_impossible_times_are_left_out(tmp_path: Path) -> None:
+    recording = open_recording(write(tmp_path / "r.mkv", calibration(), step_ms=4 * 10**12))
+    assert recording.stamps_ns.tolist() == [0, 4 * 10**18, 8 * 10**18]
+    assert "images of impossible times, such as 12000000000005000000 ns, are left" in recording.warnings[0]
 
 
 def fuzzed(data: bytes, seed: int) -> bytes:

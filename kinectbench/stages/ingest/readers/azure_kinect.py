@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.trajectory.stamps import NS_PER_S, first_by_stamp
+from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S, first_by_stamp
 from kinectbench.core.untrusted import HEAD_BYTES, UNPACKED_BYTES, is_too_large, open_plain, size_of
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, encode_png
@@ -264,7 +264,7 @@ def _find_images(
     import av
 
     places: dict[str, list[Place]] = {"DEPTH": [], "COLOR": [], "IR": []}
-    trouble = []
+    trouble = list[str]()
     with open_plain(path) as file:
         try:
             packets = container.demux(video=tuple(range(len(container.streams.video))))
@@ -274,6 +274,9 @@ def _find_images(
                 if name == "IR" or packet.pts is None or not packet.size or packet.pos is None:
                     continue
                 stamp_ns = round(packet.pts * packet.time_base * NS_PER_S)
+                if abs(stamp_ns) >= LIMIT_NS:
+                    trouble = [f"{path}: images of impossible times, such as {stamp_ns} ns, are left out"]
+                    continue
                 places[name].append(
                     Place(stamp_ns, _start(file, packet.pos, bytes(packet), path), packet.size)
                 )
