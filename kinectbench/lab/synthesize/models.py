@@ -26,7 +26,7 @@ class SynthesisSettings(Settings):
     license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
     models: str | None = Field(None, description="folder of CAD meshes; default: parametric furniture")
     categories: Categories = Field((), description="only these; default: all there are")
-    seed: int = Field(0, ge=0, le=10**9, description="draws the models of each split")
+    seed: int = Field(0, ge=0, le=10**9, description="draws each split's models, and noise")
     train: int = Field(220, ge=0, le=100_000, description="training models per category (paper)")
     validation: int = Field(12, ge=0, le=100_000, description="validation models per category (paper)")
     test: int = Field(40, ge=0, le=100_000, description="test models per category (paper)")
