@@ -21,8 +21,8 @@ from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views,
 from kinectbench.release.exchange.layouts import recgan_path
 
 FILES = "files"
-# Settings on which an artefact does not depend: they concern only the rest of a run. The seed draws the noise,
-# too: where there is some, `artefact` adds it.
+# Settings on which an artefact does not depend: they concern only the rest of a run. But the seed also draws
+# the noise: where there is some, `artefact` adds it.
 ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "validation", "test"}
 
 
