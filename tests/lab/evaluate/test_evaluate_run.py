@@ -108,7 +108,7 @@ def test_the_page_opens_alone(written: tuple[Evaluation, Path]) -> None:
 def test_the_same_again(written: tuple[Evaluation, Path], folders: tuple[Path, Path], tmp_path: Path) -> None:
     _, out = written
     shutil.copytree(out, tmp_path / "again")
-    (tmp_path / "again" / "stray.txt").write_text("of an earlier run")
+    (tmp_path / "again" / "slices.png").write_text("of an earlier run")
     evaluate_recording(*folders, tmp_path / "again")
     again = {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
     assert again == {path.name: path.read_bytes() for path in out.iterdir()}
@@ -215,6 +215,9 @@ def test_bad_input_is_one_line(folders: tuple[Path, Path], tmp_path: Path) -> No
     assert not (tmp_path / "out").exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("years of work")
-    with raises(StorageError, "storage.other-content"):
-        evaluate_recording(build, truth, tmp_path / "mine")
+    for beside in ("", "evaluation.json"):
+        if beside:
+            (tmp_path / "mine" / beside).write_text("{}")
+        with raises(StorageError, "storage.other-content"):
+            evaluate_recording(build, truth, tmp_path / "mine")
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
