@@ -120,6 +120,7 @@ def test_other_meshes_are_filled_by_the_authors_rule() -> None:
         (TriangleMesh(BOX.vertices * [1, 0, 0], BOX.faces), "no triangle has an area"),
         (TriangleMesh(BOX.vertices, BOX.faces[:, ::-1]), "it is inside out"),
         (TriangleMesh(BOX.vertices, BOX.faces + 1), "names a vertex that is not there"),
+        (TriangleMesh(BOX.vertices + 2e4, BOX.faces), r"steps of 0\.0024 of its unit; move it to its origin"),
         (mesh_of(trimesh.creation.icosphere(2)), "320 faces, more than 100"),
     ],
 )
