@@ -38,7 +38,7 @@ from kinectbench.networks.run_folder import (
 from kinectbench.networks.steps import Learner, Losses, StepError
 from kinectbench.networks.validate import validation_iou
 from kinectbench.networks.weights import FILE as WEIGHTS
-from kinectbench.networks.weights import arrays_of_network, write_weights
+from kinectbench.networks.weights import arrays_of_network, check_values, write_weights
 from kinectbench.release.release import Release, Target
 
 # A killed run loses at most so much; writing 2 GB takes some seconds.
@@ -113,7 +113,8 @@ def train(
 
     Raises:
         ReleaseError: a pair is missing or changed, or there is no training pair.
-        SettingsError: the folder belongs to another training, or there is no such device.
+        SettingsError: the folder belongs to another training, there is no such device, or weights cannot hold
+            a value of the network.
         StorageError: the disk is full or read-only, or the checkpoint is damaged.
     """
     asked = config.training
@@ -131,6 +132,7 @@ def train(
                 prepare_folder(folder, config)
             wait_for_all(part[1])  # until then the folder is shared
             network = make_network(config.network, config.training.seed, where)
+            check_values(network)
             learner = Learner(network, config, where, part)
             facts = _facts_of(releases, targets)
             facts |= {"parameter_count": network.parameter_count, "hardware": hardware(where)}
