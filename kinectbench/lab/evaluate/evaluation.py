@@ -167,8 +167,8 @@ class Evaluation:
         subject: the truth's name of the object.
         alignment: how the worlds were aligned.
         trajectory: figures of stage `track`.
-        scene: figures of stage `fuse`: the scene around the object, above the floor; None if it is empty
-            there.
+        scene: figures of stage `fuse`: the scene around the object, above the floor; None if it or the object
+            is empty there.
         floor: the floor of stage `segment`.
         surface: figures of the object's closed mesh.
         measured: figures of that mesh's measured faces, around the object and above the floor; None if there

@@ -152,7 +152,7 @@ def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
     """Measure the distances between a surface and the true object, around the object and above the floor.
 
     Only surface in the true object's box, enlarged by 30 mm, and more than 15 mm above the floor counts. The
-    result is None if the mesh has no surface there.
+    result is None if the mesh or the object has no surface there.
 
     Args:
         mesh: a fused scene or a part of the built object, in the truth's world, metres.
@@ -172,7 +172,7 @@ def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
     if not faces.any():
         return None
     errors = surface_errors(mesh.keep_faces(faces), truth, SAMPLES, judged)
-    return errors if len(errors.built_m) else None
+    return errors if len(errors.built_m) and len(errors.true_m) else None
 
 
 def surface_figures(errors: SurfaceErrors, thresholds_m: Sequence[float] = THRESHOLDS_M) -> SurfaceFigures:
