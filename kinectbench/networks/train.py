@@ -276,7 +276,7 @@ def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None
 
 
 def _look(training: Training) -> TrainingRow:
-    """Validate and add a row to the log; keep the best weights if configured.
+    """Validate and add a row to the log; keep the best weights if configured, and all that is said of them.
 
     If it is interrupted, nothing has changed, and the validation is repeated.
     """
@@ -289,9 +289,11 @@ def _look(training: Training) -> TrainingRow:
             )
         figures = {"validation_iou": round(iou, 6), "threshold": threshold}
     with interrupts_held():
-        if training.validation and iou > state.best_iou:
+        better = bool(training.validation) and iou > state.best_iou
+        kept = better and config.training.keep == "best"
+        if better:
             state.best_iou, state.best_step = iou, state.step
-            if config.training.keep == "best" and training.part[0] == 0:
+            if kept and training.part[0] == 0:
                 write_weights(arrays_of_network(training.learner.network), training.folder / WEIGHTS)
         count = state.sums.pop("steps")
         losses = {name: value / count for name, value in state.sums.items()}
@@ -300,4 +302,6 @@ def _look(training: Training) -> TrainingRow:
         epoch = round(state.step * config.training.batch / len(training.pairs), 6)
         row = TrainingRow(step=state.step, epoch=epoch, **losses, **figures)
         state.rows.append(row)
+        if kept:  # a kill later must not leave the weights without their step and threshold
+            training.save()
     return row
