@@ -37,6 +37,17 @@ def test_shapenet_layouts(tmp_path: Path) -> None:
     assert [model.category for model in folder_models(tmp_path, ["table"])[0]] == ["table"] * 3
 
 
+def test_a_category_by_its_synset_and_by_its_name_is_one(tmp_path: Path) -> None:
+    write_shapenet(tmp_path, 2, 1)
+    (tmp_path / "chair").mkdir()
+    for name in ("mine", "c1"):
+        asymmetric().export(tmp_path / "chair" / f"{name}.obj")
+    for chosen in ((), ("chair",)):
+        models, left_out = folder_models(tmp_path, chosen)
+        assert [m.label for m in models if m.category == "chair"] == ["chair/c0", "chair/c1", "chair/mine"]
+        assert left_out == (LeftOut("chair/c1", "the same name as a model of chair"),)
+
+
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "off", "glb"])
 def test_flat_folders(suffix: str, tmp_path: Path) -> None:
     (tmp_path / "stool").mkdir()
