@@ -11,6 +11,7 @@ from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import TriangleMesh, rigid
 from kinectbench.core.geometry.closed import three_corners
 from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
 from kinectbench.lab.synthesize.models import Model
 
@@ -119,17 +120,28 @@ def missing_materials(path: Path) -> tuple[str, ...]:
     """Return a note for each missing material library of an OBJ file, and for each missing texture."""
     notes = []
     for library in _named(path, "mtllib"):
-        if not library.is_file():
-            notes.append(f"material {library.name} is missing; the shape is whole")
+        if not _is_file(library):
+            notes.append(f"material {printable(library.name)} is missing; the shape is whole")
             continue
-        textures = {texture for texture in _named(library, "map_") if not texture.is_file()}
-        notes += [f"texture {texture.name} is missing; the shape is whole" for texture in sorted(textures)]
+        gone = {texture.name for texture in _named(library, "map_") if not _is_file(texture)}
+        notes += [f"texture {printable(name)} is missing; the shape is whole" for name in sorted(gone)]
     return tuple(notes)
 
 
+def _is_file(path: Path) -> bool:
+    """Return whether there is such a file; a name that is too long for the disk is that of none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
 def _named(path: Path, keyword: str) -> list[Path]:
-    """Return the files named in lines with a keyword, relative to the file."""
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    """Return the files named in lines with a keyword, relative to the file; none if it cannot be read."""
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
     values = [line.split(maxsplit=1) for line in lines if line.lower().startswith(keyword)]
     return [path.parent / value[1].strip().replace("\\", "/") for value in values if len(value) == 2]
 

@@ -170,6 +170,17 @@ def test_missing_materials_are_noted(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("name", ["x" * 300, "a\0b", "y/" * 3000, "."], ids=lambda name: ascii(name[:3]))
+def test_materials_that_no_disk_can_hold_are_missing(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "model.obj"
+    asymmetric().export(path, include_texture=False, header=None)
+    path.write_text(f"mtllib {name}\nmtllib here.mtl\n{path.read_text()}")
+    (tmp_path / "here.mtl").write_text(f"newmtl a\nmap_Kd {name}\n")
+    notes = load_model(Model("chair", "model", str(path)), 100).notes
+    assert [note.split()[0] for note in notes] == ["material", "texture"]
+    assert all(note.isprintable() and len(note) < 400 for note in notes)
+
+
 @pytest.mark.parametrize(
     ("available", "expected"),
     [
