@@ -97,7 +97,7 @@ class SurfaceFigures:
 
 
 class ReferenceSurface:
-    """A mesh to which distances are measured, point to triangle (Open3D RaycastingScene).
+    """A mesh to which distances are measured, point to triangle, and that hides (Open3D RaycastingScene).
 
     Distances are accurate to a micrometre; near long sliver triangles, to 0.3 mm.
     """
@@ -115,6 +115,12 @@ class ReferenceSurface:
         """Return signed distances (n,) of points (n, 3) from a closed mesh, negative inside."""
         distances = self._scene.compute_signed_distance(self._local(points), nsamples=SIGN_RAYS)
         return np.asarray(distances.numpy(), dtype=np.float64)
+
+    def hides(self, points: Float64, place: Float64) -> Bools:
+        """Return which points (n, 3), just off the surface, the mesh hides from a place (3,): (n,) bool."""
+        starts = points - self._center
+        rays = np.concatenate([starts, place - self._center - starts], axis=1).astype(np.float32)
+        return np.asarray(self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy())
 
     def _local(self, points: Float64) -> object:
         return self._tensor(np.ascontiguousarray(points - self._center, dtype=np.float32))
