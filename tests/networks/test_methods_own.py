@@ -130,7 +130,7 @@ def test_a_network_is_refused_before_its_training_or_can_be_read_after_it(
     assert train(config, [learning], nets / "run", device="cpu", minutes=0).step == 1
     assert train(config, [learning], nets / "run", device="cpu").step == 3
     made = make_network(config.network)
-    assert torch.equal(open_trained(nets / "run").network.mask, made.mask)  # type: ignore[arg-type]
+    assert torch.equal(open_trained(nets / "run").network.mask, made.mask)
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_a_name_of_the_package_and_of_something_here_is_refused(
     write_config(find_config(NAME), tmp_path / "varley")
     for find, name in ((folder_of, NAME), (find_config, "varley")):
         with raises(SettingsError, "settings.wrong-value", match=rf"write \./{name}"):
-            find(name)  # type: ignore[operator]
+            find(name)
     assert folder_of(f"./{NAME}") == Path(NAME)
     assert find_config("./varley") == find_config(NAME)
 
