@@ -39,7 +39,7 @@ VERSIONS: dict[str, int] = {
     "pairs": 4,
     "suggest": 7,
     "publish": 43,
-    "synthesize": 2,
+    "synthesize": 3,
     "score": 13,
     "baselines": 4,
 }

@@ -23,11 +23,13 @@ def find_config(name: str) -> MethodSettings:
     """Read a configuration by its name in the package, or by its path.
 
     Raises:
-        SettingsError: there is no such configuration, or one line for each error in it.
+        SettingsError: there is no such configuration, the name is that of two, or one line for each error.
     """
-    if name in packaged_configs():
-        return read_config(FOLDER / f"{name}{SUFFIX}")
     path = Path(name)
+    if name in packaged_configs():
+        if path.is_file():
+            raise SettingsError(f"{name}: of the package, and a file here; for that write ./{name}")
+        return read_config(FOLDER / f"{name}{SUFFIX}")
     if not path.is_file():
         shown = printable(name)
         raise SettingsError(

@@ -22,7 +22,7 @@ EPSILON = 1e-3
 
 
 class EPN(Network):
-    """3D-EPN: 52,447,201 parameters, plus 3,360 of batch normalisation (`layer_parameter_count`).
+    """3D-EPN: 52,447,201 parameters, plus 3,360 of batch normalisation.
 
     Four convolutions down to one cell, two full layers, four transposed convolutions with skips.
     """
@@ -83,13 +83,6 @@ class EPN(Network):
             if index < len(self.norms_up):
                 grown = functional.relu(_normalised(self.norms_up[index], grown))
         return grown
-
-    @property
-    def layer_parameter_count(self) -> int:
-        """Number of parameters of convolutions and full layers, as the paper counts them."""
-        return self.parameter_count - sum(
-            values.numel() for norm in (*self.norms_down, *self.norms_up) for values in norm.parameters()
-        )
 
 
 def _uniform(layer: nn.Linear | nn.Conv3d | nn.ConvTranspose3d, inputs: int) -> None:

@@ -38,7 +38,7 @@ from kinectbench.networks.run_folder import (
 from kinectbench.networks.steps import Learner, Losses, StepError
 from kinectbench.networks.validate import validation_iou
 from kinectbench.networks.weights import FILE as WEIGHTS
-from kinectbench.networks.weights import arrays_of_network, write_weights
+from kinectbench.networks.weights import arrays_of_network, check_values, write_weights
 from kinectbench.release.release import Release, Target
 
 # A killed run loses at most so much; writing 2 GB takes some seconds.
@@ -113,7 +113,8 @@ def train(
 
     Raises:
         ReleaseError: a pair is missing or changed, or there is no training pair.
-        SettingsError: the folder belongs to another training, or there is no such device.
+        SettingsError: the folder belongs to another training, there is no such device, or weights cannot hold
+            a value of the network.
         StorageError: the disk is full or read-only, or the checkpoint is damaged.
     """
     asked = config.training
@@ -131,6 +132,7 @@ def train(
                 prepare_folder(folder, config)
             wait_for_all(part[1])  # until then the folder is shared
             network = make_network(config.network, config.training.seed, where)
+            check_values(network)
             learner = Learner(network, config, where, part)
             facts = _facts_of(releases, targets)
             facts |= {"parameter_count": network.parameter_count, "hardware": hardware(where)}
@@ -274,7 +276,7 @@ def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None
 
 
 def _look(training: Training) -> TrainingRow:
-    """Validate and add a row to the log; keep the best weights if configured.
+    """Validate and add a row to the log; keep the best weights if configured, and all that is said of them.
 
     If it is interrupted, nothing has changed, and the validation is repeated.
     """
@@ -287,9 +289,11 @@ def _look(training: Training) -> TrainingRow:
             )
         figures = {"validation_iou": round(iou, 6), "threshold": threshold}
     with interrupts_held():
-        if training.validation and iou > state.best_iou:
+        better = bool(training.validation) and iou > state.best_iou
+        kept = better and config.training.keep == "best"
+        if better:
             state.best_iou, state.best_step = iou, state.step
-            if config.training.keep == "best" and training.part[0] == 0:
+            if kept and training.part[0] == 0:
                 write_weights(arrays_of_network(training.learner.network), training.folder / WEIGHTS)
         count = state.sums.pop("steps")
         losses = {name: value / count for name, value in state.sums.items()}
@@ -298,4 +302,6 @@ def _look(training: Training) -> TrainingRow:
         epoch = round(state.step * config.training.batch / len(training.pairs), 6)
         row = TrainingRow(step=state.step, epoch=epoch, **losses, **figures)
         state.rows.append(row)
+        if kept:  # a kill later must not leave the weights without their step and threshold
+            training.save()
     return row

@@ -60,11 +60,13 @@ def folder_of(name: str) -> Path:
     """Return the folder of a method, given its path or its name in the package.
 
     Raises:
-        SettingsError: there is no such method.
+        SettingsError: there is no such method, or the name is that of two.
     """
-    if name in packaged_methods():
-        return FOLDER / name
     folder = Path(name)
+    if name in packaged_methods():
+        if (folder / CONFIG).is_file():
+            raise SettingsError(f"{name}: a method of the package and a folder here; for that write ./{name}")
+        return FOLDER / name
     if not (folder / CONFIG).is_file():
         if name in packaged_configs():
             raise SettingsError(

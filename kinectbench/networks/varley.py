@@ -46,8 +46,3 @@ class Varley(Network):
         x = functional.max_pool3d(functional.relu(self.convolutions[2](x)), 2)
         x = functional.relu(self.to_vector(x.flatten(1)))
         return self.from_vector(x).reshape(-1, 1, CELLS, CELLS, CELLS)
-
-    @property
-    def weight_count(self) -> int:
-        """Number of parameters without biases, as the paper seems to count them."""
-        return sum(values.numel() for values in self.parameters() if values.dim() > 1)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import Arrays, FileArray
 from kinectbench.core.untrusted import open_plain, printable
@@ -136,6 +136,25 @@ def shapes_of_network(network: "Module") -> dict[str, tuple[int, ...]]:
 def arrays_of_network(network: "Module") -> Arrays:
     """Return {name: value} of a torch module, on the CPU."""
     return {name: values.detach().cpu().numpy() for name, values in network.state_dict().items()}
+
+
+def check_values(network: "Module") -> None:
+    """Refuse a network with a value that no file of weights can hold.
+
+    Raises:
+        SettingsError: the name of the value, and what it is.
+    """
+    import torch
+
+    kinds = (torch.float16, torch.float32, torch.float64, torch.int64)
+    for name, values in network.state_dict().items():
+        plain = isinstance(values, torch.Tensor) and values.layout == torch.strided and values.dtype in kinds
+        problem = OTHER_KIND if not plain else values.numel() and _problem(name, values.cpu().numpy())
+        if problem:
+            raise SettingsError(
+                f"network: '{name}' holds {problem}, which weights cannot; a buffer that is made again needs "
+                "register_buffer(…, persistent=False)"
+            )
 
 
 def set_weights(network: "Module", path: Path) -> None:

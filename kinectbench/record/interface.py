@@ -118,21 +118,25 @@ class Device(Protocol):
         ...
 
 
-def polled(ask: Callable[[], Item | None], device: str) -> Iterator[Item]:
+def polled(
+    ask: Callable[[], Item | None], device: str, has_depth: Callable[[Item], bool] = lambda item: True
+) -> Iterator[Item]:
     """Yield a device's items one after another.
 
     Args:
         ask: waits at most `POLL_MS` for an item; returns None if none arrived.
         device: the device's name, for the message.
+        has_depth: whether an item shows that depth still comes; other streams may go on alone.
 
     Raises:
-        CaptureError: nothing arrived for `SILENT_S`.
+        CaptureError: no depth arrived for `SILENT_S`.
     """
     last = time.monotonic()
     while True:
         item = ask()
         if item is not None:
             yield item
+        if item is not None and has_depth(item):
             last = time.monotonic()
         elif time.monotonic() - last > SILENT_S:
-            raise CaptureError(f"{device}: no frame came for {SILENT_S:g} s; look at its cable and its power")
+            raise CaptureError(f"{device}: no depth came for {SILENT_S:g} s; look at its cable and its power")

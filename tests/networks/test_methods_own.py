@@ -8,12 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from raising import raises
 from small_benchmark import Run
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.networks.config import NetworkSettings
+from kinectbench.networks.config_file import read_config
 from kinectbench.networks.registry import make_network
+from kinectbench.networks.train import train
+from kinectbench.networks.trained import open_trained
 from kinectbench.release.release import Release
 
 Command = Callable[..., Run]
@@ -93,6 +97,40 @@ def test_what_it_imports_from_its_own_folder_is_its_code(nets: Path, learning: R
     assert found() == before
     (nets / "my_layers.py").write_text("SIGN = -1")
     assert found() != before
+
+
+BUFFERS = {
+    "bools": ("torch.ones(4, 4).tril().bool()", False),
+    "infinite": ("torch.full((4, 4), -float('inf')).triu(1)", False),
+    "short": ("torch.arange(4, dtype=torch.int32)", False),
+    "bfloats": ("torch.ones(4, dtype=torch.bfloat16)", False),
+    "sparse": ("torch.eye(4).to_sparse()", False),
+    "empty": ("torch.zeros(0)", True),
+    "steps": ("torch.tensor(3)", True),
+    "strided": ("torch.rand(4, 6).T", True),
+}
+
+
+@pytest.mark.parametrize("name", BUFFERS)
+def test_a_network_is_refused_before_its_training_or_can_be_read_after_it(
+    name: str, nets: Path, learning: Release
+) -> None:
+    """An attention mask is such a buffer: it would be refused when hours of training are read."""
+    value, fits = BUFFERS[name]
+    line = f"        self.register_buffer('mask', {value})\n"
+    code = "import torch\n" + CODE.replace("\n    def forward", f"{line}\n    def forward")
+    (nets / f"nets_{name}.py").write_text(code)
+    (nets / "mine.yaml").write_text(CONFIG.replace("my_nets", f"nets_{name}"))
+    config = read_config(nets / "mine.yaml")
+    if not fits:
+        with raises(SettingsError, "settings.wrong-value", match=r"'mask' holds .*persistent=False"):
+            train(config, [learning], nets / "run", device="cpu")
+        assert not (nets / "run" / "weights.npz").exists()
+        return
+    assert train(config, [learning], nets / "run", device="cpu", minutes=0).step == 1
+    assert train(config, [learning], nets / "run", device="cpu").step == 3
+    made = make_network(config.network)
+    assert torch.equal(open_trained(nets / "run").network.mask, made.mask)
 
 
 @pytest.mark.parametrize(

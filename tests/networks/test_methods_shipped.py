@@ -1,18 +1,21 @@
 """The network that comes with its weights: what it was shipped for, and shapes that nobody trained on."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from raising import raises
 
 from kinectbench.core.artefacts.method import TrainingFile
+from kinectbench.core.errors import SettingsError
 from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import Pair, unpack
 from kinectbench.lab.synthesize.mesh_check import load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.lab.synthesize.pair import make_synthetic_pair
 from kinectbench.lab.synthesize.views import DepthCamera, all_views, virtual_camera
-from kinectbench.networks.config_file import find_config
+from kinectbench.networks.config_file import find_config, write_config
 from kinectbench.networks.trained import folder_of, open_trained, packaged_methods
 from kinectbench.networks.validate import completed
 from kinectbench.networks.weights import FILE
@@ -50,6 +53,22 @@ def test_one_command_trains_it_again() -> None:
     """Its configuration is that of the package, so the hash says."""
     assert TrainingFile.read(folder_of(NAME)).config_sha256 == find_config(NAME).sha256
     assert open_trained(folder_of(NAME)).config == find_config(NAME)
+
+
+def test_a_name_of_the_package_and_of_something_here_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`train recae-small --out recae-small`, then `predict recae-small`: which weights are meant?"""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / NAME).mkdir()
+    assert folder_of(NAME).is_absolute()  # an empty folder is no method
+    write_config(find_config(NAME), tmp_path / NAME / "config.yaml")
+    write_config(find_config(NAME), tmp_path / "varley")
+    for find, name in ((folder_of, NAME), (find_config, "varley")):
+        with raises(SettingsError, "settings.wrong-value", match=rf"write \./{name}"):
+            find(name)
+    assert folder_of(f"./{NAME}") == Path(NAME)
+    assert find_config("./varley") == find_config(NAME)
 
 
 def test_it_beats_what_it_has_to_in_both_framings() -> None:

@@ -119,7 +119,7 @@ def test_a_training_that_is_done_is_not_done_again(whole: Path, learning: Releas
 def test_the_best_weights_are_kept(
     learning: Release, tiny: Tiny, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those of the second of three looks, whatever comes afterwards, also where it was stopped between."""
+    """Those of the second of three looks, whatever comes afterwards, also where it was stopped or killed."""
     ious = {2: 0.2, 4: 0.6, 5: 0.4}
     arrays: dict[int, dict[str, np.ndarray]] = {}
     looks: list[int] = []
@@ -133,6 +133,9 @@ def test_the_best_weights_are_kept(
     config = tiny(("validation_pairs: 1", "validation_pairs: 1, keep: best"))
     run(config, learning, tmp_path / "run")
     looks.clear()
+    with pytest.raises(Killed):
+        run(config, learning, tmp_path / "killed", (4, Killed))
+    looks.clear()
     with pytest.raises(KeyboardInterrupt):
         run(config, learning, tmp_path / "parts", (4, KeyboardInterrupt))
     run(config, learning, tmp_path / "parts")
@@ -140,7 +143,7 @@ def test_the_best_weights_are_kept(
     write_weights(arrays[5], tmp_path / "last.npz")
     wanted = (tmp_path / "wanted.npz").read_bytes()
     assert wanted != (tmp_path / "last.npz").read_bytes()
-    for name in ("run", "parts"):
+    for name in ("run", "parts", "killed"):
         assert TrainingFile.read(tmp_path / name).weights_step == 4
         assert (tmp_path / name / "weights.npz").read_bytes() == wanted
 

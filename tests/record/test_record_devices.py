@@ -3,9 +3,11 @@
 import importlib.util
 import json
 import sys
+import time
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import camera_libraries
 import numpy as np
@@ -66,6 +68,27 @@ def test_a_kinect_counts_on_where_its_clock_begins_again(
     assert recording.stamps_ns.tolist() == [k * 10**9 // 30 for k in range(COUNT)]
     assert recording.recorded_stamps_ns[1].tolist() == [k * 10**9 // 30 + 10**7 for k in range(COUNT)]
     check_pixels(recording, 480, 640)
+
+
+@pytest.mark.parametrize("name", ["azure", "realsense"])
+def test_a_device_whose_depth_stops_is_gone_while_its_colour_goes_on(
+    monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """As at a dip of USB's power; else it would wait for ever, and keep every image."""
+    monkeypatch.setattr(interface, "SILENT_S", 0.2)
+    stream = SimpleNamespace(depth=1, color=2, accel=3)
+    camera_libraries.install(monkeypatch, "pyrealsense2", stream=stream)
+    profile = SimpleNamespace(stream_type=lambda: stream.color)
+    device, asked = device_of(name), iter(range(400))
+
+    def color_alone() -> SimpleNamespace:
+        assert next(asked, None) is not None, "waits for ever"
+        time.sleep(0.002)
+        return SimpleNamespace(depth=None, color=b"", get_profile=lambda: profile)
+
+    monkeypatch.setattr(device, "_next", color_alone)
+    with pytest.raises(CaptureError, match=rf"^{name}: no depth came for 0\.2 s"):
+        next(device.frames())
 
 
 def test_openni_gives_the_focal_length_by_its_angles(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """A recording in place of a camera: what is recorded of it, when, and what a build makes of that."""
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from small_runs import make_small, start
 from written_frames import START_NS, STEP_NS, color_rgb, frame, read, write
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.lab.simulate.writers import RecordedFrame
 from kinectbench.record.devices.replay import KEPT, Replay
 from kinectbench.record.recorder import record
 from kinectbench.stages.ingest.readers import open_recording
@@ -46,6 +48,26 @@ def test_frames_come_at_their_own_pace_or_faster(tmp_path: Path) -> None:
         replay.close()
         took_s = 9 * STEP_NS / 1e9 / speed
         assert took_s - 0.001 < times_s[-1] - times_s[0] < took_s + 0.3
+
+
+@pytest.mark.parametrize("jump_s", [1.7e9, -50.0])
+def test_a_jump_of_the_clock_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jump_s: float
+) -> None:
+    """As where a camera's own clock becomes the machine's: 54 years."""
+
+    def stamped(k: int) -> RecordedFrame:
+        raw, shift_ns = frame(k), round(1e9 * (jump_s if k >= 6 else 0))
+        return replace(raw, stamp_ns=raw.stamp_ns - START_NS + 10**11 + shift_ns)
+
+    source = write(tmp_path / "source", "tum", map(stamped, range(12)))
+    waited_s: list[float] = []
+    monkeypatch.setattr(time, "sleep", waited_s.append)
+    replay = Replay(source)
+    replay.open()
+    assert len([*replay.frames()]) == 12
+    replay.close()
+    assert 0.3 < max(waited_s) < 1.0 + 12 * STEP_NS / 1e9
 
 
 def test_frames_that_are_taken_late_are_lost_and_counted(tmp_path: Path) -> None:

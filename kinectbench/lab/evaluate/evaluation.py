@@ -18,7 +18,7 @@ from kinectbench.lab.evaluate.build import Build, BuildRegistration, register_bu
 from kinectbench.lab.evaluate.measured import measured_surface
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures, mask_figures, pair_figures
 from kinectbench.lab.evaluate.refined import RefinedFigures, refined_figures
-from kinectbench.lab.evaluate.solid import SolidFigures, solid_figures
+from kinectbench.lab.evaluate.solid import SolidFigures, check_fills_cells, solid_figures
 from kinectbench.lab.evaluate.surface import (
     SurfaceFigures,
     errors_at_object,
@@ -167,8 +167,8 @@ class Evaluation:
         subject: the truth's name of the object.
         alignment: how the worlds were aligned.
         trajectory: figures of stage `track`.
-        scene: figures of stage `fuse`: the scene around the object, above the floor; None if it is empty
-            there.
+        scene: figures of stage `fuse`: the scene around the object, above the floor; None if it or the object
+            is empty there.
         floor: the floor of stage `segment`.
         surface: figures of the object's closed mesh.
         measured: figures of that mesh's measured faces, around the object and above the floor; None if there
@@ -208,7 +208,7 @@ def evaluate(
         progress: called with (pairs done, pairs in all).
 
     Raises:
-        RecordingError: the truth is of another recording, or damaged.
+        RecordingError: the truth is of another recording, damaged, or thinner than a cell.
         StorageError: an artefact of the build is damaged.
         PairError: a pair is damaged.
     """
@@ -216,6 +216,7 @@ def evaluate(
     model = build.model
     surface = measured = solid = refined = floor = None
     if model is not None:
+        check_fills_cells(truth)
         mesh = model.shape.mesh.transformed(registration.T_truth_built)
         surface = surface_figures(surface_errors(mesh, truth))
         shape = model.shape

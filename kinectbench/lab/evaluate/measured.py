@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, transform_points
-from kinectbench.core.geometry.mesh import raycaster
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.lab.evaluate.build import Build, BuildRegistration
@@ -69,7 +68,7 @@ def measured_surface(build: Build, truth: Truth, registration: BuildRegistration
     area_m2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
     count = min(int(np.ceil(area_m2 / SPACING_M**2)), MAX_SAMPLES)
     points, normals = sample_surface(mesh.vertices, mesh.faces, count, np.random.default_rng(SEED))
-    obstacle = _Obstacle(mesh)
+    obstacle = ReferenceSurface(mesh)
     measured = np.zeros(count, dtype=np.bool_)
     for frame in _spread(np.flatnonzero(registration.shown)):
         T_world_camera = truth.T_world_camera[registration.true_frame[frame]]
@@ -111,21 +110,6 @@ def returned(
     result = np.zeros(len(points_world), dtype=np.bool_)
     result[faced[agrees]] = True
     return result
-
-
-class _Obstacle:
-    """The object as an occluder of its own surface."""
-
-    def __init__(self, mesh: TriangleMesh) -> None:
-        # The library computes in float32, which is most precise near the origin.
-        self._center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
-        self._scene, self._tensor = raycaster(TriangleMesh(mesh.vertices - self._center, mesh.faces))
-
-    def hides(self, points_world: Float64, camera_world: Float64) -> Bools:
-        """Return which points (n, 3), just off the surface, the object hides from a position: (n,) bool."""
-        starts = points_world - self._center
-        rays = np.concatenate([starts, camera_world - self._center - starts], axis=1).astype(np.float32)
-        return np.asarray(self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy())
 
 
 @dataclass(frozen=True)

@@ -198,4 +198,5 @@ def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: boo
 
 
 def _replaceable(out: Path) -> bool:
-    return out.is_dir() and ((out / FIGURES).is_file() or not any(out.iterdir()))
+    ours = {FIGURES, PAGE, *(f"{name}.png" for name in CAPTIONS)}
+    return out.is_dir() and all(path.name in ours for path in out.iterdir())

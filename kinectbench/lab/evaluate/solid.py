@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Grid, rigid
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.known_cells import known_in
@@ -27,7 +28,7 @@ from kinectbench.lab.evaluate.known import (
     voxels_beside,
 )
 from kinectbench.lab.evaluate.measured import FaceBias, MeasuredSurface, face_bias
-from kinectbench.lab.simulate.truth import Truth
+from kinectbench.lab.simulate.truth import Truth, mesh_occupancy
 from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import ObjectModel
 
@@ -159,6 +160,22 @@ def canonical_cube(truth: Truth) -> Grid:
     Its side is the box's longest extent x 256/252, as in framing `object`.
     """
     return object_cube(truth.mesh_world.vertices, truth.T_world_object)
+
+
+def check_fills_cells(truth: Truth) -> None:
+    """Refuse a truth of which the canonical cube has no cell: figures of cells would be 0 or 1 of nothing.
+
+    Raises:
+        RecordingError: the object is that thin.
+    """
+    grid = canonical_cube(truth)
+    if not mesh_occupancy(truth.mesh_world, grid).any():
+        cell_mm = grid.voxel_size_m * 1000
+        raise RecordingError(
+            f"{truth.folder}: the object is thinner than a cell ({cell_mm:.1f} mm) of the cube around it: "
+            "no cell's centre lies inside; simulate a thicker one",
+            what="bad-mesh",
+        )
 
 
 def compare_on(

@@ -97,7 +97,7 @@ class SurfaceFigures:
 
 
 class ReferenceSurface:
-    """A mesh to which distances are measured, point to triangle (Open3D RaycastingScene).
+    """A mesh to which distances are measured, point to triangle, and that hides (Open3D RaycastingScene).
 
     Distances are accurate to a micrometre; near long sliver triangles, to 0.3 mm.
     """
@@ -115,6 +115,12 @@ class ReferenceSurface:
         """Return signed distances (n,) of points (n, 3) from a closed mesh, negative inside."""
         distances = self._scene.compute_signed_distance(self._local(points), nsamples=SIGN_RAYS)
         return np.asarray(distances.numpy(), dtype=np.float64)
+
+    def hides(self, points: Float64, place: Float64) -> Bools:
+        """Return which points (n, 3), just off the surface, the mesh hides from a place (3,): (n,) bool."""
+        starts = points - self._center
+        rays = np.concatenate([starts, place - self._center - starts], axis=1).astype(np.float32)
+        return np.asarray(self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy())
 
     def _local(self, points: Float64) -> object:
         return self._tensor(np.ascontiguousarray(points - self._center, dtype=np.float32))
@@ -152,7 +158,7 @@ def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
     """Measure the distances between a surface and the true object, around the object and above the floor.
 
     Only surface in the true object's box, enlarged by 30 mm, and more than 15 mm above the floor counts. The
-    result is None if the mesh has no surface there.
+    result is None if the mesh or the object has no surface there.
 
     Args:
         mesh: a fused scene or a part of the built object, in the truth's world, metres.
@@ -172,7 +178,7 @@ def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
     if not faces.any():
         return None
     errors = surface_errors(mesh.keep_faces(faces), truth, SAMPLES, judged)
-    return errors if len(errors.built_m) else None
+    return errors if len(errors.built_m) and len(errors.true_m) else None
 
 
 def surface_figures(errors: SurfaceErrors, thresholds_m: Sequence[float] = THRESHOLDS_M) -> SurfaceFigures:

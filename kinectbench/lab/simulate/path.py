@@ -97,7 +97,7 @@ class CameraPath:
         chosen = self.settings
         turn, rise = self._stations(time_s)
         lowest = np.arcsin(np.clip((chosen.lowest_m - self.target_room[2]) / self.distance_m, -1, 1))
-        rise = np.maximum(rise, lowest)
+        rise = np.clip(rise, lowest, STEEPEST_RAD)
         outward = np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], axis=-1)
         reach = self.distance_m * (1 + chosen.reach_share * self.reach.at(time_s))
         shake = self.shake.at(time_s)

@@ -4,7 +4,6 @@ Figures of different package versions are compared on the presets. So a preset n
 gets the next version. `tests/lab/simulate/test_simulate_presets.py` has the hash of each.
 """
 
-import difflib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,6 +16,7 @@ from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec, WorldFrame
 from kinectbench.scoring.workers import run_tasks
 from kinectbench.settings.overrides import merged, settings_from_options
+from kinectbench.settings.words import suggestion
 
 # 300 frames at 15 Hz: twenty seconds around the object and a little farther, at an easy pace.
 _ORBIT: dict[str, object] = {"path": {"frames": 300, "rate_hz": 15.0}}
@@ -148,9 +148,7 @@ def preset_spec(name: str, changes: Mapping[str, object], overrides: Sequence[st
             value.
     """
     if name not in PRESETS:
-        near = difflib.get_close_matches(name, PRESETS, n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(PRESETS)}"
-        raise SettingsError(f"preset '{name}': unknown; {hint}")
+        raise SettingsError(f"preset '{name}': unknown; {suggestion(name, [*PRESETS])}")
     return settings_from_options(SimulationSpec, merged(PRESETS[name][1], changes), overrides, "simulation")
 
 

@@ -32,6 +32,7 @@ from kinectbench.lab.simulate.truth import (
     DEPTH_SCALE,
     SurfaceTruth,
     Truth,
+    added_files,
     is_truth,
     truth_folder,
     write_truth,
@@ -254,10 +255,8 @@ def _device(spec: SimulationSpec) -> KinectUnit | TimeOfFlightDevice | None:
     """Return the sensor with its lighting."""
     if spec.sensor.model == "ideal":
         return None
-    sunlight = spec.sensor.sunlight
-    if sunlight is None:
-        sunlight = SUNLIGHT[spec.scene.place]
     sensor, rng = spec.sensor, spec.rng(DEVICE)
+    sunlight = SUNLIGHT[spec.scene.place] if sensor.sunlight is None else sensor.sunlight
     if sensor.model != "kinect_v1":
         return draw_time_of_flight(sensor.model, spec.camera, sensor.distortion, sunlight, rng)
     return draw_device(spec.camera, sensor.distortion, sunlight, rng)
@@ -305,8 +304,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
         StorageError: the recording cannot be written.
     """
     _check_place(spec, out)
-    simulation = prepare(spec)
-    folder = truth_folder(out)
+    simulation, folder = prepare(spec), truth_folder(out)
     sweep(out)
     sweep(folder)
     file_format = formats()[spec.format]
@@ -322,7 +320,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
         if spec.mesh is not None:
             # By name and hash, without the path on this machine.
             values["mesh"] = {"name": Path(spec.mesh).name, "sha256": sha256_file(Path(spec.mesh))}
-        write_truth(recorder.truth(), values)
+        write_truth(recorder.truth(), values, path)
     return folder
 
 
@@ -333,7 +331,6 @@ class _Recorder:
         spec = simulation.spec
         self._simulation, self._folder, self._progress = simulation, folder, progress
         mesh = simulation.subject.mesh.transformed(simulation.T_room_object)
-        self._mesh_room = mesh
         # The samples do not depend on the spec's seed, so that two recordings of one object share them.
         self._samples = sample_surface(mesh.vertices, mesh.faces, SURFACE_SAMPLES, np.random.default_rng(0))
         self._frames_seen = np.zeros(SURFACE_SAMPLES, dtype=np.uint16)
@@ -395,6 +392,9 @@ def _check_place(spec: SimulationSpec, out: Path) -> None:
         if (path.exists() or path.is_symlink()) and not (empty or is_truth(truth)):
             text = f"{path}: exists and is no simulated recording; choose another name or remove it"
             raise SettingsError(text, what="other-content")
+    for name in added_files(truth, out):
+        text = f"{out / name}: was added to the recording to replace; move it, or choose another name"
+        raise SettingsError(text, what="other-content")
     other = out.with_suffix("") if suffix == ".bag" else out.with_name(f"{out.name}.bag")
     if other.exists():
         raise SettingsError(f"{other}: is there already, and would share {truth}; choose another name")

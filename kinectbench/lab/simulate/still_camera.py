@@ -92,11 +92,12 @@ def still_renderer(
 
 
 def turning_only(settings: PathSettings) -> PathSettings:
-    """Return the path of a turntable: without shake, rise, or change of distance."""
+    """Return the path of a turntable: without shake, rise, fall, or change of distance."""
     if settings.moves != "turntable":
         return settings
     still = {
         "swing_rad": 0.0,
+        "low_pass_share": 0.0,
         "turn_rad": 0.0,
         "shake_m": 0.0,
         "shake_rad": 0.0,

@@ -1,6 +1,7 @@
 """The truth of a simulated recording: written beside it, read back, and sampled on any grid."""
 
 import json
+import re
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from kinectbench._version import __version__
 from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.geometry import Camera, Grid, TriangleMesh
+from kinectbench.core.names import RESULTS
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.storage import pretty_json
@@ -139,10 +141,34 @@ def is_truth(folder: Path) -> bool:
         return False
 
 
-def write_truth(truth: Truth, spec: dict[str, object]) -> None:
+def added_files(folder: Path, recording: Path) -> list[str]:
+    """Return the names in a simulated recording's folder that its simulation did not write, sorted.
+
+    Args:
+        folder: the recording's truth; without one, the result is empty.
+        recording: the recording; a file holds no names.
+    """
+    if not recording.is_dir() or not is_truth(folder):
+        return []
+    record = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    there = {path.name for path in recording.iterdir()}
+    if isinstance(written := record.get("files"), list):
+        return sorted(name for name in there if _numberless(name) not in written)
+    # Truths of earlier versions do not name the files: then what `init`, `record` and builds add.
+    given = record["spec"].get("given", {}) if isinstance(record["spec"], dict) else {}
+    return sorted(there & {"benchmark.yaml", *RESULTS, *({"masks"} if not given.get("masks") else ())})
+
+
+def _numberless(name: str) -> str:
+    """Return a name with # for its numbers: those of frames."""
+    return re.sub(r"\d+", "#", name)
+
+
+def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = None) -> None:
     """Write everything but the images into the existing folder of the truth.
 
-    The files are truth.json (contains the spec's JSON values), frames.npz (`stamps_ns`, `T_world_camera`),
+    The files are truth.json (contains the spec's JSON values and, of a folder `recording`, the names in it,
+    with # for numbers), frames.npz (`stamps_ns`, `T_world_camera`),
     trajectory.txt (the same poses as TUM text, without frames of another scene), floor.json, object.ply
     (world frame) and surface.npz (`points_world`, `normals_world`, `frames_seen`).
     """
@@ -163,6 +189,8 @@ def write_truth(truth: Truth, spec: dict[str, object]) -> None:
         "foreign_frames": np.flatnonzero(~known).tolist(),
         "spec": spec,
     }
+    if recording is not None and recording.is_dir():
+        record["files"] = sorted({_numberless(path.name) for path in recording.iterdir()})
     folder = truth.folder
     (folder / "truth.json").write_text(pretty_json(record), encoding="utf-8")
     frames = {"stamps_ns": truth.stamps_ns, "T_world_camera": truth.T_world_camera}

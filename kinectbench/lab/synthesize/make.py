@@ -21,7 +21,8 @@ from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, all_views,
 from kinectbench.release.exchange.layouts import recgan_path
 
 FILES = "files"
-# Settings on which an artefact does not depend: they concern only the rest of a run.
+# Settings on which an artefact does not depend: they concern only the rest of a run. But the seed also draws
+# the noise: where there is some, `artefact` adds it.
 ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "validation", "test"}
 
 
@@ -60,6 +61,8 @@ class Task:
         source = sha256_file(Path(self.model.path)) if self.model.path else sha256_text(str(self.model.seed))
         settings = self.settings.stored(without=ELSEWHERE)
         own = {"split": self.split, "category": self.model.category, "model": self.model.name}
+        if self.settings.noise != "none":
+            settings["seed"] = self.settings.seed
         return Artefact(self.folder, "synthesize", VERSIONS["synthesize"], settings | own, {"mesh": source})
 
 

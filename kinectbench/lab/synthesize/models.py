@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -26,7 +27,7 @@ class SynthesisSettings(Settings):
     license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
     models: str | None = Field(None, description="folder of CAD meshes; default: parametric furniture")
     categories: Categories = Field((), description="only these; default: all there are")
-    seed: int = Field(0, ge=0, le=10**9, description="draws the models of each split")
+    seed: int = Field(0, ge=0, le=10**9, description="draws each split's models, and noise")
     train: int = Field(220, ge=0, le=100_000, description="training models per category (paper)")
     validation: int = Field(12, ge=0, le=100_000, description="validation models per category (paper)")
     test: int = Field(40, ge=0, le=100_000, description="test models per category (paper)")
@@ -129,7 +130,10 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
     """
     if not folder.is_dir():
         raise SettingsError(f"{folder}: no folder of models there; give one with --models", what="no-file")
-    folders = {SYNSETS.get(path.name, path.name): path for path in sorted(folder.iterdir()) if path.is_dir()}
+    folders: dict[str, list[Path]] = {}  # a category may be there by its synset and by its name
+    for path in sorted(folder.iterdir()):
+        if path.is_dir():
+            folders.setdefault(SYNSETS.get(path.name, path.name), []).append(path)
     missing = [name for name in categories if name not in folders]
     if missing or not folders:
         listing = ", ".join(folders) or "no category's folder"
@@ -143,7 +147,7 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
         if (other_case := spelled.setdefault(category.lower(), category)) != category:
             left_out.append(LeftOut(category, f"but for case the same category as {other_case}"))
             continue
-        for entry in _entries(category, folders[category]):
+        for entry in chain.from_iterable(_entries(category, path) for path in folders[category]):
             if isinstance(entry, LeftOut):
                 left_out.append(entry)
             elif (other := models.setdefault(entry.name.lower(), entry)) is not entry:

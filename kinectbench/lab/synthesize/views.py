@@ -117,7 +117,10 @@ class DepthCamera:
         """Build the acceleration structure of the mesh (Open3D's, which is Embree)."""
         self.camera = camera
         self.corners_world = hull_corners(mesh.vertices)
-        self._caster, self._tensor = raycaster(mesh, threads=1)
+        # The library computes in float32, which is most precise near the origin.
+        self._center = (self.corners_world.min(axis=0) + self.corners_world.max(axis=0)) / 2
+        centered = TriangleMesh(mesh.vertices - self._center, mesh.faces)
+        self._caster, self._tensor = raycaster(centered, threads=1)
         self._x = (np.arange(camera.width) - camera.cx) / camera.fx
         self._y = (np.arange(camera.height) - camera.cy) / camera.fy
 
@@ -151,7 +154,7 @@ class DepthCamera:
         x_axis, y_axis, z_axis = T_world_camera[:3, :3].T
         x, y = self._x[columns, None], self._y[rows, None, None]
         rays = np.empty((y.shape[0], x.shape[0], 6), np.float32)
-        rays[..., :3] = T_world_camera[:3, 3]
+        rays[..., :3] = T_world_camera[:3, 3] - self._center
         rays[..., 3:] = (x * x_axis + z_axis) + y * y_axis
         # Directions have z = 1 in the camera, so a hit's ray parameter is its depth.
         hits = self._caster.cast_rays(self._tensor(rays), nthreads=1)

@@ -61,7 +61,7 @@ class AzureKinect(Device):
 
     def frames(self) -> Iterator[Frame]:
         """Yield depth as pinhole images: each pixel has the nearest depth that was measured in it."""
-        for capture in polled(self._next, self.name):
+        for capture in polled(self._next, self.name, lambda capture: capture.depth is not None):
             depth, color = capture.depth, capture.color
             if depth is None:
                 continue

@@ -94,8 +94,12 @@ class RealSense(Device):
         held: rs.frame | None = None
         colors: list[rs.frame] = []
         felt: list[Acceleration] = []
-        for each in polled(self._next, self.name):
-            stream = each.get_profile().stream_type() if each else rs.stream.depth
+
+        def stream_of(each: "rs.frame | Literal[False]") -> "rs.stream":
+            return each.get_profile().stream_type() if each else rs.stream.depth
+
+        for each in polled(self._next, self.name, lambda each: stream_of(each) == rs.stream.depth):
+            stream = stream_of(each)
             if stream == rs.stream.color:
                 colors.append(each)
             elif stream == rs.stream.accel:

@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
+
 from kinectbench.core.errors import CaptureError
-from kinectbench.core.trajectory.stamps import NS_PER_S
+from kinectbench.core.trajectory.stamps import JUMP_NS, JUMP_PERIODS, NS_PER_S, typical_period_ns
 from kinectbench.record.interface import Device, Frame, Setup
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError
@@ -49,9 +51,14 @@ class Replay(Device):
         return Setup(said.camera, said.depth_scale, said.color_registered, said.color_calibration)
 
     def frames(self) -> Iterator[Frame]:
-        """Yield each frame at its time; a frame that is requested too late counts as missed."""
-        stamps_ns = self._recording.stamps_ns
-        due_s = ((stamps_ns - stamps_ns[0]) / NS_PER_S / self._speed).tolist()
+        """Yield each frame at its time; a frame that is requested too late counts as missed.
+
+        A jump of the clock, which `stamps` tells from a pause, takes no longer than the longest pause.
+        """
+        stamps_ns = np.asarray(self._recording.stamps_ns)
+        longest_ns = max(JUMP_NS, JUMP_PERIODS * typical_period_ns(stamps_ns))
+        steps_ns = np.clip(np.diff(stamps_ns, prepend=stamps_ns[0]), 0, longest_ns)
+        due_s = (np.cumsum(steps_ns) / NS_PER_S / self._speed).tolist()
         started_s: float | None = None
         for index, raw in enumerate(self._read_ahead()):
             now_s = time.monotonic()

@@ -45,7 +45,7 @@ from kinectbench.lab.evaluate.measured import (
 )
 from kinectbench.lab.evaluate.solid import solid_figures
 from kinectbench.lab.evaluate.surface import errors_at_object, surface_figures
-from kinectbench.lab.simulate.truth import TrueCells, Truth
+from kinectbench.lab.simulate.truth import SurfaceTruth, TrueCells, Truth
 from kinectbench.stages.segment.solid.solid import SolidShape
 
 VOXEL_M = 0.005
@@ -294,6 +294,19 @@ def test_the_scene_at_the_object(truth: Truth) -> None:
     precision = surface_figures(errors).whole.scores[0].precision
     assert precision == pytest.approx(right_m2 / (right_m2 + wrong_m2), abs=0.01)
     assert errors_at_object(TriangleMesh(floor.vertices, floor.faces), truth) is None
+
+
+@pytest.mark.parametrize(("high_m", "judged"), [(0.012, False), (0.02, True)])
+def test_an_object_that_ends_within_the_floors_margin_has_no_figures_there(
+    truth: Truth, high_m: float, judged: bool
+) -> None:
+    """A plate; of no true surface at all, shares and means would be NaN."""
+    plate, built = (box_mesh(OrientedBox((0.0, 0.0, z / 2), (0.3, 0.2, z))) for z in (high_m, high_m + 0.006))
+    points, normals = sample_surface(plate.vertices, plate.faces, 5000, np.random.default_rng(0))
+    surface = SurfaceTruth(points, normals, np.ones(5000, np.uint16))
+    flat = replace(truth, mesh_world=plate, T_world_object=np.eye(4), surface=surface)
+    errors = errors_at_object(built, flat)
+    assert (errors is not None) == judged
 
 
 class _Interval(QualityFile):

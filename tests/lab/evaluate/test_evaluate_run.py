@@ -9,16 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from known_builds import Known, write_build
+from known_builds import T_WORLD_OBJECT, Known, write_build
 from raising import raises
 from read_pictures import read_picture
 from rich.console import Console
 
 from kinectbench.core.errors import KinectBenchError, RecordingError, StorageError
+from kinectbench.core.geometry import OrientedBox
+from kinectbench.core.geometry.mesh import box_mesh
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.lab.evaluate.build import read_build
 from kinectbench.lab.evaluate.evaluation import Evaluation, evaluate, evaluation_json
 from kinectbench.lab.evaluate.run import evaluate_recording, make_page
+from kinectbench.lab.evaluate.solid import check_fills_cells
 from kinectbench.lab.evaluate.table import evaluation_table, sections
 from kinectbench.lab.simulate.truth import Truth, read_truth, write_truth
 
@@ -108,7 +111,7 @@ def test_the_page_opens_alone(written: tuple[Evaluation, Path]) -> None:
 def test_the_same_again(written: tuple[Evaluation, Path], folders: tuple[Path, Path], tmp_path: Path) -> None:
     _, out = written
     shutil.copytree(out, tmp_path / "again")
-    (tmp_path / "again" / "stray.txt").write_text("of an earlier run")
+    (tmp_path / "again" / "slices.png").write_text("of an earlier run")
     evaluate_recording(*folders, tmp_path / "again")
     again = {path.name: path.read_bytes() for path in (tmp_path / "again").iterdir()}
     assert again == {path.name: path.read_bytes() for path in out.iterdir()}
@@ -154,6 +157,27 @@ def test_what_is_not_current_is_not_evaluated(
     assert other.trajectory and (other.model, other.views, other.pair_names) == (None, None, None)
     (tmp_path / "build" / "trajectory" / "manifest.json").unlink()
     assert read_build(tmp_path / "build").trajectory is None
+
+
+@pytest.mark.parametrize("size_m", [(1.5, 0.5, 0.004), (1.5, 0.004, 0.9)])
+def test_an_object_between_two_layers_of_cells_is_refused_at_once(
+    size_m: tuple[float, float, float], folders: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """A pane or a sign; 6 mm are a cell."""
+    truth = tmp_path / "thin.truth"
+    shutil.copytree(folders[1], truth)
+    known = read_truth(truth)
+    x, y, z = size_m
+    thin, thick = (
+        replace(
+            known, mesh_world=box_mesh(OrientedBox((0, 0, size[2] / 2), size)).transformed(T_WORLD_OBJECT)
+        )
+        for size in (size_m, (x, max(y, 0.007), max(z, 0.007)))
+    )
+    check_fills_cells(thick)
+    write_truth(thin, {})
+    with raises(RecordingError, "recording.bad-mesh", match=r"thin\.truth: .* than a cell \(6\.0 mm\)"):
+        evaluate_recording(folders[0], truth, tmp_path / "out")
 
 
 def test_the_page_of_a_trajectory_alone(folders: tuple[Path, Path], tmp_path: Path) -> None:
@@ -215,6 +239,9 @@ def test_bad_input_is_one_line(folders: tuple[Path, Path], tmp_path: Path) -> No
     assert not (tmp_path / "out").exists()
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("years of work")
-    with raises(StorageError, "storage.other-content"):
-        evaluate_recording(build, truth, tmp_path / "mine")
+    for beside in ("", "evaluation.json"):
+        if beside:
+            (tmp_path / "mine" / beside).write_text("{}")
+        with raises(StorageError, "storage.other-content"):
+            evaluate_recording(build, truth, tmp_path / "mine")
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"

@@ -144,6 +144,15 @@ def test_a_low_pass_is_a_second_time_around_near_the_floor(seed: int) -> None:
     assert np.linalg.norm(np.diff(path.poses(times(path))[:, :3, 3], axis=0), axis=1).max() < 0.25
 
 
+@pytest.mark.parametrize(("elevation_rad", "swing_rad"), [(1.3, 0.6), (1.4, 1.0)])
+def test_a_walk_rises_to_the_pole_and_not_over_it(elevation_rad: float, swing_rad: float) -> None:
+    """Beyond it, what is level flips: the camera would turn half around within a frame."""
+    path = path_of(frames=200, elevation_rad=elevation_rad, swing_rad=swing_rad, **STEADY)
+    rotations = Rotation.from_matrix(path.poses(times(path))[:, :3, :3])
+    steps_rad = (rotations[:-1].inv() * rotations[1:]).magnitude()
+    assert steps_rad.max() < 0.2 and seen_from(path)[1].max() > 80
+
+
 def test_a_hemisphere_is_covered_evenly_and_in_no_order() -> None:
     path = preset_path("hemisphere-v1")
     _, rises_deg, turns_rad = seen_from(path)

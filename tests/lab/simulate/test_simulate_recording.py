@@ -1,6 +1,7 @@
 """Whole simulated recordings: their files, their truth, and that the same spec gives the same bytes."""
 
 import json
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,10 @@ import trimesh
 import yaml
 from ingest_writers import whole_frames
 from object_checks import closed
+from raising import raises
 from typed import present
 
-from kinectbench.core.errors import KinectBenchError, RecordingError
+from kinectbench.core.errors import KinectBenchError, RecordingError, SettingsError
 from kinectbench.core.geometry import Grid, invert_rigid, rigid, transform_points
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw as rotation_of
 from kinectbench.lab.simulate import presets
@@ -245,6 +247,31 @@ def test_an_empty_folder_and_an_earlier_simulation_are_filled(tmp_path: Path) ->
     simulate(spec_of(object="table:seed=1"), tmp_path / "r")
     assert read_truth(tmp_path / "r.truth").subject == "table:seed=1"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["r", "r.truth"]
+
+
+@pytest.mark.parametrize(
+    ("added", "earlier"),
+    [(name, earlier) for name in ("benchmark.yaml", "build/object.ply", "masks/0.png") for earlier in (0, 1)]
+    + [("notes.md", 0)],
+)
+def test_what_was_added_to_a_recording_is_not_replaced_with_it(
+    added: str, earlier: int, ideal: tuple[SimulationSpec, Path], tmp_path: Path
+) -> None:
+    """A truth of an earlier version does not name the files: then only what the commands add is known."""
+    out, truth = tmp_path / "r", tmp_path / "r.truth"
+    shutil.copytree(ideal[1], out)
+    shutil.copytree(truth_folder(ideal[1]), truth)
+    record = json.loads((truth / "truth.json").read_text())
+    assert record["files"] == ["camera.json", "depth", "depth.txt", "groundtruth.txt", "rgb", "rgb.txt"]
+    if earlier:
+        del record["files"]
+        (truth / "truth.json").write_text(json.dumps(record))
+    (out / added).parent.mkdir(exist_ok=True)
+    (out / added).write_text("by hand")
+    before = files(tmp_path)
+    with raises(SettingsError, "settings.other-content", match=added.partition("/")[0]):
+        simulate(spec_of(), out)
+    assert files(tmp_path) == before
 
 
 def test_wrong_stamps_leave_the_given_trajectory_alone(tmp_path: Path) -> None:

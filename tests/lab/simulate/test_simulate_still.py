@@ -44,6 +44,23 @@ def test_a_colour_camera_beside_depth_sees_the_room_from_beside(moves: str, dela
         assert (seen[nothing] != from_depth.color_rgb[nothing]).any(axis=-1).mean() > 0.3
 
 
+WALKED = (
+    {"low_pass_share": 0.5},
+    {"swing_rad": 0.5, "shake_m": 0.1, "shake_rad": 0.1, "reach_share": 0.1},
+    {"jolt_m": 0.2, "jolt_rad": 0.5, "turn_rad": 0.5, "pause_s": 0.5, "order": "shuffled"},
+)
+
+
+@pytest.mark.parametrize("also", WALKED)
+def test_a_turntable_only_turns(also: dict[str, Any]) -> None:
+    """Seen from the plate, the camera keeps its height and its distance, whatever a walk would do."""
+    spec = spec_of("turntable").model_dump()
+    simulation = prepare(SimulationSpec.model_validate(spec | {"path": spec["path"] | also}))
+    places = simulation.path.poses(np.arange(12) / 4)[:, :3, 3]
+    assert np.ptp(places[:, 2]) < 1e-9 and np.ptp(np.linalg.norm(places[:, :2], axis=1)) < 1e-9
+    assert np.ptp(places[:, 0]) > 0.1
+
+
 def test_no_blur_of_a_room_that_stands_still() -> None:
     with raises(SettingsError, "settings.wrong-value", match="0") as caught:
         preset_spec("orbit-v1", {}, ["path.moves=turntable", "sensor.exposure_s=0.02"])

@@ -66,7 +66,7 @@ WITHOUT_POSES = {"realsense", "realsense_old", "klg", "redwood_zip", "azure_kine
 UNREGISTERED = {"7scenes"}
 # It says where the colour camera is.
 CALIBRATED = {"tum", "folder", "redwood", "ros2_sqlite", "ros2_mcap", "realsense", "realsense_old", "sens"}
-CALIBRATED |= {"scannet", "azure_kinect", "ycb"}
+CALIBRATED |= {"scannet", "azure_kinect", "ycb", *BAGS}
 # Numbers are float32, or text with nine decimals.
 POSE_TOLERANCE = {"sens": 2e-7, "tum": 3e-9, "stray": 3e-9}
 # One camera takes both: colour of another is left out.
@@ -246,11 +246,13 @@ def test_seven_scenes_marks_no_measurement_as_the_data_set_does(tmp_path: Path) 
 @pytest.mark.parametrize("name", BAGS)
 def test_the_messages_of_a_bag(tmp_path: Path, name: str, registered: bool, delay_ns: int) -> None:
     from rosbags.rosbag1 import Reader
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     made = [frame(i, registered, delay_ns=delay_ns) for i in range(3)]
     out = write(tmp_path / "r.bag", name, made, registered)
     store = get_typestore(Stores.ROS1_NOETIC)
+    of_tf = get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
+    store.register(of_tf)
     messages: dict[str, list[tuple[int, Any]]] = {}
     with Reader(out) as bag:
         for connection, stamp_ns, data in bag.messages():
@@ -260,6 +262,10 @@ def test_the_messages_of_a_bag(tmp_path: Path, name: str, registered: bool, dela
     image = f"{folder}/image_raw" + ("/compressedDepth" if name == "bag_compressed" else "")
     color = "/camera/rgb/image_color/compressed"
     depth_topics = [f"{folder}/camera_info", image, "/camera/pose"]
+    static = messages.pop("/tf_static", [])
+    assert [(stamp_ns, len(message.transforms)) for stamp_ns, message in static] == (
+        [] if registered else [(made[0].stamp_ns, 1)]
+    )
     assert set(messages) == {*depth_topics, "/camera/rgb/camera_info", color}
     for topic, found in messages.items():
         own = [f.stamp_ns if topic in depth_topics else f.color_stamp_ns for f in made]

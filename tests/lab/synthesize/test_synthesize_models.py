@@ -37,6 +37,17 @@ def test_shapenet_layouts(tmp_path: Path) -> None:
     assert [model.category for model in folder_models(tmp_path, ["table"])[0]] == ["table"] * 3
 
 
+def test_a_category_by_its_synset_and_by_its_name_is_one(tmp_path: Path) -> None:
+    write_shapenet(tmp_path, 2, 1)
+    (tmp_path / "chair").mkdir()
+    for name in ("mine", "c1"):
+        asymmetric().export(tmp_path / "chair" / f"{name}.obj")
+    for chosen in ((), ("chair",)):
+        models, left_out = folder_models(tmp_path, chosen)
+        assert [m.label for m in models if m.category == "chair"] == ["chair/c0", "chair/c1", "chair/mine"]
+        assert left_out == (LeftOut("chair/c1", "the same name as a model of chair"),)
+
+
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "off", "glb"])
 def test_flat_folders(suffix: str, tmp_path: Path) -> None:
     (tmp_path / "stool").mkdir()
@@ -120,6 +131,7 @@ def test_other_meshes_are_filled_by_the_authors_rule() -> None:
         (TriangleMesh(BOX.vertices * [1, 0, 0], BOX.faces), "no triangle has an area"),
         (TriangleMesh(BOX.vertices, BOX.faces[:, ::-1]), "it is inside out"),
         (TriangleMesh(BOX.vertices, BOX.faces + 1), "names a vertex that is not there"),
+        (TriangleMesh(BOX.vertices + 2e4, BOX.faces), r"steps of 0\.0024 of its unit; move it to its origin"),
         (mesh_of(trimesh.creation.icosphere(2)), "320 faces, more than 100"),
     ],
 )
@@ -156,6 +168,17 @@ def test_missing_materials_are_noted(tmp_path: Path) -> None:
         "material gone.mtl is missing; the shape is whole",
         "texture wood.png is missing; the shape is whole",
     )
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "a\0b", "y/" * 3000, "."], ids=lambda name: ascii(name[:3]))
+def test_materials_that_no_disk_can_hold_are_missing(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "model.obj"
+    asymmetric().export(path, include_texture=False, header=None)
+    path.write_text(f"mtllib {name}\nmtllib here.mtl\n{path.read_text()}")
+    (tmp_path / "here.mtl").write_text(f"newmtl a\nmap_Kd {name}\n")
+    notes = load_model(Model("chair", "model", str(path)), 100).notes
+    assert [note.split()[0] for note in notes] == ["material", "texture"]
+    assert all(note.isprintable() and len(note) < 400 for note in notes)
 
 
 @pytest.mark.parametrize(

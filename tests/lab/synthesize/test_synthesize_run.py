@@ -181,6 +181,28 @@ def test_the_result_depends_on_neither_jobs_nor_interruptions(
     assert hashes(tmp_path / "again") == hashes(out)
 
 
+def test_a_finished_model_is_used_again_by_another_seed_only_without_noise(
+    tmp_path: Path,
+) -> None:
+    def made_with(seed: int, noise: str, work: Path) -> dict[str, str]:
+        chosen = SynthesisSettings.model_validate(
+            {"seed": seed, "noise": noise, "sv_steps": 1, "image_px": 96, "min_containment": 0}
+        )
+        task = make.Task(Model("chair", "chair-00003", seed=3), "train", chosen, work)
+        make.make_model(task)
+        return hashes(task.folder / make.FILES)
+
+    for noise in ("none", "kinect"):
+        first = made_with(0, noise, tmp_path / noise)
+        assert len(first) > 3  # a pair, its views, its object
+        (task_folder,) = (tmp_path / noise).iterdir()
+        stamp_ns = (task_folder / "made.json").stat().st_mtime_ns
+        other = made_with(1, noise, tmp_path / noise)
+        assert other == made_with(1, noise, tmp_path / f"{noise}-alone")
+        assert (other == first) == (noise == "none")
+        assert ((task_folder / "made.json").stat().st_mtime_ns == stamp_ns) == (noise == "none")
+
+
 def test_layout_recgan(models: Path, tmp_path: Path) -> None:
     report = synthesize(settings(models, layout="recgan", categories=["chair"]), tmp_path / "out")
     names = {path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.npz")}

@@ -69,12 +69,12 @@ def _wooden(draw: Draw, size: _Size) -> Parts:
     if draw.chance(0.5):
         z = draw.between(0.12, 0.24)
         yield from bases.stretchers(draw, (x, y), z, wood, rake * (1 - z / size.seat))
-    yield from _seat_pad(draw, size, wood)
+    yield from _seat_pad(draw, size)
     if draw.chance(0.35):
         yield from _post_arms(draw, size, back)
 
 
-def _seat_pad(draw: Draw, size: _Size, wood: Look) -> Parts:
+def _seat_pad(draw: Draw, size: _Size) -> Parts:
     """Draw a cushion on the seat, or none."""
     if draw.chance(0.55):
         return []

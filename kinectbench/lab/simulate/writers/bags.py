@@ -30,6 +30,7 @@ DEPTH_FRAME_ID = "camera_depth_optical_frame"
 INFO = "sensor_msgs/msg/CameraInfo"
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 POSE, TF = "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage"
+_TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms"
 # image_transport's ConfigHeader: an int32 format, and two float32 that only 32FC1 uses.
 COMPRESSED_DEPTH_HEADER = struct.pack("<iff", 0, 0.0, 0.0)
 
@@ -167,6 +168,8 @@ def log_messages(
 def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, depth_code: DepthCode) -> None:
     """Write a ROS 1 bag; messages are logged at the stamps of their headers.
 
+    If colour is not registered, /tf_static has the pose of its camera.
+
     Args:
         path: the bag's path, which does not exist yet.
         rig: the cameras.
@@ -174,9 +177,10 @@ def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, dept
         depth_code: coding of depth; raw 16UC1 is written in bz2 chunks, other codes in uncompressed chunks.
     """
     from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg(_TF_DEFINITION, TF))  # the library's own lack it
     writer = Writer(path)
     if depth_code == "raw":  # PNG and JPEG would not shrink
         writer.set_compression(Writer.CompressionFormat.BZ2)
@@ -184,8 +188,9 @@ def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, dept
 
     def messages() -> Messages:
         for index, frame in enumerate(frames):
-            for topic, kind, message in maker.messages(frame, index):
-                stamp = message.header.stamp
+            static = maker.static_transforms(frame.stamp_ns) if index == 0 else []
+            for topic, kind, message in maker.messages(frame, index) + static:
+                stamp = (message.transforms[0] if kind == TF else message).header.stamp
                 yield topic, kind, stamp.sec * 10**9 + stamp.nanosec, message
 
     with writer:
