@@ -95,7 +95,7 @@ class RecordingStatus(StoredPart):
 def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
     """The status of each recording under the present settings, without building or reading recordings.
 
-    A changed file of a recording is therefore noticed by its size alone; `build` notices any change.
+    Names and sizes of some files of a recording are compared; `build` notices any change.
     """
     return in_parallel(partial(_status, job) for job in jobs)
 

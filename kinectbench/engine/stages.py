@@ -333,7 +333,7 @@ def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
     """The folders of current stages in `build/<recording>/`, by stage.
 
     A current folder is complete, and was made by the stage's present version from the present artefacts of
-    its input stages. A change of the recording's files is seen only if a name or a size changes.
+    its input stages. A change of the recording is seen only by names and sizes of some of its files.
 
     Args:
         build: `build/<recording>/`.
