@@ -374,7 +374,7 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
 
 
 def _tell_used(release: "Release") -> None:
-    """Print which release is used, if settings or builds differ from it."""
+    """Print that the release is used as published, although settings or builds differ from it."""
     from kinectbench.cli import console
 
     numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}

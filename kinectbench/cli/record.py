@@ -100,7 +100,10 @@ def _begun(out: Path) -> "Iterator[BuildProcess | None]":
 
 @contextmanager
 def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess | None]":
-    """Start the guide while recording; yields None if it is not wanted or (with a warning) cannot start."""
+    """Run the guide, a page that says what to record next, during the block; yield it.
+
+    Yields None if it is not wanted, or (with a warning) if it cannot start.
+    """
     from kinectbench.cli import console
 
     if not (console.err.is_terminal if wanted is None else wanted):

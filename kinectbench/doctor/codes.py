@@ -141,7 +141,11 @@ def _z_buffer(near_m: float, far_m: float) -> Callable[[UInt16, Camera], NDArray
 
 
 def _fit(probe: Probe, code: Code) -> PoseFit | None:
-    """Fit the given poses to depth in this encoding; None unless the fit is proven and depth plausible."""
+    """Test how well the given poses fit the depth, decoded by this encoding.
+
+    None if the decoded depth is implausible for a room, the frames differ in size, or the fit does not
+    confirm the encoding (`PoseFit.proven`).
+    """
     scale, camera = probe.recording.depth_scale, probe.small_camera
     shape = (camera.height, camera.width)
     frames = []

@@ -83,10 +83,11 @@ def build(
     limit_s: float | None = None,
     executor: Executor | None = None,
 ) -> list[Outcome]:
-    """Bring recordings up to date independently: a failure does not stop the others.
+    """Bring recordings up to date, several at a time; a recording that fails does not stop the others.
 
-    A recording fails if its process is killed, even when it is tried again alone, or hangs; its `failed.json`
-    says so.
+    A recording whose process is killed is tried again. It fails if the process is also killed when no other
+    runs beside it, or if it hangs, which is noticed in worker processes with `limit_s`; `failed.json` tells
+    why.
 
     Args:
         jobs: the recordings.

@@ -207,7 +207,11 @@ def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> b
 
 
 def notes(trained: Trained, release: Release) -> list[str]:
-    """Return caveats of the scores, a line each: test objects seen in training, other framing or category."""
+    """Return caveats of the scores, a line each.
+
+    They are test objects that are also in the training set, and test categories or a framing that the network
+    was not trained on.
+    """
     training = trained.training
     lines = []
     learnt = sorted({target.object for target in release.split("test")}.intersection(training.objects))

@@ -65,7 +65,7 @@ class Clock:
         self._last: tuple[int, int] | None = None
 
     def put_right(self, frame: Frame, now_ns: int) -> Frame:
-        """Return the frame with increasing stamps.
+        """Return the frame, its stamps shifted where necessary, so that it is later than the previous one.
 
         Args:
             frame: the frame from the device.

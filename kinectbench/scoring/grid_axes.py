@@ -90,7 +90,14 @@ def _fits(prediction: Prediction, partial: Bools) -> Float64:
 
 
 def _mean(prediction: Prediction, cells: Int64, side: int, axes: Axes) -> float:
-    """Return a grid's mean, with other axes, in cells (k, 3) of a grid of another side; 0 without cells."""
+    """Return the mean of a prediction over some cells, with its axes read as `axes`; 0 without cells.
+
+    Args:
+        prediction: (n, n, n).
+        cells: (k, 3) indices into a grid of the same cube with `side` cells an edge.
+        side: number of cells along an edge of that grid.
+        axes: permutation and flips of the prediction's axes.
+    """
     order, turned = axes
     there = np.where(turned, side - 1 - cells, cells)[:, list(order)]
     there = (2 * there + 1) * len(prediction) // (2 * side)

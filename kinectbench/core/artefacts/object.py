@@ -247,9 +247,10 @@ class QualityFile(Stored):
 
     @property
     def trusted_iou(self) -> tuple[float | None, float | None, str]:
-        """The estimate of what scores count, its lower end, and where it holds, in words.
+        """Estimated IoU to the unknown truth, the lower end of its interval, and the voxels it refers to.
 
-        It is that on known voxels; in files without it, that of the whole solid.
+        Scores count known voxels: their estimate, and " on known voxels". Files without it give that of the
+        whole solid, and "".
         """
         if self.estimated_known_iou is None:
             return self.estimated_iou, self.estimated_iou_low, ""

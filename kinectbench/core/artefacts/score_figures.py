@@ -58,7 +58,10 @@ class VoxelMetrics:
 
 @dataclass(frozen=True, config=FINITE)
 class SurfaceMetrics:
-    """Metrics of surfaces at the row's threshold; None if not requested."""
+    """Metrics of surfaces; one that was not requested, or is not of the row's protocol, is None.
+
+    Predicted grids are binarised at the row's threshold; predictions in the camera frame have none.
+    """
 
     chamfer_mm: float | None = _loss(
         "Chamfer, mm", "mean of the mean distances from each surface to the other", "mm"

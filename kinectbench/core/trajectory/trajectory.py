@@ -51,7 +51,10 @@ class Trajectory:
 
     @cached_property
     def shutter(self) -> RollingShutter | None:
-        """The rolling shutter that was undone for these poses, with the camera's motion; None if none was."""
+        """The readout time and colour delay that tracking corrected, with the camera's motion; or None.
+
+        The motion is computed from these poses.
+        """
         if self.health is None or not (self.health.readout_s or self.health.color_delay_s):
             return None
         one_world = np.zeros(len(self.stamps_ns), np.int64)

@@ -55,7 +55,10 @@ def _along_last(cells, reach, squared):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
-    """Minimum over one of the first two axes of value plus distance, row by row."""
+    """One pass of the separable squared distance transform, along axis 0 or 1; squared voxels.
+
+    Each voxel gets the minimum of value plus squared offset over the voxels within `reach` along the axis.
+    """
     nx, ny, nz = squared.shape
     least = np.empty_like(squared)
     kind, count = squared.dtype.type, squared.shape[axis]

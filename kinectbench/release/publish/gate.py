@@ -102,7 +102,12 @@ class Gate:
         )
 
     def for_everybody(self, hidden: Collection[str]) -> "Gate":
-        """Return a copy without figures and reasons of recordings with held-back truth."""
+        """Return the decisions for the public release, which do not reveal held-back truth.
+
+        Args:
+            hidden: ids of recordings with held-back truth; `WITHHELD` replaces the limits that they violate,
+                and all other stated reasons.
+        """
         poor = {name: ((WITHHELD,), WITHHELD) if name in hidden else it for name, it in self.poor.items()}
         refused = {name: (WITHHELD,) if name in hidden else it for name, it in self.refused.items()}
         rejected = {name: WITHHELD if name in hidden else it for name, it in self.rejected.items()}

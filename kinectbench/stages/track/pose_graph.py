@@ -87,7 +87,10 @@ def softened(constraint: Constraint) -> Float64:
 
 
 def growth(constraint: Constraint) -> float:
-    """Systematic error of a constraint relative to that of equal views; fitted to simulated orbits."""
+    """Factor of a constraint's systematic error: 1 at full overlap without outliers, more with less overlap.
+
+    It also grows with the ratio of outliers. Fitted to simulated orbits.
+    """
     edge = constraint.registration
     return (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, LEAST_OVERLAP) ** 2
 

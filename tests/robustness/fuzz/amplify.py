@@ -167,7 +167,7 @@ def _record(header: bytes, data: bytes) -> bytes:
 
 def messages_by_chunks(folder: Path, units: int) -> Run:
     """A ROS 1 bag whose messages lie in two chunks in turns, neither of which is kept beside the other."""
-    from kinectbench.stages.ingest.bags import bag_reader
+    from kinectbench.stages.ingest.bags import walk_limits
 
     def text(value: bytes) -> bytes:
         return struct.pack("<I", len(value)) + value
@@ -193,11 +193,11 @@ def messages_by_chunks(folder: Path, units: int) -> Run:
     read = _read(folder / "a.bag")
 
     def run() -> None:
-        usual, bag_reader.CACHED_BYTES = bag_reader.CACHED_BYTES, 1 << 20
+        usual, walk_limits.CACHED_BYTES = walk_limits.CACHED_BYTES, 1 << 20
         try:
             read()
         finally:
-            bag_reader.CACHED_BYTES = usual
+            walk_limits.CACHED_BYTES = usual
 
     return run
 

@@ -16,8 +16,8 @@ from typed import noted
 from kinectbench.core import untrusted
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import copy_bounded
-from kinectbench.stages.ingest.bags import bag_reader, rosbag2, rosbag2_mcap, rosbag2_sqlite
-from kinectbench.stages.ingest.bags.ros_messages import (
+from kinectbench.stages.ingest.bags import rosbag2, rosbag2_mcap, rosbag2_sqlite, walk_limits
+from kinectbench.stages.ingest.bags.message_decoding import (
     BagTopic,
     DamagedRecordError,
     FoundMessages,
@@ -72,11 +72,11 @@ def test_a_bag_has_a_thousand_files_at_most(tmp_path: Path) -> None:
 
 def test_chunks_are_not_unpacked_for_each_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two chunks, each larger than what is kept, whose messages take turns."""
-    monkeypatch.setattr(bag_reader, "CACHED_BYTES", 1000)
+    monkeypatch.setattr(walk_limits, "CACHED_BYTES", 1000)
     unpacked: list[object] = []
     path = tmp_path / "r.bag"
     path.write_bytes(b"")
-    reader = bag_reader.BagReader(path, noted(lambda file, at: bytes(900), unpacked))
+    reader = walk_limits.BagReader(path, noted(lambda file, at: bytes(900), unpacked))
     for chunk in (1, 2):
         reader.keep(chunk, bytes(900))
     reader.start_reading(100)
@@ -95,8 +95,8 @@ def test_chunks_are_not_unpacked_for_each_message(tmp_path: Path, monkeypatch: p
 def test_a_large_chunk_makes_room_before_the_next_is_unpacked(tmp_path: Path) -> None:
     """Messages of two large chunks in turns: never both of them in memory."""
     (tmp_path / "a.bag").write_bytes(b"")
-    size = bag_reader.CACHED_BYTES + (1 << 20)
-    read = bag_reader.BagReader(tmp_path / "a.bag", lambda file, position: bytes(size))
+    size = walk_limits.CACHED_BYTES + (1 << 20)
+    read = walk_limits.BagReader(tmp_path / "a.bag", lambda file, position: bytes(size))
     for chunk in (0, 1):
         read.keep(chunk, bytes(size))
     read.start_reading(4)

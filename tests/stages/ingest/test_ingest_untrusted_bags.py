@@ -26,8 +26,8 @@ from typed import noted
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES
-from kinectbench.stages.ingest.bags import ros_messages, rosbag1, rosbag2_mcap
-from kinectbench.stages.ingest.bags.ros_messages import (
+from kinectbench.stages.ingest.bags import message_decoding, rosbag1, rosbag2_mcap
+from kinectbench.stages.ingest.bags.message_decoding import (
     DamagedRecordError,
     known_types,
     unpacked_chunk,
@@ -111,7 +111,7 @@ def test_of_messages_that_do_not_decode_a_thousand_are_tried(
     rows = f"INSERT INTO messages {endless} SELECT x, 1, x, x'00' FROM c"
     path = database(tmp_path / "r.db3", (TOPICS, A_TOPIC, MESSAGES, rows))
     tried: list[tuple[object, str, int]] = []
-    monkeypatch.setattr(ros_messages.RosBag, "decode", noted(ros_messages.RosBag.decode, tried))
+    monkeypatch.setattr(message_decoding.RosBag, "decode", noted(message_decoding.RosBag.decode, tried))
     with raises(RecordingError, "recording.no-depth"):
         open_recording(path)
     assert max(at for _, _, at in tried) == 999
@@ -340,7 +340,7 @@ def test_a_definition_that_is_a_program_is_not_compiled(tmp_path: Path, name: st
 
 
 def test_messages_of_such_a_type_do_not_decode(tmp_path: Path) -> None:
-    decode = ros_messages._ros1_decoder((("realsense_msgs/stream_info", DEFINITIONS["a long array"]),))
+    decode = message_decoding._ros1_decoder((("realsense_msgs/stream_info", DEFINITIONS["a long array"]),))
     with pytest.raises(KeyError):
         decode(bytes(16), "realsense_msgs/msg/stream_info")
 

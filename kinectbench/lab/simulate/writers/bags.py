@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, quaternion_xyzw_from_rotation
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig, png_bytes
-from kinectbench.stages.ingest.bags.ros_messages import Message
+from kinectbench.stages.ingest.bags.message_decoding import Message
 from kinectbench.stages.ingest.bags.rvl import encode_rvl
 
 if TYPE_CHECKING:

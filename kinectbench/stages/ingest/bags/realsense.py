@@ -18,7 +18,7 @@ from kinectbench.core.trajectory.text_rows import parse_floats
 from kinectbench.core.trajectory.trajectory_file import FARTHEST_M
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import HEAD_BYTES, open_plain, size_of
-from kinectbench.stages.ingest.bags.ros_messages import BagTopic, Message, RosBag
+from kinectbench.stages.ingest.bags.message_decoding import BagTopic, Message, RosBag
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, matrix_of
 from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageTopic
 from kinectbench.stages.ingest.bags.rosbag1 import MAGIC, Rosbag1Recording

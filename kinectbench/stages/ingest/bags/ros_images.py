@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import JPEG_MAGIC, PNG_MAGIC
 from kinectbench.core.untrusted import MOST_PIXELS, MOST_SIDE_PX, is_too_large
-from kinectbench.stages.ingest.bags.ros_messages import Message
+from kinectbench.stages.ingest.bags.message_decoding import Message
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
     decode_depth_png,

@@ -16,7 +16,7 @@ from kinectbench.core.trajectory.trajectory_file import (
     trajectory_from_poses,
 )
 from kinectbench.core.types import Float64, Int64
-from kinectbench.stages.ingest.bags.ros_messages import BagTopic, Message, RosBag
+from kinectbench.stages.ingest.bags.message_decoding import BagTopic, Message, RosBag
 from kinectbench.stages.ingest.bags.ros_topics import ODOMETRY, POSE, TF, ImageTopic
 
 Given = tuple[GivenTrajectory | None, list[str]]

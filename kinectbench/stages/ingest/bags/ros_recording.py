@@ -15,8 +15,8 @@ from kinectbench.core.sequence import UpSample
 from kinectbench.core.trajectory.stamps import first_by_stamp
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.bags.message_decoding import BagTopic, MessagePlace, RosBag
 from kinectbench.stages.ingest.bags.ros_images import FLOAT_DEPTH, INTEGER_SCALE, color_of, depth_of
-from kinectbench.stages.ingest.bags.ros_messages import BagTopic, MessagePlace, RosBag
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, read_ros_poses, read_transforms
 from kinectbench.stages.ingest.bags.ros_topics import (
     CAMERA_INFO,
@@ -319,12 +319,14 @@ def _calibration(
 
 
 def measured_up(bag: RosBag, stamps_ns: Sequence[int], place: PlaceOfImu) -> tuple[UpSample, ...]:
-    """Up at some frames, from the first accelerometer with a known place that measures gravity; else ().
+    """The up direction in the depth camera's axes, at frames where an accelerometer measures gravity alone.
+
+    The first IMU topic with known extrinsics and at least one such frame is used; () if there is none.
 
     Args:
         bag: the bag.
         stamps_ns: stamps of the depth frames, ascending, nanoseconds.
-        place: returns the place of an accelerometer.
+        place: returns `T_depth_imu` (4, 4) of an IMU topic; None if the bag does not have it.
     """
     for topic in bag.topics:
         first = bag.first(topic) if topic.type == IMU else None

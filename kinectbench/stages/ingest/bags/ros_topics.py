@@ -7,13 +7,19 @@ from itertools import takewhile
 from pathlib import Path
 
 from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.bags.message_decoding import (
+    OLD_TF_MESSAGE,
+    TF_MESSAGE,
+    BagTopic,
+    Message,
+    RosBag,
+)
 from kinectbench.stages.ingest.bags.ros_images import (
     FLOAT_DEPTH,
     color_encoding,
     depth_encoding,
     is_compressed,
 )
-from kinectbench.stages.ingest.bags.ros_messages import OLD_TF_MESSAGE, TF_MESSAGE, BagTopic, Message, RosBag
 from kinectbench.stages.ingest.intrinsics import Intrinsics
 
 IMAGE, COMPRESSED_IMAGE = "sensor_msgs/Image", "sensor_msgs/CompressedImage"

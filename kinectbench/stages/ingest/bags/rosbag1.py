@@ -16,8 +16,7 @@ from typing import BinaryIO, ClassVar
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, read_head, size_of
-from kinectbench.stages.ingest.bags.bag_reader import BagReader, WalkBudget
-from kinectbench.stages.ingest.bags.ros_messages import (
+from kinectbench.stages.ingest.bags.message_decoding import (
     DEFINITION_BYTES,
     LONGEST_NAME,
     BagTopic,
@@ -27,6 +26,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
     unpacked_chunk,
 )
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
+from kinectbench.stages.ingest.bags.walk_limits import BagReader, WalkBudget
 
 MAGIC = b"#ROSBAG V2.0\n"
 # Numbers of records in version 2.0 of the format.

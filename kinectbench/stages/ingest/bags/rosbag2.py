@@ -12,15 +12,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import copy_bounded, listed_paths, open_plain, read_head
 from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
-from kinectbench.stages.ingest.bags.bag_reader import WalkBudget
-from kinectbench.stages.ingest.bags.realsense import (
-    STREAM,
-    STRING,
-    TRANSFORM,
-    between_streams,
-    depth_units_scale,
-)
-from kinectbench.stages.ingest.bags.ros_messages import (
+from kinectbench.stages.ingest.bags.message_decoding import (
     ZSTD_MAGIC,
     BagTopic,
     MessagePlace,
@@ -28,9 +20,17 @@ from kinectbench.stages.ingest.bags.ros_messages import (
     by_stamp,
     unpacked_message,
 )
+from kinectbench.stages.ingest.bags.realsense import (
+    STREAM,
+    STRING,
+    TRANSFORM,
+    between_streams,
+    depth_units_scale,
+)
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
 from kinectbench.stages.ingest.bags.ros_topics import WANTED, ImageTopic
+from kinectbench.stages.ingest.bags.walk_limits import WalkBudget
 
 # Enough for one file per minute for sixteen hours.
 MOST_FILES = 1000

@@ -12,8 +12,7 @@ from typing import BinaryIO, NamedTuple
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, size_of
-from kinectbench.stages.ingest.bags.bag_reader import BagReader, WalkBudget
-from kinectbench.stages.ingest.bags.ros_messages import (
+from kinectbench.stages.ingest.bags.message_decoding import (
     DEFINITION_BYTES,
     LONGEST_NAME,
     BagTopic,
@@ -24,6 +23,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
     short_type,
     unpacked_chunk,
 )
+from kinectbench.stages.ingest.bags.walk_limits import BagReader, WalkBudget
 
 MAGIC = b"\x89MCAP0\r\n"
 # Numbers of records in the MCAP specification.

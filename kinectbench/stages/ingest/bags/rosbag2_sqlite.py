@@ -11,8 +11,7 @@ from urllib.parse import quote
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import copy_bounded, open_plain, read_head, size_of
-from kinectbench.stages.ingest.bags.bag_reader import STEPS_AT_ONCE, WalkBudget
-from kinectbench.stages.ingest.bags.ros_messages import (
+from kinectbench.stages.ingest.bags.message_decoding import (
     DEFINITION_BYTES,
     BagTopic,
     DamagedRecordError,
@@ -21,6 +20,7 @@ from kinectbench.stages.ingest.bags.ros_messages import (
     RosBag,
     short_type,
 )
+from kinectbench.stages.ingest.bags.walk_limits import STEPS_AT_ONCE, WalkBudget
 
 MAGIC = b"SQLite format 3\0"
 TABLES = ("topics", "messages")

@@ -137,7 +137,16 @@ class KlgRecording(PackedRecording):
 
 
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
-    """The frames, with counted stamps if theirs are no times; their order, each stamp once; and warnings."""
+    """Replace implausible stamps, sort the frames by stamp, and drop frames that repeat a stamp.
+
+    Args:
+        frames: in file order.
+        path: the file, for warnings.
+
+    Returns:
+        The frames in file order, stamped 0 s, 1 s, 2 s, ... if their own stamps cannot be times (`no_times`);
+        the indices of the frames to keep, by ascending stamp; and warnings.
+    """
     counted, why = [], no_times([frame.stamp_ns for frame in frames])
     if why:
         frames = [f._replace(stamp_ns=ns) for f, ns in zip(frames, counted_ns(len(frames)), strict=True)]

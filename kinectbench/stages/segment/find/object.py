@@ -198,8 +198,10 @@ class Segmentation:
         floor: the floor.
         box: upright box around the object (or the given one), floor frame.
         object_cells: (n, 3) int64, cells of `cell_m` in the floor frame that hold its surface.
-        other_cells: (m, 3) int64, the same for everything else: what stands on the floor; with masks, specks.
-        how: "automatic", "box", or "masks": all that was fused is the object.
+        other_cells: (m, 3) int64, cells of the surface that is not the object: other things above the floor;
+            if `how` is "masks", pieces too small to be the object, and what lies outside a given box.
+        how: how the object was chosen: "automatic" (what the cameras look at), "box" (what a given box holds),
+            or "masks" (all that was fused of masked frames).
         warnings: why the choice may be wrong, one line each.
         cell_m: edge of the cells: 30 mm, less where cameras were near.
     """

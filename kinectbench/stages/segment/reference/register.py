@@ -240,7 +240,7 @@ def _spread() -> Float64:
 
 
 def about(axis: Float64, angle_rad: float) -> Float64:
-    """The rotation (3, 3) about a vector, by so many times its length."""
+    """The rotation matrix (3, 3) of the rotation vector `angle_rad * axis`; of a unit axis, by that angle."""
     return np.asarray(Rotation.from_rotvec(angle_rad * axis).as_matrix())
 
 

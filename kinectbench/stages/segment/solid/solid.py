@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import isosurface
@@ -14,14 +13,13 @@ from kinectbench.core.voxels.morphology import from_beyond
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
 from kinectbench.stages.segment.solid.guess import inside_probability, measured_probability
+from kinectbench.stages.segment.solid.labels import voxel_labels
 
 # A wider Gaussian thins slats, a narrower one leaves the sensor's noise.
 SMOOTHING_VOXELS = 0.7
 # Of a voxel, the least absolute value of the field before it is smoothed, and after: an exact 0 would make
 # triangles without area.
 LEAST_FIELD, LEAST_SMOOTHED = 0.1, 0.02
-# A voxel this near to a measured surface, in voxels, is measured.
-MEASURED_VOXELS = 1.5
 # Probability of a voxel that a rule calls solid, or air, against what was measured there.
 RULED_SOLID, RULED_AIR = 0.75, 0.05
 # A piece with less than this share of the largest one's voxels is noise.
@@ -128,27 +126,11 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     solid = ~from_beyond(~_without_specks((field < 0) & ~empty)) & ~empty
     if not solid.any():
         raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
-    labels = _label(observation, evidence, solid, below)
+    labels = voxel_labels(evidence, solid, voxel_m, below)
     probability = _probability(voxel_m, evidence, guess, solid)
     probability[:, :, :below] = 0
     mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
     return SolidShape(observation.grid, solid, labels, probability, mesh, evidence.underside)
-
-
-def _label(observation: Observation, evidence: VoxelEvidence, solid: Bools, below: int) -> NDArray[np.uint8]:
-    """One label per voxel, by its evidence.
-
-    What lies behind a measured surface and was smoothed away is unknown: it is no air that anybody saw.
-    """
-    near = np.abs(evidence.signed_m) <= MEASURED_VOXELS * observation.grid.voxel_size_m
-    measured = evidence.observed & near & ~evidence.free
-    labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
-    labels[~solid & evidence.free] = Label.FREE
-    labels[~solid & evidence.excluded] = Label.OTHER
-    labels[solid & evidence.closed] = Label.INTERIOR
-    labels[solid & (evidence.near_surface | measured) & ~evidence.unknown] = Label.SURFACE
-    labels[:, :, :below] = Label.OTHER
-    return labels
 
 
 def _without_specks(solid: Bools) -> Bools:

@@ -6,7 +6,7 @@ from typing import BinaryIO
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, unpacked_bound
-from kinectbench.stages.ingest.bags.ros_messages import DamagedRecordError, MessagePlace
+from kinectbench.stages.ingest.bags.message_decoding import DamagedRecordError, MessagePlace
 
 # Least bytes of a bag's file per record, however well it is compressed; and records that are always allowed.
 LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000

@@ -1,4 +1,4 @@
-"""Messages of ROS bags of all kinds: their place, stamp and content.
+"""Decode the messages of ROS bags of all kinds: their place, stamp and content.
 
 rosbags generates code from a message's definition and unrolls arrays of fixed length and nested messages: a
 few bytes of a definition may generate any amount of code. So definitions are compiled within limits only.
