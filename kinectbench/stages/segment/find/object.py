@@ -200,7 +200,7 @@ class Segmentation:
         object_cells: (n, 3) int64, cells of `cell_m` in the floor frame that hold its surface.
         other_cells: (m, 3) int64, cells of the surface that is not the object: other things above the floor;
             if `how` is "masks", pieces too small to be the object, and what lies outside a given box.
-        how: how the object was chosen: "automatic" (what the cameras look at), "box" (what a given box holds),
+        how: how the object was chosen: "automatic" (what cameras look at), "box" (what a given box holds),
             or "masks" (all that was fused of masked frames).
         warnings: why the choice may be wrong, one line each.
         cell_m: edge of the cells: 30 mm, less where cameras were near.
