@@ -175,10 +175,11 @@ def once_killed(task: int, say: SendMessage) -> int:
 
 
 def test_once_the_culprit_is_known_all_processes_are_at_work_again() -> None:
-    found = dict(Pool(2).outcomes(once_killed, list(range(6)), Listener()))
+    # Enough of them that a process that is slow to start, on a busy machine, finds some left.
+    found = dict(Pool(2).outcomes(once_killed, list(range(12)), Listener()))
     assert isinstance(found[0], WorkerLost)
     # The second task may have ended in the first pool, where the first task's process was slow to start.
-    assert len({found[task] for task in range(2, 6)}) >= 2
+    assert len({found[task] for task in range(2, 12)}) >= 2
 
 
 TRACKED = ("sequence", "trajectory")
