@@ -32,7 +32,7 @@ ROOMS = {
     "robustness": TESTS / "robustness",
 }
 # These are run by their paths: the list stays short.
-NOT_LISTED = ("fuzzing", "hostile", "replica", "same_object", "standing_alone")
+NOT_LISTED = ("fuzzing", "hostile", "replica", "same_object", "sensitivity", "standing_alone")
 BASELINES = ROOT / "baselines.json"
 # Where modules are that benchmarks share.
 IMPORTED = (ROOT, *ROOMS.values(), TESTS / "support")

@@ -1,6 +1,6 @@
 """How much each constant of a stage matters: it is moved by a fifth, and the stage is made with it.
 
-    python benchmarks/truth/sensitivity.py --stages track segment --build DIR --jobs 2
+    python benchmarks/truth/sensitivity.py --stages track segment --draw 40 --build DIR --jobs 2
 
 Constants are the numbers that modules of `stages/` name at their top. A trial edits one of them in a copy of
 the package, and makes the stage of a few simulated objects in a process of its own. Its files and figures are
@@ -21,6 +21,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from queue import SimpleQueue
 from tempfile import TemporaryDirectory
@@ -28,6 +29,9 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+
+for room in (".", "tracking"):
+    sys.path.append(str(Path(__file__).resolve().parents[1] / room))
 
 PACKAGE = Path(__file__).resolve().parents[2] / "kinectbench"
 STAGES = ("track", "fuse", "segment")
@@ -184,7 +188,7 @@ class Bench:
                     caches = {"NUMBA_CACHE_DIR": fresh}
             done = subprocess.run(
                 [sys.executable, __file__, "--trial", stage, str(self.folder)],
-                env=os.environ | caches | {"PYTHONPATH": f"{self.folder}{os.pathsep}{Path(__file__).parent}"},
+                env=os.environ | caches | {"PYTHONPATH": str(self.folder)},
                 capture_output=True,
                 text=True,
                 check=False,
@@ -242,8 +246,15 @@ def trials(
             yield done[key]
 
 
-def _key(number: Number, factor: float) -> tuple[str, str, float, float]:
-    return number.path, number.name, number.value, factor
+def _key(number: Number, factor: float) -> tuple[str, str, str, float, float]:
+    return _package_sha256(), number.path, number.name, number.value, factor
+
+
+@cache
+def _package_sha256() -> str:
+    """Over all code: of another package nothing that was tried is taken."""
+    paths = sorted(PACKAGE.rglob("*.py"))
+    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:16]
 
 
 def _bench(root: Path, stage: str, n: int) -> Bench:
@@ -263,8 +274,10 @@ def _bench(root: Path, stage: str, n: int) -> Bench:
 
 
 def as_it_is(root: Path, stage: str) -> dict[str, Any]:
-    """What the package makes with every number as it stands."""
+    """What the package makes with every number as it stands; ends the script where it makes nothing."""
     found = _bench(root, stage, 0).run(stage, None, 1.0)
+    if "error" in found or any("error" in one for one in found.values()):
+        sys.exit(f"error: {stage}: {found}")
     (root / f"{stage}.json").write_text(json.dumps(found))
     return found
 
@@ -306,6 +319,8 @@ def largest(made: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, float
     for name, one in base.items():
         for figure, value in one["figures"].items():
             other = made[name]["figures"][figure]
+            if (value is None) != (other is None):
+                return f"{name}: {figure} {'appears' if value is None else 'is lost'}"
             if value is not None and other is not None and abs(other - value) > abs(off.get(figure, 0)):
                 off[figure] = other - value
     return {figure: by for figure, by in off.items() if abs(by) >= SAME}

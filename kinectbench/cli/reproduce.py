@@ -39,7 +39,8 @@ def reproduce_command(
     from kinectbench.core.storage import replaced_file
     from kinectbench.networks.predict import predict
     from kinectbench.networks.processes import chosen_device
-    from kinectbench.networks.trained import folder_of, open_trained, packaged_methods
+    from kinectbench.networks.trained import FOLDER as PACKAGED
+    from kinectbench.networks.trained import open_trained, packaged_methods
     from kinectbench.report.paper_table import PROTOCOL, SHELL, paper_markdown, paper_tables
     from kinectbench.scoring.score import score_methods
 
@@ -55,7 +56,7 @@ def reproduce_command(
         )
     folder, where = common.root / "reproduce" / protocol, chosen_device(device)
     for name in packaged_methods():
-        trained = open_trained(folder_of(name), where)
+        trained = open_trained(PACKAGED / name, where)
         with console.progress_bar(f"predict {name}") as progress:
             predict(trained, release, folder / "predictions", device=where, progress=progress)
     with console.progress_bar("score") as progress:

@@ -42,7 +42,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 6,
     "pairs": 4,
     "suggest": 7,
-    "publish": 43,
+    "publish": 44,
     "synthesize": 3,
     "score": 13,
     "baselines": 4,

@@ -13,7 +13,7 @@ from kinectbench.core.storage import replaced_file, sha256_file
 from kinectbench.core.types import Float32
 from kinectbench.core.untrusted import printable
 from kinectbench.networks.config import MethodSettings
-from kinectbench.networks.config_file import find_config
+from kinectbench.networks.config_file import FOLDER, read_config
 from kinectbench.networks.recae import BOTTOM_CELLS, DECODER, ENCODER
 from kinectbench.networks.recgan import CHANNELS
 from kinectbench.networks.registry import make_network
@@ -22,8 +22,8 @@ from kinectbench.networks.tensor_bundle import StoredTensor, TensorBundle, open_
 from kinectbench.networks.trained import open_trained
 from kinectbench.networks.weights import FILE, write_weights
 
-# Name of the converted method, and the packaged configuration that it follows.
-NAME, CONFIG = "3d-recgan++-released", "3d-recgan++-code"
+# Name of the converted method, and the file of the packaged configuration that it follows.
+NAME, CONFIG = "3d-recgan++-released", "3d-recgan++-code.yaml"
 SUFFIX = ".index"
 # Tensors of Adam's state and its steps, needed only to continue training.
 OF_THE_OPTIMISER = ("/Adam", "/Adam_1", "beta1_power", "beta2_power", "beta1_power_1", "beta2_power_1")
@@ -187,7 +187,7 @@ def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSe
     channels = first.shape[-1] if first is not None and first.shape else 0
     if not 0 < channels <= ENCODER[0]:
         raise StorageError(f"{index}: no checkpoint of 3D-RecGAN++: 'aeu/e1_w' is missing or too wide")
-    values = find_config(CONFIG).model_dump()
+    values = read_config(FOLDER / CONFIG).model_dump()
     values["name"] = NAME
     values["network"] |= {"channel_divisor": ENCODER[0] // channels, "axes": "recgan"}
     return MethodSettings.model_validate(values)

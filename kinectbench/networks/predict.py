@@ -1,12 +1,15 @@
 """Write a trained network's predictions for the pairs of a release, with method.json."""
 
+import ast
 import inspect
 import resource
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.util import resolve_name
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal
 
 import numpy as np
@@ -118,20 +121,40 @@ def run_of(
 
 
 def _code_sha256(trained: Trained) -> str:
-    """Return the hash of the file with the network's class, and of what was imported beside or below it."""
-    own = type(trained.network)
-    path = Path(inspect.getfile(own)).resolve()
-    # The folder of its outermost package; of a single module, the folder that it lies in.
-    root = path.parents[max(own.__module__.count(".") - 1, 0)]
-    paths = {path}
-    for name, module in list(sys.modules.items()):
-        file = Path(getattr(module, "__file__", None) or "").resolve()
-        if file.suffix == ".py" and file.is_relative_to(root) and name.partition(".")[0] != "kinectbench":
-            paths |= {file} if file.is_file() else set()  # torch names files that there are not
-    installed = {one for one in paths if INSTALLED & set(one.relative_to(root.parent).parts)}
-    with storage_errors(path):
-        hashes = [sha256_file(one) for one in sorted((paths - installed) | {path})]
+    """Return the hash of the file with the network's class, and of what it imports from the same folder.
+
+    That is the folder of its outermost package, or the one that a single module lies in, with all below.
+    """
+    module = sys.modules[type(trained.network).__module__]
+    outermost = sys.modules.get(module.__name__.partition(".")[0], module)
+    root = Path(inspect.getfile(outermost)).resolve().parent
+    paths: set[Path] = set()
+    left = [module]
+    while left:
+        one = left.pop()
+        path = Path(getattr(one, "__file__", None) or "").resolve()
+        is_own = path.is_relative_to(root) and not INSTALLED & set(path.relative_to(root).parts)
+        if path in paths or not (one is module or (is_own and path.suffix == ".py" and path.is_file())):
+            continue
+        paths.add(path)
+        left += _imported(one, path)
+    with storage_errors(root):
+        hashes = [sha256_file(path) for path in sorted(paths)]
     return hashes[0] if len(hashes) == 1 else sha256_text("".join(hashes))
+
+
+def _imported(module: ModuleType, path: Path) -> Iterator[ModuleType]:
+    """Yield the modules that a module's file names in its imports, and the packages that they lie in."""
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
+        if isinstance(node, ast.ImportFrom):
+            relative = "." * node.level + (node.module or "")
+            package = module.__package__ if node.level else None
+            whole = resolve_name(relative, package) if package or not node.level else relative.lstrip(".")
+            names = [whole, *(f"{whole}.{name}" for name in names)]
+        for name in names:
+            parts = name.split(".")
+            yield from filter(None, (sys.modules.get(".".join(parts[:n])) for n in range(1, len(parts) + 1)))
 
 
 def _write_all(

@@ -73,29 +73,46 @@ def test_it_is_trained_predicts_and_is_scored(command: Command, nets: Path, lear
     assert command(nets, "score", "predictions", *words).status == 0
 
 
-def test_what_it_imports_from_its_own_folder_is_its_code(nets: Path, learning: Release) -> None:
-    (nets / "my_layers.py").write_text("SIGN = 1")
-    (nets / "my_nets.py").write_text("import json, numpy\nfrom my_layers import SIGN\n" + CODE)
-    code = (
-        "import sys; sys.path.insert(0, '.')\n"
-        "from types import SimpleNamespace\n"
-        "from kinectbench.networks.config import NetworkSettings\n"
-        "from kinectbench.networks.predict import _code_sha256\n"
-        "from kinectbench.networks.registry import make_network\n"
-        "network = make_network(NetworkSettings(kind='own', class_path='my_nets:Mine'))\n"
-        "print(_code_sha256(SimpleNamespace(network=network)))\n"
-    )
+FOUND = """
+import sys; sys.path.insert(0, '.')
+from types import SimpleNamespace
+import unrelated
+from kinectbench.networks.config import NetworkSettings
+from kinectbench.networks.predict import _code_sha256
+from kinectbench.networks.registry import make_network
+network = make_network(NetworkSettings(kind='own', class_path='%s:Mine'))
+print(_code_sha256(SimpleNamespace(network=network)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "place", "line", "layers"),
+    [
+        ("my_nets", "my_nets.py", "from my_layers import SIGN", "my_layers.py"),
+        ("a.b", "a/b/__init__.py", "from a.layers import SIGN", "a/layers.py"),
+        ("a.b", "a/b/__init__.py", "from ..layers import SIGN", "a/layers.py"),
+        ("a.b.nets", "a/b/nets.py", "from . import layers", "a/b/layers.py"),
+    ],
+)
+def test_what_it_imports_from_its_own_folder_is_its_code(
+    nets: Path, module: str, place: str, line: str, layers: str
+) -> None:
+    (nets / place).parent.mkdir(parents=True, exist_ok=True)
+    for package in ("a", "a/b"):
+        if (nets / package).is_dir():
+            (nets / package / "__init__.py").touch()
+    (nets / layers).write_text("SIGN = 1")
+    (nets / place).write_text(f"import json, numpy\n{line}\n{CODE}")
+    (nets / "unrelated.py").write_text("X = 1")
 
     def found() -> str:
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=nets, capture_output=True, text=True, check=True
-        )
-        return done.stdout
+        words = [sys.executable, "-c", FOUND % module]
+        return subprocess.run(words, cwd=nets, capture_output=True, text=True, check=True).stdout
 
     before = found()
-    (nets / "other.py").write_text("SIGN = 2")  # nobody imports it
+    (nets / "unrelated.py").write_text("X = 2")  # in the same folder, but the network does not import it
     assert found() == before
-    (nets / "my_layers.py").write_text("SIGN = -1")
+    (nets / layers).write_text("SIGN = -1")
     assert found() != before
 
 

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.lab.synthesize.pair import make_synthetic_pair
 from kinectbench.lab.synthesize.views import DepthCamera, all_views, virtual_camera
 from kinectbench.networks.config_file import find_config, write_config
+from kinectbench.networks.convert import fitting_config
 from kinectbench.networks.trained import folder_of, open_trained, packaged_methods
 from kinectbench.networks.validate import completed
 from kinectbench.networks.weights import FILE
@@ -69,6 +71,9 @@ def test_a_name_of_the_package_and_of_something_here_is_refused(
             find(name)
     assert folder_of(f"./{NAME}") == Path(NAME)
     assert find_config("./varley") == find_config(NAME)
+    (tmp_path / "3d-recgan++-code").touch()  # what the package itself reads is its own
+    tensors = {"aeu/e1_w": SimpleNamespace(shape=(4, 4, 4, 1, 64))}
+    assert fitting_config(tensors, tmp_path).network.kind == "3d-recgan++"  # type: ignore[arg-type]
 
 
 def test_it_beats_what_it_has_to_in_both_framings() -> None:

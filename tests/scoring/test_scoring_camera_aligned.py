@@ -102,6 +102,39 @@ def test_what_was_done_to_a_shape_is_undone(name: str, kind: str) -> None:
         assert np.linalg.det(found.T[:3, :3]) > 0
 
 
+def boxes(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]]) -> trimesh.Trimesh:
+    """Extents and middles -> their union, askew in its grid."""
+    SHAPES["drawn here"] = list(boxes)
+    try:
+        return shape_of("drawn here")
+    finally:
+        del SHAPES["drawn here"]
+
+
+def test_a_shape_whose_distance_rises_on_the_way_to_rest_comes_to_it() -> None:
+    """Shelves slide on each other: at first the distance along normals falls below that of the rest."""
+    shelves = [((0.8, 0.3, 0.02), (0, 0, z)) for z in (0, 0.3, 0.6, 0.9)]
+    sides = [((0.02, 0.3, 0.92), (x, 0, 0.45)) for x in (-0.4, 0.4)]
+    things = [((0.15, 0.2, 0.12), (0.2, 0.02, 0.37)), ((0.1, 0.2, 0.2), (-0.25, 0.03, 0.7))]
+    mesh = boxes(*shelves, *sides, *things)
+    truth = truth_of(mesh)
+    for seed in range(4):
+        T = drawn(seed, "t", mesh)
+        found = register_surface(truth, surface(mesh, T), "t")
+        assert found.ok and np.abs((found.T @ T)[:3, 3]).max() < 1e-3
+
+
+def test_what_turns_about_its_axis_is_at_rest_and_another_shape_is_not() -> None:
+    ball = trimesh.creation.icosphere(4, 0.5)
+    ball.apply_translation([0.55, 0.55, 0.55])
+    truth = truth_of(ball)
+    T = drawn(0, "R+t+s", ball)
+    found = register_surface(truth, surface(ball, T), "R+t+s")
+    middle = ball.bounds.mean(axis=0)
+    assert found.ok and np.abs(transform_points(found.T @ T, middle) - middle).max() < 1e-3
+    assert not register_surface(truth, surface(MESHES["chair"], np.eye(4)), "R+t+s").ok
+
+
 def test_largest_turns_and_scales_are_within_reach() -> None:
     """Corners of what is promised: 30 degrees about each axis, and half and double size."""
     mesh = MESHES["chair"]

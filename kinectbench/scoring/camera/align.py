@@ -34,9 +34,11 @@ SMOOTHED_CELLS = 3
 # Steps that move no sample by more than this share of the object's size end it: 0.01 mm of 1 m. The last must
 # be below the second for the registration to be called ok (chosen here): 0.1 mm of 1 m.
 STILL, OK_STILL = 1e-5, 1e-4
-# To this share of the least so far, the distance along the normals must fall again within so many steps: else
-# it is at rest, too. A ball turns on for ever, and comes no nearer (6 steps in place of 40).
-NEARER, PATIENCE = 0.999, 3
+# So many steps that neither shrink to this share of the one before, nor bring the distance along the normals
+# to this share of the least so far, end it as well: a ball turns on for ever, and comes no nearer. The
+# distance alone may rise on the way to rest, as steps also lessen that along the surface. If it is then below
+# this share of the size, points only slide along a surface at rest (chosen here; a dented ball has 0.6 %).
+SHRINKING, NEARER, PATIENCE, CLOSE = 0.7, 0.999, 3, 0.02
 # A registered shape of a size beyond these, in sizes of the truth, is called not ok (chosen here).
 LEAST_SIZE, MOST_SIZE = 0.05, 20.0
 
@@ -159,28 +161,25 @@ def _far(pair: _Pair, T: Float64) -> float:
 
 
 def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> tuple[Float64, float]:
-    """The similarity after some steps, and how far the last moved a sample, metres.
-
-    Where no step comes nearer any more, it is the nearest one, and 0.
-    """
+    """The similarity after some steps; how far the last moved a sample, metres, 0 where it only slides."""
     from kinectbench.core.geometry.gauss_newton import NormalEquations
     from kinectbench.scoring.camera.steps import similarity_about, step_equations
 
     free, size_m = KINDS[kind], pair.truth.size_m
-    T, moved = start, np.inf
-    nearest, least, waited = start, np.inf, 0
+    T, moved, before, least, waited = start, np.inf, np.inf, np.inf, 0
     for _ in range(count):
         places, targets, normals, middle, weights, _count = _matches(pair, T)
         H, g, squares = step_equations(places, targets, normals, weights, middle, along, free)
         far = np.sqrt(squares / weights.sum())
-        waited = 0 if far < NEARER * least else waited + 1
-        nearest, least = (T, far) if far < least else (nearest, least)
+        waited = 0 if far < NEARER * least or moved < SHRINKING * before else waited + 1
         if waited == PATIENCE:
-            return nearest, 0.0
+            return T, 0.0 if far < CLOSE * size_m else moved
+        least = min(least, far)
         step = np.zeros(7)
         step[:free] = NormalEquations(H, -g).damped().step()
         # No step doubles a size, or turns by more than a third of a circle.
         step[3:] = np.clip(step[3:], -0.5, 0.5)
+        before = moved
         moved = float(np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) * size_m / 2)
         T = similarity_about(step, middle) @ T
         if moved < STILL * size_m:
