@@ -20,6 +20,7 @@ from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
 from kinectbench.core.storage import sha256_file, sha256_text, storage_errors
 from kinectbench.core.types import Progress, Split
+from kinectbench.core.untrusted import open_plain
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import FULL_CELLS, PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes
@@ -145,7 +146,9 @@ def _code_sha256(trained: Trained) -> str:
 
 def _imported(module: ModuleType, path: Path) -> Iterator[ModuleType]:
     """Yield the modules that a module's file names in its imports, and the packages that they lie in."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    with storage_errors(path), open_plain(path) as file:
+        tree = ast.parse(file.read())
+    for node in ast.walk(tree):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import | ast.ImportFrom) else []
         if isinstance(node, ast.ImportFrom):
             relative = "." * node.level + (node.module or "")
