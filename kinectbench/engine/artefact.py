@@ -5,7 +5,7 @@ An artefact is a folder that one stage makes.
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -117,7 +117,8 @@ def whole_manifest(folder: Path) -> Manifest | None:
     try:
         manifest = Manifest.read(folder)
         # Strings, because joining paths takes longer than reading the sizes.
-        sizes = {name: os.stat(f"{folder}{os.sep}{name}").st_size for name in manifest.files}  # noqa: PTH116
+        above = f"{folder}{os.sep}"
+        sizes = {name: os.stat(above + name).st_size for name in manifest.files}  # noqa: PTH116
     except (OSError, StorageError):
         return None
     return manifest if sizes == manifest.files else None
@@ -132,7 +133,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
     Args:
         files: the files.
         root: names are relative to it, so that moving the recording changes nothing.
-        cache: folder that keeps sizes, times and hashes; None: no cache.
+        cache: JSON file that keeps sizes, times and hashes (`Sources`); None: no cache.
 
     Raises:
         RecordingError: a file cannot be read, or is mostly a hole.
@@ -153,7 +154,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
             ) from error
     sources = Sources.model_validate(entries)
     if cache is not None and entries != known:
-        with replaced_file(cache / Sources.FILE) as temporary:
+        with replaced_file(cache) as temporary:
             temporary.write_text(sources.text(), encoding="utf-8")
     return whole_hash(sources)
 
@@ -163,27 +164,32 @@ def whole_hash(sources: Sources) -> str:
     return sha256_text(canonical_json(sources.sha256))
 
 
-def has_sizes(root: Path, cache: Path, sha256: str) -> bool:
+def has_sizes(root: Path, cache: Path, sha256: str, names: Collection[str] | None = None) -> bool:
     """Whether the files of a known hash lie at a path, by the names and sizes of some; none of them is read.
 
     Args:
-        root: path of the recording.
-        cache: folder where `content_hash` keeps names and sizes; without them the result is True.
+        root: path that the names are relative to.
+        cache: file where `content_hash` keeps names and sizes; without it the result is True.
         sha256: the hash over the files.
+        names: the names of all files there; None: files that were added are not noticed.
     """
     try:
-        known = Sources.read(cache)
+        known = Sources.read_file(cache)
     except StorageError:
         return True
-    if whole_hash(known) != sha256:
+    if whole_hash(known) != sha256 or (names is not None and known.files.keys() != set(names)):
         return False
-    places = [f"{root}{os.sep}{name}" if name else str(root) for name in known.files]
-    some = evenly(len(places), COMPARED_FILES)
-    sizes = [file.size for file in known.files.values()]
+    files = [*known.files.items()]
+    some = [files[n] for n in evenly(len(files), COMPARED_FILES)]
     try:
-        return all(os.stat(places[n]).st_size == sizes[n] for n in some)  # noqa: PTH116
+        return all(os.stat(_place(root, name)).st_size == file.size for name, file in some)  # noqa: PTH116
     except OSError:
         return False
+
+
+def _place(root: Path, name: str) -> str:
+    """The path of a file by its name relative to its recording's path; the inverse of `_relative`."""
+    return f"{root}{os.sep}{name}" if name else str(root)
 
 
 def _relative(path: Path, root: Path) -> str:
@@ -205,9 +211,9 @@ def _refuse_holes(path: Path, stat: os.stat_result) -> None:
         )
 
 
-def _known(folder: Path) -> dict[str, SourceFile]:
-    """The content of the cache; empty if the cache is damaged."""
+def _known(cache: Path) -> dict[str, SourceFile]:
+    """The content of the cache; empty if it is missing or damaged."""
     try:
-        return Sources.read(folder).files
+        return Sources.read_file(cache).files
     except StorageError:
         return {}

@@ -1,5 +1,6 @@
 """The stages in order, with the inputs and settings of each. `steps` runs them."""
 
+import functools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +8,7 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
-from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.artefacts.manifest import Manifest, Sources
 from kinectbench.core.artefacts.views import MasksFile
 from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.names import RESULTS
@@ -205,15 +206,30 @@ def _of_object_named(job: Job) -> tuple[str, ...]:
     return (*_frame_masks_named(job), *(() if job.reference is None else (REFERENCE,)))
 
 
+def _cache(build: Path, name: str) -> Path:
+    """The file in `build/<recording>/` that keeps names, sizes and hashes of an input's files."""
+    return build / (Sources.FILE if name == RECORDING else f"{name}.{Sources.FILE}")
+
+
 def _masks(job: Job) -> Source:
     assert job.masks is not None
     check_masks(job)
+    return Source(job.masks, content_hash(_given_masks(job), job.masks, _cache(job.build, MASKS)))
+
+
+def _given_masks(job: Job) -> list[Path]:
+    """The files of a person's masks; none if benchmark.yaml names no folder of them.
+
+    Raises:
+        RecordingError, OSError: as of `files_below`.
+    """
+    if job.masks is None:
+        return []
     from kinectbench.stages.ingest.sources import files_below
 
     files = files_below(job.masks, follow_links=job.recording.follow_links)
     # masks.json only permits or refuses masks (`drawn_masks`); it never changes a result.
-    given = [file for file in files if file.parent == job.masks and file.name != MasksFile.FILE]
-    return Source(job.masks, content_hash(given, job.masks))
+    return [file for file in files if file.parent == job.masks and file.name != MasksFile.FILE]
 
 
 def _reference(job: Job) -> Source:
@@ -223,7 +239,8 @@ def _reference(job: Job) -> Source:
     check_there(
         job.reference, f"no such reference mesh; add it, or correct `reference` of '{job.recording.id}'"
     )
-    return Source(job.reference, content_hash([job.reference], job.reference.parent))
+    cache = _cache(job.build, REFERENCE)
+    return Source(job.reference, content_hash([job.reference], job.reference.parent, cache))
 
 
 def _recording(job: Job) -> Source:
@@ -237,7 +254,7 @@ def _recording(job: Job) -> Source:
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)
     files = _without(_results(job, files) | _named_apart(job, files), files)
-    return Source(job.source, content_hash(files, job.source, job.build))
+    return Source(job.source, content_hash(files, job.source, _cache(job.build, RECORDING)))
 
 
 def _without(others: set[Path], files: list[Path]) -> list[Path]:
@@ -307,33 +324,35 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
     return STAGES[: names.index(name) + 1]
 
 
-def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, build: Path) -> bool:
-    """Whether an artefact was made from the inputs that a job names; an input that is gone is not compared.
+def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
+    """Whether an input from outside `build/` is of a hash, by names and sizes; True if it is gone."""
+    path = {RECORDING: job.source, MASKS: job.masks, REFERENCE: job.reference}[name]
+    if path is None or not os.path.exists(path):  # noqa: PTH110 - of any name
+        return True
+    cache = _cache(build, name)
+    if name == REFERENCE:
+        return has_sizes(path.parent, cache, sha256, [path.name])
+    try:
+        names = [file.name for file in _given_masks(job)] if name == MASKS else None
+    except RecordingError:  # a build would refuse it
+        return False
+    return has_sizes(path, cache, sha256, names)
 
-    The recording is compared by the names and sizes of its files, others by their content.
-    """
+
+def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, has_input: Callable[[str, str], bool]) -> bool:
+    """Whether an artefact was made from the inputs from outside `build/` that a job names."""
     named = stage.outside(job)
     if manifest.inputs.keys() - set(stage.inputs) != set(named):
         return False
-    paths = {RECORDING: job.source, MASKS: job.masks, REFERENCE: job.reference}
-
-    def is_same(name: str) -> bool:
-        path, sha256 = paths[name], manifest.inputs[name]
-        if path is None or not os.path.exists(path):  # noqa: PTH110 - of any name
-            return True
-        return has_sizes(path, build, sha256) if name == RECORDING else SOURCES[name](job).sha256 == sha256
-
-    try:
-        return all(map(is_same, named))
-    except RecordingError:  # a build would refuse it
-        return False
+    return all(has_input(name, manifest.inputs[name]) for name in named)
 
 
 def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
     """The folders of current stages in `build/<recording>/`, by stage.
 
     A current folder is complete, and was made by the stage's present version from the present artefacts of
-    its input stages. A change of the recording is seen only by names and sizes of some of its files.
+    its input stages. A change of the recording, masks or reference mesh is seen only by names and sizes of
+    some files; an input that is gone is not compared.
 
     Args:
         build: `build/<recording>/`.
@@ -341,6 +360,7 @@ def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
     """
     folders: dict[str, Path] = {}
     fingerprints: dict[str, str] = {}
+    has_input = functools.cache(lambda *stated: job is None or _has_input(job, build, *stated))
     for stage in STAGES:
         folder = build / stage.folder
         manifest = whole_manifest(folder)
@@ -348,7 +368,7 @@ def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
             manifest.inputs.get(name) != fingerprints.get(name, "") for name in stage.inputs
         ):
             continue
-        if job and not _is_of_sources(manifest, stage, job, build):
+        if job and not _is_of_sources(manifest, stage, job, has_input):
             continue
         settings = stage.settings(job) if job else manifest.settings
         if manifest.fingerprint == fingerprint(stage.name, stage.version, settings, manifest.inputs):

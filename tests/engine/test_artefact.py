@@ -310,6 +310,6 @@ def test_another_file_of_equal_name_size_and_time_is_read(tmp_path: Path) -> Non
     for log in logs:
         log.write_text(log.name)
         os.utime(log, (1, 1))
-    cached = [content_hash([log], log, cache=tmp_path) for log in logs]
+    cached = [content_hash([log], log, cache=tmp_path / "sources.json") for log in logs]
     assert cached == [content_hash([log], log) for log in logs]
     assert cached[0] != cached[1]

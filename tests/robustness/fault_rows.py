@@ -173,7 +173,7 @@ def made(root: Path) -> set[str]:
         path.relative_to(root).as_posix()
         for name in ("build", "benchmark")
         for path in (root / name).rglob("*")
-        if path.is_file() and path.name not in NOT_MADE
+        if path.is_file() and not path.name.endswith(NOT_MADE)
     }
 
 

@@ -143,7 +143,7 @@ def hashes(folder: Path) -> dict[str, str]:
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name not in NOT_MADE
+        if path.is_file() and not path.name.endswith(NOT_MADE)
     }
 
 

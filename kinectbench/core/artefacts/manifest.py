@@ -78,7 +78,8 @@ class SourceFile(NamedTuple):
 class Sources(Stored):
     """sources.json of `build/<recording>/`: the hashes of the recording's files by their names.
 
-    The name of a recording that is one file is "".
+    The name of a recording that is one file is "". Beside it, masks.sources.json and reference.sources.json
+    are of a person's masks and of the reference mesh.
     """
 
     FILE: ClassVar[str] = "sources.json"

@@ -1,0 +1,82 @@
+"""The status compares a recording, its masks and its reference mesh with those of the build, and reads none."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from kinectbench.core.storage import pretty_json
+from kinectbench.engine import artefact as artefacts
+from kinectbench.engine.artefact import Artefact
+from kinectbench.engine.place import statuses
+from kinectbench.engine.stages import STAGES, Job, current_stages
+from kinectbench.settings.models import BenchmarkSettings
+
+CAMERA = {"fx": 50, "fy": 50, "cx": 32, "cy": 24, "width": 64, "height": 48, "depth_scale": 1000}
+FRAMES = 3
+
+
+def job_of(root: Path, **named: str) -> Job:
+    recording = {"id": "a", "path": "rec", "category": "chair", **named}
+    settings = BenchmarkSettings.model_validate({"name": "t", "recordings": [recording]})
+    return Job(settings, settings.recordings[0], root)
+
+
+def recorded(root: Path) -> None:
+    """A recording of images at `rec`, with masks of its frames and a mesh."""
+    for folder, dtype in (("depth", np.uint16), ("rgb", np.uint8), ("masks", np.uint8)):
+        place = root / ("drawn" if folder == "masks" else f"rec/{folder}")
+        place.mkdir(parents=True)
+        for index in range(FRAMES):
+            cv2.imwrite(str(place / f"{index:06d}.png"), np.full((48, 64), 7, dtype))
+    (root / "rec" / "camera.json").write_text(pretty_json(CAMERA))
+    (root / "cad.ply").write_bytes(b"a mesh")
+
+
+def built(job: Job) -> Job:
+    """The job, whose stages are there with the inputs and settings of a build, and without content."""
+    made: dict[str, str] = {}
+    for stage in STAGES:
+        inputs = {name: made[name] for name in stage.inputs}
+        inputs |= {name: source.sha256 for name, source in stage.sources(job).items()}
+        artefact = Artefact(job.build / stage.folder, stage.name, stage.version, stage.settings(job), inputs)
+        with artefact.write():
+            made[stage.name] = artefact.fingerprint
+    return job
+
+
+def last_current(job: Job) -> str | None:
+    return max(current_stages(job.build, job), key=[stage.name for stage in STAGES].index, default=None)
+
+
+@pytest.mark.parametrize(
+    ("named", "changed", "last"),
+    [
+        ({"masks": "drawn", "segment_by": "masks"}, "drawn/000001.png", "ingest"),
+        ({"masks": "drawn", "segment_by": "masks"}, "drawn/000003.png", "ingest"),  # it is added
+        ({"masks": "drawn"}, "drawn/000001.png", "segment"),
+        ({"reference": "cad.ply"}, "cad.ply", "fuse"),
+        ({}, "rec/depth/000001.png", None),
+    ],
+)
+def test_inputs_are_compared_by_names_and_sizes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, named: dict[str, str], changed: str, last: str | None
+) -> None:
+    recorded(tmp_path)
+    job = built(job_of(tmp_path, **named))
+    listed: list[object] = []
+    has_sizes = artefacts.has_sizes
+
+    def once(*of: object) -> bool:
+        listed.append(of)
+        return has_sizes(*of)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("kinectbench.engine.stages.has_sizes", once)
+    monkeypatch.setattr(artefacts, "sha256_file", lambda path: pytest.fail(f"{path} is read"))
+    for path in (tmp_path / "drawn/000002.png", tmp_path / "cad.ply"):
+        path.touch()
+    assert last_current(job) == "pairs"
+    assert len(listed) == 1 + len({"masks", "reference"} & named.keys())  # each once
+    (tmp_path / changed).write_bytes(b"of another size")
+    assert last_current(job) == last
