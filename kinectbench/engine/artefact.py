@@ -189,7 +189,9 @@ def has_sizes(root: Path, cache: Path, sha256: str, names: Collection[str] | Non
 
 def _place(root: Path, name: str) -> str:
     """The path of a file by its name relative to its recording's path; the inverse of `_relative`."""
-    return f"{root}{os.sep}{name}" if name else str(root)
+    path = f"{root}{os.sep}{name}" if name else str(root)
+    # The system would follow a root that is a link before it goes up.
+    return os.path.normpath(path) if name.startswith("..") else path
 
 
 def _relative(path: Path, root: Path) -> str:

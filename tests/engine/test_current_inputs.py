@@ -1,4 +1,4 @@
-"""The status compares a recording, its masks and its reference mesh with those of the build, and reads none."""
+"""The status compares a recording, its masks and its mesh with those of the build, and reads none."""
 
 from pathlib import Path
 
@@ -80,3 +80,21 @@ def test_inputs_are_compared_by_names_and_sizes(
     assert len(listed) == 1 + len({"masks", "reference"} & named.keys())  # each once
     (tmp_path / changed).write_bytes(b"of another size")
     assert last_current(job) == last
+
+
+def test_a_linked_recording_with_intrinsics_beside_it_is_done(tmp_path: Path) -> None:
+    seen, root = tmp_path / "disk" / "seen", tmp_path / "b"
+    for folder in (seen, root):
+        folder.mkdir(parents=True)
+    for index in range(FRAMES):
+        cv2.imwrite(str(seen / f"frame-{index:06d}.depth.png"), np.full((48, 64), 1000, np.uint16))
+        cv2.imwrite(str(seen / f"frame-{index:06d}.color.png"), np.zeros((48, 64, 3), np.uint8))
+        np.savetxt(seen / f"frame-{index:06d}.pose.txt", np.eye(4))
+    (root / "rec").symlink_to(seen)
+    beside = root / "camera-intrinsics.txt"
+    np.savetxt(beside, [[50, 0, 32], [0, 50, 24], [0, 0, 1]])
+    job = built(job_of(root))
+    assert "../camera-intrinsics.txt" in (job.build / "sources.json").read_text()
+    assert statuses([job])[0].state == "done"
+    beside.write_text("another")
+    assert last_current(job) is None
