@@ -112,14 +112,14 @@ class Artefact:
 
 def whole_manifest(folder: Path) -> Manifest | None:
     """The manifest of a folder if every file is present at its size; else None."""
-    if not folder.is_dir():  # usual before a build; this test is fast
+    if not os.path.isdir(folder):  # noqa: PTH112 - usual before a build; False if it cannot be looked at
         return None
     try:
         manifest = Manifest.read(folder)
         # Strings, because joining paths takes longer than reading the sizes.
         above = f"{folder}{os.sep}"
         sizes = {name: os.stat(above + name).st_size for name in manifest.files}  # noqa: PTH116
-    except (OSError, StorageError):
+    except (OSError, ValueError, StorageError):
         return None
     return manifest if sizes == manifest.files else None
 
@@ -183,7 +183,7 @@ def has_sizes(root: Path, cache: Path, sha256: str, names: Collection[str] | Non
     some = [files[n] for n in evenly(len(files), COMPARED_FILES)]
     try:
         return all(os.stat(_place(root, name)).st_size == file.size for name, file in some)  # noqa: PTH116
-    except OSError:
+    except (OSError, ValueError):  # of a name that no file can have
         return False
 
 

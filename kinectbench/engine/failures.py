@@ -28,7 +28,7 @@ def stored_failure(build: Path) -> Failed | None:
     """Why the last run of `build/<recording>/` failed; None if it succeeded or the reason is unreadable."""
     try:
         return Failed.read_if_there(build)
-    except StorageError:
+    except (OSError, StorageError):
         return None
 
 

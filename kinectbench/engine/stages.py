@@ -334,7 +334,7 @@ def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
         return has_sizes(path.parent, cache, sha256, [path.name])
     try:
         names = [file.name for file in _given_masks(job)] if name == MASKS else None
-    except RecordingError:  # a build would refuse it
+    except (OSError, RecordingError):  # a build would refuse it
         return False
     return has_sizes(path, cache, sha256, names)
 

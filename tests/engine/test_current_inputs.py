@@ -1,14 +1,18 @@
 """The status compares a recording, its masks and its mesh with those of the build, and reads none."""
 
+import os
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources
 from kinectbench.core.storage import pretty_json
 from kinectbench.engine import artefact as artefacts
-from kinectbench.engine.artefact import Artefact
+from kinectbench.engine.artefact import Artefact, whole_hash
 from kinectbench.engine.place import statuses
 from kinectbench.engine.stages import STAGES, Job, current_stages
 from kinectbench.settings.models import BenchmarkSettings
@@ -98,3 +102,38 @@ def test_a_linked_recording_with_intrinsics_beside_it_is_done(tmp_path: Path) ->
     assert statuses([job])[0].state == "done"
     beside.write_text("another")
     assert last_current(job) is None
+
+
+def close(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let the system refuse to list a folder and to look at what lies in it, as if its mode were 0."""
+
+    def refuse(asked: Any, path: Any, *of: Any, **named: Any) -> Any:
+        if str(path).startswith(f"{folder}{os.sep}") or (asked is scandir and str(path) == str(folder)):
+            raise PermissionError(13, "Permission denied", str(path))
+        return asked(path, *of, **named)
+
+    stat, scandir = os.stat, os.scandir
+    monkeypatch.setattr(os, "stat", partial(refuse, stat))
+    monkeypatch.setattr(os, "scandir", partial(refuse, scandir))
+
+
+@pytest.mark.parametrize("damage", ["masks", "build", "sources", "manifest"])
+def test_one_damaged_recording_does_not_end_the_status_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
+) -> None:
+    good, bad = tmp_path / "good", tmp_path / "bad"
+    for root in (good, bad):
+        recorded(root)
+    jobs = [built(job_of(root, masks="drawn")) for root in (good, bad)]
+    ingest = jobs[1].build / "sequence"
+    closed = {"masks": bad / "drawn", "build": jobs[1].build}.get(damage)
+    if damage == "sources":
+        sources = Sources.model_validate({"a\0b": SourceFile(1, 1, "a" * 64)})
+        (jobs[1].build / "sources.json").write_text(sources.text())
+        hashed = Manifest.read(ingest).model_copy(update={"inputs": {"recording": whole_hash(sources)}})
+        hashed.write(ingest)
+    if damage == "manifest":
+        Manifest.read(ingest).model_copy(update={"files": {"a\0b": 1}}).write(ingest)
+    if closed is not None:
+        close(monkeypatch, closed)
+    assert [row.state for row in statuses(jobs)] == ["done", "missing"]
