@@ -65,8 +65,10 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
     from kinectbench.cli.build import build_jobs
     from kinectbench.core.errors import SettingsError
     from kinectbench.core.extras import missing_extra
+    from kinectbench.core.storage import storage_errors
     from kinectbench.engine.artefact import whole_manifest
-    from kinectbench.engine.failures import stored_failure, would_fail_again
+    from kinectbench.engine.failures import forget_failure, stored_failure, would_fail_again
+    from kinectbench.engine.pipeline import STAGE_NAMES
     from kinectbench.engine.slim import is_slim, keep_failed_source, slim
     from kinectbench.engine.stages import Job
     from kinectbench.release.recipe import BENCHMARK, FetchedScan, remove_scan
@@ -78,19 +80,21 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
     for number, scan in enumerate(scans, 1):
         build = recipe.out / "build" / scan.id
         failed, has_frames = stored_failure(build), not is_slim(build / "sequence")
-        if failed is not None and would_fail_again(failed):
-            rows.append(FetchedScan(scan, False, f"{scan.id}: failed before: {failed.error}"))
-            continue
-        if failed is None and not has_frames and whole_manifest(build / "pairs") is not None:
+        if not has_frames and whole_manifest(build / "pairs") is not None:
+            forget_failure(build, STAGE_NAMES)  # of a later run, such as one that was killed
             slim(build)  # a killed run may have left some
             remove_scan(recipe.out, scan)
             rows.append(FetchedScan(scan, False))
             continue
-        if not has_frames:  # a build would refuse what is left
-            shutil.rmtree(build)
+        if failed is not None and would_fail_again(failed):
+            rows.append(FetchedScan(scan, False, f"{scan.id}: failed before: {failed.error}"))
+            continue
         console.lines("fetch", [f"{scan.id}, {number} of {len(scans)}"], "cyan")
         row = recipe.fetch(scan, partial(_refuse_beyond, recipe.out))
         if row.error is None:
+            if not has_frames:  # a build would refuse what is left
+                with storage_errors(build):
+                    shutil.rmtree(build)
             recipe.add_to_benchmark([scan])
             settings = load_benchmark(recipe.out / BENCHMARK)
             job = Job(settings, settings.by_id()[scan.id], recipe.out)

@@ -157,6 +157,8 @@ FULL = "/x: the disk is full: free some space and run the command again"
         (("sequence",), OSError(28, "No space"), __version__, "fetched"),
         (("sequence",), None, __version__, "fetched"),  # killed, or too full a disk for failed.json
         (("sequence", "pairs"), None, __version__, ""),
+        (("sequence", "pairs"), StorageError(FULL), __version__, ""),  # of a later run
+        (("sequence", "pairs"), RecordingError("no depth"), __version__, ""),
     ],
 )
 def test_only_what_would_fail_again_is_not_fetched_again(
@@ -177,9 +179,10 @@ def test_only_what_would_fail_again_is_not_fetched_again(
             stored.model_copy(update={"package_version": version}).write(build)
     scan: Any = SimpleNamespace(id="a", path="scans/a", folder="scans/a")
     asked = []
+    files = sorted(build.rglob("*"))
 
     def fetch(scan: Any, room: object) -> FetchedScan:
-        asked.append(not build.exists() or not is_slim(build / "sequence"))
+        asked.append(scan.id)
         return FetchedScan(scan, False, "a: no answer")
 
     recipe: Any = SimpleNamespace(out=tmp_path, fetch=fetch, other_attribution=lambda scans: [])
@@ -189,4 +192,25 @@ def test_only_what_would_fail_again_is_not_fetched_again(
         cli_recipe._stream(Common(), recipe, [scan])
     (row,) = rows
     assert row.error == {"fetched": "a: no answer", "": None}.get(outcome, f"a: {outcome}")
-    assert asked == ([True] if outcome == "fetched" else [])
+    assert asked == (["a"] if outcome == "fetched" else [])
+    kept = [path for path in files if outcome or path.name != Failed.FILE]
+    assert sorted(build.rglob("*")) == kept  # no server answered: what was built stays
+
+
+def test_what_was_slimmed_is_deleted_once_its_scan_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build = tmp_path / "build" / "a"
+    with Artefact(build / "sequence", "sequence", 1, {}, {}).write() as folder:
+        (folder / "000000.png").write_bytes(b"depth")
+    slim(build)
+    scan: Any = SimpleNamespace(id="a", path="scans/a", folder="scans/a")
+
+    def add(scans: object) -> None:
+        raise StorageError(str(build.exists()))
+
+    recipe: Any = SimpleNamespace(
+        out=tmp_path, fetch=lambda scan, room: FetchedScan(scan, True), add_to_benchmark=add
+    )
+    with pytest.raises(StorageError, match="False"):
+        cli_recipe._stream(Common(), recipe, [scan])
