@@ -50,7 +50,7 @@ def test_many_rows_lie_beside_the_table(many: ScoreTable, tmp_path: Path) -> Non
     assert "rows_file" not in json.loads((tmp_path / "scores.json").read_text())
 
 
-@pytest.mark.parametrize("count", [5, 9, 10])
+@pytest.mark.parametrize("count", [5, 10])
 def test_a_table_of_another_name_leaves_the_rows_of_the_one_beside_it(
     many: ScoreTable, count: int, tmp_path: Path
 ) -> None:
@@ -59,6 +59,24 @@ def test_a_table_of_another_name_leaves_the_rows_of_the_one_beside_it(
     other.write(tmp_path, "other.json")
     assert ScoreTable.read(tmp_path).rows == many.rows
     assert ScoreTable.read_file(tmp_path / "other.json").rows == other.rows
+
+
+def test_a_table_of_another_name_keeps_many_rows_beside_it(many: ScoreTable, tmp_path: Path) -> None:
+    (tmp_path / ROWS_NPZ).write_bytes(b"of the same table, as another zlib wrote them")
+    many.write(tmp_path, "other.json")
+    assert json.loads((tmp_path / "other.json").read_text())["rows"] == []
+    assert ScoreTable.read_file(tmp_path / "other.json").rows == many.rows
+
+
+def test_where_scores_json_has_rows_another_table_with_many_is_refused(
+    many: ScoreTable, tmp_path: Path
+) -> None:
+    many.write(tmp_path)
+    (tmp_path / "other.json").write_bytes(b"as it was")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with raises(StorageError, "storage.other-content", match="folder of its own"):
+        many.model_copy(update={"rows": many.rows[:9]}).write(tmp_path, "other.json")
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_until_it_is_replaced_a_table_keeps_its_rows(

@@ -71,10 +71,10 @@ def write_rows(rows: Sequence[ScoreRow], folder: Path, *, over: bool) -> RowsFil
         over: whether other rows that lie there are replaced.
 
     Returns:
-        The entry for the JSON file; None where that holds the rows itself: few rows, or others lie there.
+        The entry for the JSON file; None where that holds the rows itself, because they are few.
 
     Raises:
-        StorageError: the disk is full or read-only.
+        StorageError: other rows lie there, which are not to be replaced; or the disk is full or read-only.
     """
     path = folder / ROWS_NPZ
     if len(rows) <= ROWS_IN_JSON:
@@ -83,7 +83,10 @@ def write_rows(rows: Sequence[ScoreRow], folder: Path, *, over: bool) -> RowsFil
     entry = RowsFile(rows=len(rows), sha256=hashlib.sha256(content).hexdigest())
     with storage_errors(path):
         if not over and path.exists() and sha256_file(path) != entry.sha256:
-            return None
+            raise StorageError(
+                f"{path}: holds the rows of the scores.json beside it; move this table to a folder of its own",
+                what="other-content",
+            )
     with replaced_file(path) as temporary:
         temporary.write_bytes(content)
     return entry

@@ -321,14 +321,16 @@ class ScoreTable(Stored):
 
         Args:
             folder: made if it is not there.
-            name: of the JSON file, if it is another one; then there is no scores.csv, and the rows.npz of
-                another table stays.
+            name: of the JSON file, if it is another one; then there is no scores.csv, and the rows.npz of a
+                scores.json that lies there stays.
 
         Raises:
-            StorageError: the disk is full or read-only.
+            StorageError: the table has many rows, and those of scores.json lie there: nothing is replaced; or
+                the disk is full or read-only.
         """
         is_own = name == SCORES_JSON
-        table, beside = self, write_rows(self.rows, folder, over=is_own)
+        over = is_own or not (folder / SCORES_JSON).exists()
+        table, beside = self, write_rows(self.rows, folder, over=over)
         if beside is not None:
             table = self.model_copy(update={"rows": (), "rows_file": beside})
         files = {SCORES_CSV: self.csv()} if is_own else {}
