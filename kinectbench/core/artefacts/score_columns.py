@@ -84,7 +84,7 @@ def write_rows(rows: Sequence[ScoreRow], folder: Path, *, over: bool) -> RowsFil
     with storage_errors(path):
         if not over and path.exists() and sha256_file(path) != entry.sha256:
             raise StorageError(
-                f"{path}: holds the rows of the scores.json beside it; move this table to a folder of its own",
+                f"{path}: holds the rows of scores.json; move this table to a folder of its own",
                 what="other-content",
             )
     with replaced_file(path) as temporary:
