@@ -253,20 +253,33 @@ def _recording(job: Job) -> Source:
 
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)
-    files = _without(_results(job, files) | _named_apart(job, files), files)
+    files = _own_files(job, files)
     return Source(job.source, content_hash(files, job.source, _cache(job.build, RECORDING)))
 
 
-def _without(others: set[Path], files: list[Path]) -> list[Path]:
-    """Files that are none of the others, nor below them."""
-    return [file for file in files if others.isdisjoint((file, *file.parents))] if others else files
+def _whole(path: Path) -> Path:
+    """An absolute path without "..": the same for all ways to write it; links are not resolved."""
+    return Path(os.path.abspath(path))  # noqa: PTH100 - `absolute` leaves ".."
+
+
+def _own_files(job: Job, files: list[Path]) -> list[Path]:
+    """Of a recording's files those that are no results of the benchmark, and that no other input names."""
+    folders = {folder: _whole(folder) for folder in {file.parent for file in files}}
+    there = [folders[file.parent] / file.name for file in files]
+    others = _results(job, there) | _named_apart(job, there)
+    if not others:
+        return files
+    return [
+        file for file, whole in zip(files, there, strict=True) if others.isdisjoint((whole, *whole.parents))
+    ]
 
 
 def _results(job: Job, files: Sequence[Path]) -> set[Path]:
     """Files and folders of a benchmark whose folder is the recording's or below it; else none."""
-    if not job.root.is_relative_to(job.source):
+    root = _whole(job.root)
+    if not root.is_relative_to(_whole(job.source)):
         return set()
-    own = {job.root / name for name in (*RESULTS, "benchmark.yaml", f"masks/{job.recording.id}")}
+    own = {root / name for name in (*RESULTS, "benchmark.yaml", f"masks/{job.recording.id}")}
     begin = f"{job.settings.name}-"
     own |= {file for file in files if file.name.startswith(begin) and file.name.endswith(ARCHIVES)}
     return own
@@ -276,9 +289,14 @@ def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
     """Of a recording's files those that other inputs name: the reference mesh, a person's masks, masks.json.
 
     Masks in a folder that ingest reads, too, stay the recording's.
+
+    Args:
+        job: of the recording.
+        files: their `_whole` paths, as those of the result.
     """
-    drawn = [file for file in files if file.parent == job.masks] if job.masks else []
-    named = {job.reference} & set(files) if job.reference else set()
+    masks = _whole(job.masks) if job.masks else None
+    drawn = [file for file in files if file.parent == masks]
+    named = {_whole(job.reference)}.intersection(files) if job.reference else set()
     named |= {file for file in drawn if file.name == MasksFile.FILE}
     if not drawn:
         return named
@@ -291,7 +309,7 @@ def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
     except KinectBenchError:  # ingest reports it
         return named
     read = recording.folders if isinstance(recording, FileRecording) else set()
-    if job.masks in {job.source / MASKS_FOLDER, *read}:
+    if masks in {_whole(folder) for folder in (job.source / MASKS_FOLDER, *read)}:
         return named
     return named | {file for file in drawn if mask_name(file.name, plain_of_frame=True)}
 

@@ -137,3 +137,34 @@ def test_one_damaged_recording_does_not_end_the_status_of_all(
     if closed is not None:
         close(monkeypatch, closed)
     assert [row.state for row in statuses(jobs)] == ["done", "missing"]
+
+
+@pytest.mark.parametrize("root", [".", "../b", "whole"])
+@pytest.mark.parametrize("path", ["rec", "rec/../rec"])
+@pytest.mark.parametrize("key", ["masks", "reference"])
+@pytest.mark.parametrize("written", ["rec/{}", "rec/../rec/{}", "{whole}/rec/{}"])
+def test_inputs_inside_a_recording_are_apart_however_their_paths_are_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, root: str, path: str, key: str, written: str
+) -> None:
+    folder, name = tmp_path / "b", {"masks": "drawn", "reference": "cad.ply"}[key]
+    recorded(folder)
+    (folder / name).rename(folder / "rec" / name)
+    monkeypatch.chdir(folder)
+    named = {key: written.format(name, whole=folder), "path": path}
+    job = job_of(folder if root == "whole" else Path(root), **named)
+    before = STAGES[0].sources(job)["recording"].sha256
+    changed = folder / "rec" / ("drawn/000001.png" if key == "masks" else name)
+    changed.write_bytes(b"another")
+    assert STAGES[0].sources(job)["recording"].sha256 == before
+    (folder / "rec/depth/000001.png").write_bytes(b"another")
+    assert STAGES[0].sources(job)["recording"].sha256 != before
+
+
+@pytest.mark.parametrize("root", ["rec/bench", "rec/../rec/bench"])
+def test_results_inside_a_recording_are_apart(tmp_path: Path, root: str) -> None:
+    recorded(tmp_path)
+    (tmp_path / "rec" / "bench").mkdir()
+    job = job_of(tmp_path / root, path="..")
+    before = STAGES[0].sources(job)["recording"].sha256
+    (job.build / "more.json").write_bytes(b"of a build")
+    assert STAGES[0].sources(job)["recording"].sha256 == before
