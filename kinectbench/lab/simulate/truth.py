@@ -4,7 +4,7 @@ import json
 import re
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,21 +142,36 @@ def is_truth(folder: Path) -> bool:
 
 
 def added_files(folder: Path, recording: Path) -> list[str]:
-    """Return the names in a simulated recording's folder that its simulation did not write, sorted.
+    """Return what lies in a simulated recording's folder, though its simulation did not write it, sorted.
+
+    Hidden files and folders do not count. Of an added folder only its own name is returned.
 
     Args:
         folder: the recording's truth; without one, the result is empty.
         recording: the recording; a file holds no names.
+
+    Returns:
+        Names relative to the recording.
     """
     if not recording.is_dir() or not is_truth(folder):
         return []
     record = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    there = {path.name for path in recording.iterdir()}
     if isinstance(written := record.get("files"), list):
-        return sorted(name for name in there if _numberless(name) not in written)
+        named = {str(name) for name in written}
+        # Earlier versions name only what lies at the top.
+        folders = {"."} | (named if any("/" in name for name in named) else set())
+        names = (name for name in _names_below(recording) if _numberless(name) not in named)
+        return sorted(name for name in names if _numberless(str(PurePosixPath(name).parent)) in folders)
     # Truths of earlier versions do not name the files: then what `init`, `record` and builds add.
+    there = {path.name for path in recording.iterdir()}
     given = record["spec"].get("given", {}) if isinstance(record["spec"], dict) else {}
     return sorted(there & {"benchmark.yaml", *RESULTS, *({"masks"} if not given.get("masks") else ())})
+
+
+def _names_below(folder: Path) -> list[str]:
+    """Return the names of all files and folders below a folder, relative to it, without hidden ones."""
+    names = [path.relative_to(folder) for path in folder.rglob("*")]
+    return [name.as_posix() for name in names if not any(part.startswith(".") for part in name.parts)]
 
 
 def _numberless(name: str) -> str:
@@ -167,8 +182,8 @@ def _numberless(name: str) -> str:
 def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = None) -> None:
     """Write everything but the images into the existing folder of the truth.
 
-    The files are truth.json (contains the spec's JSON values and, of a folder `recording`, the names in it,
-    with # for numbers), frames.npz (`stamps_ns`, `T_world_camera`),
+    The files are truth.json (contains the spec's JSON values and, of a folder `recording`, the names below
+    it, with # for numbers), frames.npz (`stamps_ns`, `T_world_camera`),
     trajectory.txt (the same poses as TUM text, without frames of another scene), floor.json, object.ply
     (world frame) and surface.npz (`points_world`, `normals_world`, `frames_seen`).
     """
@@ -190,7 +205,7 @@ def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = 
         "spec": spec,
     }
     if recording is not None and recording.is_dir():
-        record["files"] = sorted({_numberless(path.name) for path in recording.iterdir()})
+        record["files"] = sorted({_numberless(name) for name in _names_below(recording)})
     folder = truth.folder
     (folder / "truth.json").write_text(pretty_json(record), encoding="utf-8")
     frames = {"stamps_ns": truth.stamps_ns, "T_world_camera": truth.T_world_camera}

@@ -23,7 +23,7 @@ from kinectbench.core.geometry import rotation_from_quaternion_xyzw as rotation_
 from kinectbench.lab.simulate import presets
 from kinectbench.lab.simulate.simulate import prepare, record_frame, simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
-from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_folder
+from kinectbench.lab.simulate.truth import added_files, mesh_occupancy, read_truth, truth_folder
 from kinectbench.lab.simulate.writers import formats
 from kinectbench.settings.models import BenchmarkSettings, CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
@@ -251,25 +251,41 @@ def test_an_empty_folder_and_an_earlier_simulation_are_filled(tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("added", "earlier"),
-    [(name, earlier) for name in ("benchmark.yaml", "build/object.ply", "masks/0.png") for earlier in (0, 1)]
-    + [("notes.md", 0)],
+    [
+        *(
+            (name, earlier)
+            for name in ("benchmark.yaml", "build/object.ply", "masks/0.png")
+            for earlier in (0, 2)
+        ),
+        *((name, earlier) for name in ("notes.md", "rgb more/0.png") for earlier in (0, 1)),
+        ("depth/notes.txt", 0),
+    ],
 )
 def test_what_was_added_to_a_recording_is_not_replaced_with_it(
     added: str, earlier: int, ideal: tuple[SimulationSpec, Path], tmp_path: Path
 ) -> None:
-    """A truth of an earlier version does not name the files: then only what the commands add is known."""
+    """Earlier versions name the files at the top, still earlier ones none: what the commands add is known."""
     out, truth = tmp_path / "r", tmp_path / "r.truth"
     shutil.copytree(ideal[1], out)
     shutil.copytree(truth_folder(ideal[1]), truth)
     record = json.loads((truth / "truth.json").read_text())
-    assert record["files"] == ["camera.json", "depth", "depth.txt", "groundtruth.txt", "rgb", "rgb.txt"]
+    top = ["camera.json", "depth", "depth.txt", "groundtruth.txt", "rgb", "rgb.txt"]
+    assert record["files"] == sorted([*top, "depth/#.#.png", "rgb/#.#.jpg"])
+    del record["files"]
     if earlier:
-        del record["files"]
-        (truth / "truth.json").write_text(json.dumps(record))
+        (truth / "truth.json").write_text(json.dumps(record | ({"files": top} if earlier == 1 else {})))
+    for name in (".DS_Store", "depth/.DS_Store", ".cache/rgb"):
+        (out / name).parent.mkdir(exist_ok=True)
+        (out / name).write_text("of the system")
+    assert added_files(truth, out) == []
     (out / added).parent.mkdir(exist_ok=True)
     (out / added).write_text("by hand")
     before = files(tmp_path)
-    with raises(SettingsError, "settings.other-content", match=added.partition("/")[0]):
+    with raises(
+        SettingsError,
+        "settings.other-content",
+        match=added if added.startswith("depth") else added.partition("/")[0],
+    ):
         simulate(spec_of(), out)
     assert files(tmp_path) == before
 
