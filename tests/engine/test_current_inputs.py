@@ -12,7 +12,7 @@ import pytest
 from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources
 from kinectbench.core.storage import pretty_json
 from kinectbench.engine import artefact as artefacts
-from kinectbench.engine.artefact import Artefact, whole_hash
+from kinectbench.engine.artefact import Artefact, has_sizes, whole_hash
 from kinectbench.engine.place import statuses
 from kinectbench.engine.stages import STAGES, Job, current_stages
 from kinectbench.settings.models import BenchmarkSettings
@@ -168,3 +168,14 @@ def test_results_inside_a_recording_are_apart(tmp_path: Path, root: str) -> None
     before = STAGES[0].sources(job)["recording"].sha256
     (job.build / "more.json").write_bytes(b"of a build")
     assert STAGES[0].sources(job)["recording"].sha256 == before
+
+
+@pytest.mark.parametrize(
+    ("text", "same"),
+    [(None, True), ("{", True), ("[" * 10**5, True), ("[]", False), ("7", False)]
+    + [(text, False) for text in ('{"a": 1}', '{"a": [1]}', '{"a": {"size": 1}}', '{"a": [1, 2, [NAN]]}')],
+)
+def test_damaged_names_and_sizes_are_no_crash(tmp_path: Path, text: str | None, same: bool) -> None:
+    if text is not None:
+        (tmp_path / "sources.json").write_text(text.replace("NAN", "1e999"))
+    assert has_sizes(tmp_path, tmp_path / "sources.json", "a" * 64) is same

@@ -1,11 +1,14 @@
 """Records beside a build's results: inputs and duration of each, and why a run failed."""
 
-from typing import ClassVar, NamedTuple
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
 
 from pydantic import Field, JsonValue
 
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.storage import canonical_json
+from kinectbench.core.untrusted import read_plain_text
+from kinectbench.core.untrusted_text import strict_json
 
 
 class Manifest(Stored):
@@ -84,6 +87,15 @@ class Sources(Stored):
 
     FILE: ClassVar[str] = "sources.json"
     __pydantic_extra__: dict[str, SourceFile]
+
+    @classmethod
+    def unchecked(cls, path: Path) -> Any:
+        """The JSON value of a file, of which nothing is checked; with thousands of rows checks take longer.
+
+        Raises:
+            OSError, ValueError, RecursionError: it cannot be read, or is no JSON of bounded size.
+        """
+        return strict_json(read_plain_text(path, cls.MAX_BYTES), cls.MAX_VALUES)
 
     @property
     def files(self) -> dict[str, SourceFile]:
