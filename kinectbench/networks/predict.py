@@ -127,18 +127,18 @@ def _code_sha256(trained: Trained) -> str:
     That is the folder of its outermost package, or the one that a single module lies in, with all below.
     """
     module = sys.modules[type(trained.network).__module__]
-    outermost = sys.modules.get(module.__name__.partition(".")[0], module)
-    root = Path(inspect.getfile(outermost)).resolve().parent
+    root, packages = Path(inspect.getfile(module)).resolve().parent, module.__name__.count(".")
+    for _ in range(packages if hasattr(module, "__path__") else packages - 1):
+        root = root.parent
     paths: set[Path] = set()
     left = [module]
     while left:
         one = left.pop()
         path = Path(getattr(one, "__file__", None) or "").resolve()
         is_own = path.is_relative_to(root) and not INSTALLED & set(path.relative_to(root).parts)
-        if path in paths or not (one is module or (is_own and path.suffix == ".py" and path.is_file())):
-            continue
-        paths.add(path)
-        left += _imported(one, path)
+        if path not in paths and is_own and path.is_file():  # packages need no file, torch names some in vain
+            paths.add(path)
+            left += _imported(one, path) if path.suffix == ".py" else ()
     with storage_errors(root):
         hashes = [sha256_file(path) for path in sorted(paths)]
     return hashes[0] if len(hashes) == 1 else sha256_text("".join(hashes))

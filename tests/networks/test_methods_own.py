@@ -92,12 +92,15 @@ print(_code_sha256(SimpleNamespace(network=network)))
         ("a.b", "a/b/__init__.py", "from a.layers import SIGN", "a/layers.py"),
         ("a.b", "a/b/__init__.py", "from ..layers import SIGN", "a/layers.py"),
         ("a.b.nets", "a/b/nets.py", "from . import layers", "a/b/layers.py"),
+        ("plain.nets", "plain/nets.py", "from plain.deep.layers import SIGN", "plain/deep/layers.py"),
+        ("plain.deep.nets", "plain/deep/nets.py", "from ..layers import SIGN", "plain/layers.py"),
     ],
 )
 def test_what_it_imports_from_its_own_folder_is_its_code(
     nets: Path, module: str, place: str, line: str, layers: str
 ) -> None:
-    (nets / place).parent.mkdir(parents=True, exist_ok=True)
+    for path in (place, layers):
+        (nets / path).parent.mkdir(parents=True, exist_ok=True)
     for package in ("a", "a/b"):
         if (nets / package).is_dir():
             (nets / package / "__init__.py").touch()

@@ -14,7 +14,7 @@ from kinectbench.settings.models import MaskCuts, ViewSettings
 from kinectbench.stages.sample_views.masks import agreement_mask
 from kinectbench.stages.segment.object_model import ObjectModel
 
-# Size of the strata; smaller ones would hold a frame or two of a usual recording.
+# Size of the strata (chosen by hand); smaller ones would hold a frame or two of a usual recording.
 SECTOR_DEG, BAND_DEG = 30, 15
 # Bounds of the three classes of the visible share.
 SHARES = (0.0, 0.5, 0.8, 1.0)
