@@ -31,12 +31,18 @@ def complete_ones(tables: Tables) -> dict[str, ScoreTable]:
 
 def left_out_lines(tables: Tables) -> list[str]:
     """Return a line for each method that is not compared because some of its pairs are not scored."""
-    return [
+    return [_left_out_line(name, table) for name, table in tables.items() if not table.complete]
+
+
+def _left_out_line(name: str, table: ScoreTable) -> str:
+    reasons = {failure.reason for failure in table.failures}
+    if not table.rows and len(reasons) == 1:
+        # As of a method that the protocols do not fit: empty predictions would not mend it.
+        return f"{name}: left out, none of its pairs is scored: {reasons.pop()}"
+    return (
         f"{name}: left out, some of its pairs are not scored ({len(table.failures)} failed): complete it, or "
         "score it with `--missing empty`"
-        for name, table in tables.items()
-        if not table.complete
-    ]
+    )
 
 
 def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[str, ObjectMeans]]:

@@ -15,7 +15,7 @@ from score_rows import row, table
 
 from kinectbench.core.artefacts.score_figures import AVERAGED
 from kinectbench.core.artefacts.score_marks import MISSING_AS_EMPTY, Mark
-from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
+from kinectbench.core.artefacts.scores import Failure, ScoreSettings, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import object_means
 from kinectbench.scoring.compare import compare, find_scores
@@ -217,6 +217,16 @@ def test_an_incomplete_method_is_left_out_and_named() -> None:
     assert found.left_out == ("part",) and not alone.left_out
     assert found.notes[0].startswith("part: left out, some of its pairs are not scored")
     assert found.notes[1:] == alone.notes
+
+
+def test_a_method_whose_pairs_all_fail_for_one_reason_is_left_out_for_it() -> None:
+    """Such as a protocol that does not fit it, which `--missing empty` would not mend."""
+    failed = tuple(
+        Failure(recording="a", view=f"{i:03}", reason="--protocol camera: of free size") for i in range(2)
+    )
+    free = method("free", 0.3, 8).model_copy(update={"complete": False, "rows": (), "failures": failed})
+    found = compare([free, method("good", 0.2, 8), method("bad", 0.1, 8)])
+    assert found.notes[0] == "free: left out, none of its pairs is scored: --protocol camera: of free size"
 
 
 def in_space(made: ScoreTable, *headings: str) -> ScoreTable:
