@@ -73,7 +73,7 @@ class _Pair:
 
     @cached_property
     def ways(self) -> tuple[NearestOfMoving, NearestOfMoving]:
-        """Searches for the nearest true sample of each predicted one, and for the reverse."""
+        """Search objects: for the nearest true sample of each predicted one, and for the reverse."""
         ours, theirs = self.ours, self.theirs
         return NearestOfMoving(theirs.samples, len(ours)), NearestOfMoving(ours.samples, len(theirs))
 

@@ -209,7 +209,7 @@ def table_in_space(
     thresholds: Thresholds,
     validation: Mapping[Target, str | None] = MappingProxyType({}),
 ) -> ScoreTable:
-    """Make a method's table from its views' results; without averages if a view failed: they would flatter.
+    """Make a method's table from its views' results; without averages if a view could not be scored.
 
     Args:
         release: the release that was predicted.
