@@ -61,8 +61,7 @@ def score(
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
         surface: whether surface metrics are computed; they take most of the time.
-        jobs: number of processes, or the executor that counts on other machines; the result does not depend
-            on it.
+        jobs: number of processes, or the executor that counts elsewhere; the result does not depend on it.
         progress: called with (pairs done, pairs in all).
         resume_in: a folder where counts are kept until all are complete; None keeps nothing.
         close: one of `CLOSINGS`: how open meshes and points in the camera frame are closed; None: not at all.
