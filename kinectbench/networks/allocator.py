@@ -14,7 +14,7 @@ NEVER = -1  # mallopt(3)
 
 @contextmanager
 def memory_kept() -> Iterator[None]:
-    """Keep the memory of freed large arrays in this process within the block, for the next arrays.
+    """Within the block, keep the memory of freed large arrays in this process, for the next arrays.
 
     Otherwise glibc requests every large array from the system, which clears it page by page. A training step
     of `recae-small` takes 1.27 s instead of 1.9 s (batch of 4, beside another process) and 1.9 GB instead of

@@ -46,13 +46,13 @@ Positive = Annotated[float, Field(ge=0)]
 
 
 class _Checked(BaseModel):
-    """Accepts exactly these keys and types, without NaN or infinity."""
+    """Base of models that accept exactly their keys and types, without NaN or infinity."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
 
 
 class StoredState(_Checked):
-    """Progress of a training; validated with the total number of steps as `context`."""
+    """Stored progress of a training; validated with the total number of steps as pydantic's `context`."""
 
     step: Count
     rows: list[TrainingRow]
@@ -200,7 +200,7 @@ def _check(values: object, like: Tensor, positive: bool = False) -> None:
 
 
 def _lay_out(optimiser: torch.optim.Optimizer) -> None:
-    """Give an optimiser's state the memory layout of its parameters, as if it had been created there.
+    """Give an optimiser's state the memory layout of its parameters, as if it had been created by training.
 
     Otherwise sums are rounded in another order, and the training continues differently.
     """

@@ -177,5 +177,5 @@ class MethodSettings(Settings):
 
     @property
     def sha256(self) -> str:
-        """Return the hash of the values that differ from defaults, so that new settings change no hash."""
+        """Return the hash of the values that differ from defaults; so a new setting changes no old hash."""
         return sha256_text(canonical_json(self.model_dump(mode="json", exclude_defaults=True)))

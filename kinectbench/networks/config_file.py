@@ -23,7 +23,8 @@ def find_config(name: str) -> MethodSettings:
     """Read a configuration by its name in the package, or by its path.
 
     Raises:
-        SettingsError: there is no such configuration, the name is that of two, or one line for each error.
+        SettingsError: there is no such configuration, or two have this name; or one line for each error in
+            it.
     """
     path = Path(name)
     if name in packaged_configs():

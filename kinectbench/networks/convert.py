@@ -31,12 +31,12 @@ OF_THE_OPTIMISER = ("/Adam", "/Adam_1", "beta1_power", "beta2_power", "beta1_pow
 
 @dataclass(frozen=True)
 class Mapped:
-    """How a checkpoint's tensor becomes a tensor of the network.
+    """How a checkpoint's tensor is converted to a tensor of the network.
 
     Attributes:
         name: the tensor's name in the network.
         axes: the order in which a convolution's axes are taken; None for other tensors.
-        rows: the axis of a full layer that runs over cells and channels; None for other tensors.
+        rows: the axis of a fully connected layer that runs over cells and channels; None for other tensors.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Mapped:
     rows: int | None = None
 
     def arranged(self, values: Float32) -> Float32:
-        """Return the values in the network's order of axes."""
+        """Return the checkpoint's values with axes in the network's order."""
         if self.axes is not None:
             return np.ascontiguousarray(values.transpose(self.axes))
         if self.rows is not None:
@@ -52,7 +52,7 @@ class Mapped:
         return np.ascontiguousarray(values.T)  # no change for a vector
 
     def stored_shape(self, shape: tuple[int, ...]) -> tuple[int, ...]:
-        """Return the checkpoint's shape of a tensor that has `shape` in the network."""
+        """Return the shape that a tensor has in the checkpoint, given its `shape` in the network."""
         if self.axes is not None:
             return tuple(shape[self.axes.index(axis)] for axis in range(len(shape)))
         return tuple(reversed(shape))
@@ -74,7 +74,7 @@ class Conversion:
         tensors: number of tensors that fit.
         generator, discriminator: number of values of each.
         optimiser: number of the optimiser's tensors, which are not needed.
-        left_out: other tensors that such a network does not have, with their shapes.
+        left_out: names and shapes of other tensors, which the network does not have.
     """
 
     folder: Path
@@ -99,7 +99,7 @@ CHANNELS_FIRST = (4, 3, 0, 1, 2)
 
 
 def mapping() -> dict[str, Mapped]:
-    """Return {name in the checkpoint: tensor of the network}.
+    """Return {name of a tensor in the checkpoint: how it is converted}.
 
     A convolution is [x, y, z, in, out] in the checkpoint and [out, in, x, y, z] in the network; a transposed
     one is [x, y, z, out, in] and [in, out, x, y, z].
@@ -123,7 +123,7 @@ def mapping() -> dict[str, Mapped]:
 
 
 def convert_recgan(model: Path, out: Path) -> Conversion:
-    """Convert a checkpoint.
+    """Convert the checkpoint of 3D-RecGAN++'s authors, and write the method's folder.
 
     Args:
         model: a folder with `<name>.index` and `<name>.data-00000-of-00001`, or the index.

@@ -14,7 +14,7 @@ MASK = 0xA282EAD8
 
 @cache
 def _table() -> NDArray[np.uint32]:
-    """Return the remainder of each byte."""
+    """Return the CRC remainder of each byte value: (256,)."""
     values = np.arange(256, dtype=np.uint32)
     for _ in range(8):
         values = np.where(values & 1, (values >> 1) ^ np.uint32(POLYNOMIAL), values >> 1).astype(np.uint32)

@@ -1,4 +1,4 @@
-"""Batches of a release's pairs, in an order given by the seed, so that any step can be repeated."""
+"""Batches of a release's pairs, in an order that the seed determines, so that any step can be repeated."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -28,10 +28,10 @@ READING_THREADS = 2
 
 @dataclass(frozen=True)
 class Batch:
-    """Some pairs.
+    """A batch of pairs.
 
     Attributes:
-        partial: (b, 1, 64, 64, 64) float32.
+        partial: (b, 1, 64, 64, 64) float32, the partial views.
         truth: the truth of the same pairs.
     """
 
@@ -58,7 +58,8 @@ def training_targets(
 
     Raises:
         ReleaseError: a release has no training pairs (of the category), their truth is held back, or it is
-            given twice; or an object is for training in one release and for testing in another.
+            given twice; or an object is for training in one release, and for validation or testing in
+            another.
     """
     pairs: list[tuple[Release, Target]] = []
     for release in releases:
@@ -91,7 +92,7 @@ def unknown_objects(releases: Sequence[Release], names: Iterable[str]) -> list[s
 
 
 def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
-    """Refuse a release given twice, and objects used for both training and testing."""
+    """Refuse a release given twice, and objects trained on that a release validates or tests with."""
     if len({release.benchmark_sha256 for release in releases}) < len(releases):
         raise ReleaseError("--data: the same release is given twice; leave one out", what="overlap")
     for release in releases:
@@ -120,7 +121,7 @@ def validation_pairs(
 
 
 def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
-    """Return the pairs of a step: every epoch is shuffled, and a step may span two epochs."""
+    """Return the indices of a step's pairs; every epoch is shuffled, and a step may span two epochs."""
     shuffled: dict[int, NDArray[np.int64]] = {}
     chosen = []
     for place in range(step * batch, (step + 1) * batch):
@@ -176,7 +177,7 @@ def _grids(pair: PairFile, config: MethodSettings) -> list[NDArray[np.bool_]]:
 
 
 def turned_axes(grid: NDArray[_Value], config: MethodSettings) -> NDArray[_Value]:
-    """Return a grid (n, n, n) in the network's axes, or back: the authors' x and y are ours reversed."""
+    """Return a grid (n, n, n) with x and y reversed if the network has the authors' axes; its own inverse."""
     return grid[::-1, ::-1] if config.network.axes == "recgan" else grid
 
 

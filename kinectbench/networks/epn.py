@@ -1,9 +1,9 @@
 """3D-EPN: from a partial view to occupancy at 32^3.
 
 Source: Dai et al., Shape Completion using 3D-Encoder-Predictor CNNs and Shape Synthesis, CVPR 2017, without
-its classes and its retrieval; layer sizes as in angeladai/cnncomplete, `epn-unet.lua` and `nnutil.lua`,
-written here from their description. Like the 3D-RecGAN++ paper, this network uses occupancy instead of
-distances: one channel in, one out, trained by cross-entropy.
+its classification and its retrieval of shapes; layer sizes as in angeladai/cnncomplete, `epn-unet.lua` and
+`nnutil.lua`, written here from their description. Like the 3D-RecGAN++ paper, this network uses occupancy
+instead of distances: one channel in, one out, trained by cross-entropy.
 """
 
 import torch
@@ -24,7 +24,8 @@ EPSILON = 1e-3
 class EPN(Network):
     """3D-EPN: 52,447,201 parameters, plus 3,360 of batch normalisation.
 
-    Four convolutions down to one cell, two full layers, four transposed convolutions with skips.
+    Four convolutions down to one cell, two fully connected layers, four transposed convolutions with skip
+    connections.
     """
 
     def __init__(self, divisor: int = 1) -> None:
@@ -53,7 +54,7 @@ class EPN(Network):
         self._initialise()
 
     def _initialise(self) -> None:
-        """Draw weights and biases within 1 / sqrt(inputs of a value), scales of normalisation in [0, 1].
+        """Draw weights and biases uniformly within 1 / sqrt(fan-in) of 0, scales of normalisation in [0, 1].
 
         Source: the default `reset` of the Torch7 modules that the authors use.
         """
@@ -92,7 +93,7 @@ def _uniform(layer: nn.Linear | nn.Conv3d | nn.ConvTranspose3d, inputs: int) -> 
 
 
 def _normalised(norm: nn.Module, x: Tensor) -> Tensor:
-    """Apply batch normalisation; with a single value per channel, by the running variance."""
+    """Apply batch normalisation; with one value per channel, use the running statistics even in training."""
     if x.shape[0] * x.shape[2] ** 3 > 1:
         return norm(x)
     assert isinstance(norm, nn.BatchNorm3d)

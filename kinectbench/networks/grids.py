@@ -1,4 +1,4 @@
-"""Grids of a batch as tensors, at the side of a network's input or output."""
+"""Convert the grids of a batch to the resolution of a network's input or output."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from torch.nn import functional
 
 
 def reduced_partial(partial: Tensor, cells: int) -> Tensor:
-    """Reduce partial views (b, 1, 64, 64, 64) to a smaller side: a cell is set if it touches a set cell.
+    """Reduce partial views (b, 1, 64, 64, 64) to `cells`^3: a cell is set if it overlaps a set cell.
 
     The paper does not say how its views were reduced to 32^3 and 40^3; this is its rule for 64^3.
     """
@@ -39,7 +39,7 @@ class TruthBatch:
         return _shares(self.full & self.known, cells) / weight.clamp(min=1e-6), weight
 
     def tile(self, index: int, place: tuple[int, ...], count: int) -> "TruthBatch":
-        """Return the truth of one tile of one pair, (1, 1, n, n, n); each side is cut into `count` tiles."""
+        """Return one tile of one pair's truth, (1, 1, n, n, n); a side is divided into `count` tiles."""
         cells = self.full.shape[-1] // count
         box = tuple(slice(cells * k, cells * (k + 1)) for k in place)
         cut = (slice(index, index + 1), slice(None), *box)

@@ -29,10 +29,10 @@ DECIDED = 0.02
 
 
 class Downward(nn.ModuleList):
-    """Convolutions 4^3 of stride 2; the forward pass returns the outputs of all."""
+    """Convolutions 4^3 of stride 2; the forward pass returns the output of each of them."""
 
     def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
-        """Make the layers: input channels, and channels after each convolution."""
+        """Make the layers, given the input's channels and the channels after each convolution."""
         layers = zip([inputs, *channels], channels, strict=False)
         super().__init__(nn.Conv3d(a, b, KERNEL, stride=2, padding=1) for a, b in layers)
 
@@ -46,10 +46,10 @@ class Downward(nn.ModuleList):
 
 
 class Upward(nn.Module):
-    """Transposed convolutions with skips back to the finest level, then one logit per voxel."""
+    """Transposed convolutions with skip connections up to the finest level, then one logit per voxel."""
 
     def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
-        """Make the layers: input channels, and the channels of the levels of `Downward`, the finest first."""
+        """Make the layers, given the input's channels and those of `Downward`'s levels, the finest first."""
         super().__init__()
         outputs = [*reversed(channels[:-1]), channels[0]]
         skips = [0, *reversed(channels[:-1])]
@@ -60,7 +60,7 @@ class Upward(nn.Module):
         self.last = nn.Conv3d(channels[0], 1, 3, padding=1)
 
     def forward(self, x: Tensor, levels: list[Tensor]) -> Tensor:
-        """Return logits at the side of `Downward`'s input."""
+        """Return logits at the resolution of `Downward`'s input, given the bottom features and all levels."""
         finer = [None, *reversed(levels[:-1])]
         for layer, level in zip(self.layers, finer, strict=True):
             x = functional.relu(layer(x if level is None else torch.cat([x, level], dim=1)))
@@ -68,10 +68,10 @@ class Upward(nn.Module):
 
 
 class SixSides(nn.Module):
-    """Encodes depth images of the partial view from six sides, one after another, by an LSTM."""
+    """Encodes depth images of the partial view from six sides, which an LSTM reads one after another."""
 
     def __init__(self, channels: tuple[int, ...], divisor: int) -> None:
-        """Make the layers: channels of the image convolutions; `divisor` shortens vectors."""
+        """Make the layers, given the channels of the image convolutions; `divisor` shortens vectors."""
         super().__init__()
         vector, context = IMAGE_VECTOR // divisor, CONTEXT_VECTOR // divisor
         self.convolutions = nn.ModuleList(
@@ -83,7 +83,7 @@ class SixSides(nn.Module):
         self.from_context = nn.Linear(context, narrowed(CONTEXT_CHANNELS, divisor) * BOTTOM_CELLS**3)
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Return the context (b, c, 4, 4, 4) of partial views (b, 1, 64, 64, 64)."""
+        """Return context features (b, c, 4, 4, 4) of partial views (b, 1, 64, 64, 64)."""
         x = six_depth_images(partial).flatten(0, 1)
         for layer in self.convolutions:
             x = functional.relu(layer(x))
@@ -93,7 +93,7 @@ class SixSides(nn.Module):
 
 
 class HanLike(Network):
-    """The whole network, 7.5 M parameters: `coarse` at 32^3, and `patch` of 32^3 cells at 256^3."""
+    """The whole network, 7.5 M parameters: `coarse` predicts at 32^3, `patch` refines 32^3 cells at 256^3."""
 
     def __init__(self, divisor: int = 1) -> None:
         """Make the network; hidden channels and vectors are divided by `divisor`."""
@@ -133,7 +133,10 @@ class HanLike(Network):
     def taught(
         self, partial: Tensor, truth: TruthBatch, generator: Generator
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Yield the coarse grid, then some patches of each shape that its surface passes through."""
+        """Yield logits, targets and weights: of the coarse grid, then of some patches of each shape.
+
+        The patches are drawn from those that the shape's surface passes through.
+        """
         logits, structure = self.coarse(partial)
         target, weight = truth.at(GLOBAL_CELLS)
         yield logits, target, weight
@@ -149,7 +152,10 @@ class HanLike(Network):
             )
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Return logits (b, 1, 256, 256, 256): of patches where the coarse grid is undecided, else coarse."""
+        """Return logits (b, 1, 256, 256, 256): refined in patches where the coarse grid is undecided.
+
+        Elsewhere they are those of the coarse grid, interpolated.
+        """
         logits, structure = self.coarse(partial)
         probability = logits.float().sigmoid()
         out = functional.interpolate(logits.float(), size=OUTPUT_CELLS, mode="trilinear", align_corners=False)
@@ -165,7 +171,10 @@ class HanLike(Network):
 
 
 def six_depth_images(partial: Tensor) -> Tensor:
-    """Return distances to the first set cell from six sides, in [0, 1], 1 without a cell: (b, 6, 1, n, n)."""
+    """Return depth images of a grid from its six sides: (b, 6, 1, n, n), the distance to the first set cell.
+
+    Distances are in [0, 1], in units of the grid's side; 1 if no cell is set.
+    """
     count = partial.shape[-1]
     images = []
     for axis in (2, 3, 4):
@@ -179,8 +188,8 @@ def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tenso
     """Return the input of the local network for patches: (p, 2, 32, 32, 32).
 
     Args:
-        probability: (1, 32, 32, 32) coarse; it is resampled trilinearly, with outermost cells repeated
-            outwards.
+        probability: (1, 32, 32, 32) coarse prediction; it is resampled trilinearly, and its outermost cells
+            are repeated beyond the border.
         partial: (1, 64, 64, 64); each cell becomes 4^3 cells.
         corners: (p, 3) int64, index of the patch along each axis.
     """
@@ -210,7 +219,7 @@ def _undecided(probability: Tensor) -> Tensor:
 
 
 def _drawn(target: Tensor, generator: Generator) -> Tensor:
-    """Draw corners (p, 3) of patches in which a coarse truth (32, 32, 32) is undecided, else of any."""
+    """Draw patches where a coarse truth (32, 32, 32) is undecided, else any: indices (p, 3)."""
     corners = torch.nonzero(_undecided(target))
     if not len(corners):
         corners = torch.nonzero(torch.ones(3 * (PATCHES,), device=target.device))

@@ -1,4 +1,4 @@
-"""Layers that several networks share: convolutions padded like TensorFlow's "SAME", and initial values.
+"""Layers that several networks share: convolutions padded as by TensorFlow's "SAME", and initial values.
 
 Tensors have torch's layout: (batch, channels, x, y, z).
 """

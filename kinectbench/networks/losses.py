@@ -13,7 +13,7 @@ TINY = 1e-8
 
 
 def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings: LossSettings) -> Tensor:
-    """Return the sum over supervised parts of the mean loss a voxel, in nats.
+    """Return the mean loss per voxel, in nats, summed over supervised parts.
 
     Args:
         parts: (logits, targets in [0, 1], weights), of one shape in each part.
@@ -28,8 +28,8 @@ def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings
 def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tensor:
     """Return the loss of each voxel, in nats.
 
-    The weighted loss (equation 3 of the paper) is -alpha y log p - (1 - alpha) (1 - y) log(1 - p). With a
-    floor, as in the authors' code, p is clipped to it from below, so voxels below it have no gradient.
+    The weighted loss (equation 3 of the paper) is -alpha y log p - (1 - alpha) (1 - y) log(1 - p). If there
+    is a floor, as in the authors' code, smaller p are raised to it, so voxels with such a p have no gradient.
     """
     if settings.kind == "cross-entropy":
         return functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
@@ -42,7 +42,7 @@ def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tens
 
 
 def _mean(losses: Tensor, weight: Tensor) -> Tensor:
-    """Return the weighted mean; 0 if all weights are 0."""
+    """Return the weighted mean; a sum of weights below 1 counts as 1, so the mean is 0 if all are 0."""
     if weight.stride() == (0,) * weight.dim() or not weight.numel():  # an expanded scalar 1
         return losses.mean()
     return (losses * weight).sum() / weight.sum().clamp(min=1.0)

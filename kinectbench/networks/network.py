@@ -1,4 +1,4 @@
-"""Base class of networks: a torch module with the sides of its grids and its training targets."""
+"""Base class of networks: a torch module with the resolutions of its grids and its training targets."""
 
 from collections.abc import Iterator
 
@@ -11,19 +11,19 @@ class Network(nn.Module):
     """A network that completes shapes; its forward pass gives logits.
 
     Attributes:
-        input_cells: side of its input; partial views are reduced to it.
-        output_cells: side of its output grid.
+        input_cells: number of cells along a side of its input, to which partial views are reduced.
+        output_cells: number of cells along a side of its output grid.
     """
 
     def __init__(self, *, input_cells: int, output_cells: int) -> None:
-        """Store the sides."""
+        """Store the numbers of cells."""
         super().__init__()
         self.input_cells, self.output_cells = input_cells, output_cells
 
     def taught(
         self, partial: Tensor, truth: TruthBatch, generator: Generator
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Yield logits, targets in [0, 1] and weights, for each supervised part.
+        """Yield (logits, targets in [0, 1], weights) for each output that the loss is computed on.
 
         Args:
             partial: (b, 1, 64, 64, 64) float32.

@@ -103,7 +103,7 @@ def predict(
 def run_of(
     trained: Trained, release: Release, threshold: float | None, precision: Precision, device: str
 ) -> UnfinishedFile:
-    """Return all that determines the bytes of the predictions; arguments as in `predict`."""
+    """Return all that determines the bytes of a run's prediction files; arguments as in `predict`."""
     # Values written unchanged have no key, so that folders of earlier versions stay current.
     is_fine = threshold is None and trained.network.output_cells == FULL_CELLS
     coded = {"precision": precision} if is_fine and precision == "packed" else {}
@@ -122,9 +122,10 @@ def run_of(
 
 
 def _code_sha256(trained: Trained) -> str:
-    """Return the hash of the file with the network's class, and of what it imports from the same folder.
+    """Return the hash of the file with the network's class, and of its imports from the same folder.
 
-    That is the folder of its outermost package, or the one that a single module lies in, with all below.
+    That folder is the one of the class's outermost package, or of its module if it is in no package;
+    subfolders are included.
     """
     module = sys.modules[type(trained.network).__module__]
     root, packages = Path(inspect.getfile(module)).resolve().parent, module.__name__.count(".")
@@ -145,7 +146,7 @@ def _code_sha256(trained: Trained) -> str:
 
 
 def _imported(module: ModuleType, path: Path) -> Iterator[ModuleType]:
-    """Yield the modules that a module's file names in its imports, and the packages that they lie in."""
+    """Yield the modules that a module's file imports, and the packages that contain them."""
     with storage_errors(path), open_plain(path) as file:
         tree = ast.parse(file.read())
     for node in ast.walk(tree):
@@ -169,10 +170,10 @@ def _write_all(
     device: str,
     progress: Progress | None,
 ) -> list[float]:
-    """Predict missing files; arguments as in `predict`.
+    """Predict the files that are missing; arguments as in `predict`.
 
     Returns:
-        The seconds that the network took for each view.
+        The seconds that the network took for each predicted view.
     """
     waiting = [target for target in targets if not kept.holds(target)]
     seconds = []
@@ -223,7 +224,7 @@ def _write(
 
 
 def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
-    """Return a prediction's file: probabilities, packed or float16, or bits at 256^3 along the last axis."""
+    """Return a prediction's file content: probabilities, packed or float16, or packed bits at 256^3."""
     if run.threshold is not None:
         planes = upsampled_planes(probability)
         return packed_npz_bytes({"prediction": np.stack([pack(p > run.threshold) for p in planes])})
@@ -235,8 +236,8 @@ def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> b
 def notes(trained: Trained, release: Release) -> list[str]:
     """Return caveats of the scores, a line each.
 
-    They are test objects that are also in the training set, and test categories or a framing that the network
-    was not trained on.
+    They name test objects that the network was trained on, and test categories or a framing that it was not
+    trained on.
     """
     training = trained.training
     lines = []

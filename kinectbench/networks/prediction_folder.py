@@ -90,10 +90,11 @@ class PredictionFolder:
         self._note([name])
 
     def finish(self, method: MethodFile) -> None:
-        """Finish the folder: method.json then names the run and its files.
+        """Finish the folder: write method.json with the run's hash and the digests of its files.
 
         Args:
-            method: method.json of this run; without new predictions the earlier cost is kept.
+            method: method.json of this run; without new predictions, time and memory of the earlier run are
+                kept.
         """
         sealed = {"run_sha256": self._run.sha256, "files": dict(sorted(self._kept.items()))}
         cost = {}
@@ -134,7 +135,7 @@ class PredictionFolder:
                 )
 
     def _written_before(self, done: MethodFile | None) -> dict[str, str]:
-        """Return {file: digest} of an earlier part of this run; empty if another run wrote the files."""
+        """Return {file: digest} that this run wrote before; empty if another run wrote the folder."""
         if done is not None:
             return dict(done.files or {}) if done.run_sha256 == self._run.sha256 else {}
         written = {}
@@ -153,7 +154,7 @@ class PredictionFolder:
         targets: Sequence[Target],
         say: Callable[[str], None] | None,
     ) -> None:
-        """Record this run and remove files of others; it may be killed and repeated at any point."""
+        """Record this run and remove the files of others; safe to repeat if the process was killed within."""
         listed = {name for name in (done and done.files) or {} if name.endswith(SUFFIX)}
         before = {*listed, *map(_name, targets)} - self._kept.keys()
         with storage_errors(self._folder):
@@ -198,7 +199,7 @@ def _name(target: Target) -> str:
 
 
 def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run: UnfinishedFile) -> str:
-    """Return the difference to the run that left the files, as text; "" if it is this run."""
+    """Return in words what differs from the run that left the files; "" if it is this run."""
     if unfinished is not None:
         before = unfinished.json_value()
     elif done is not None:

@@ -1,4 +1,4 @@
-"""Several processes that train one network under torchrun: each takes its part of every batch."""
+"""Train one network in several processes, started by torchrun: each takes its part of every batch."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -61,7 +61,7 @@ def wait_for_all(size: int) -> None:
 
 
 def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
-    """Average the gradients over processes; nothing to do for one process.
+    """Average the gradients over all processes.
 
     It is called after `backward`: DistributedDataParallel does not support a penalty on gradients.
     """

@@ -26,10 +26,11 @@ FIRST_LOGIT = -2.5
 
 
 class RecAE(Network):
-    """3D-RecAE, 164,282,729 parameters: four convolutions, two full layers, six transposed convolutions.
+    """3D-RecAE, 164,282,729 parameters.
 
-    Each of the first five transposed convolutions also takes the encoder's output of the same side (the fifth
-    takes the partial view itself).
+    Four convolutions, two fully connected layers, six transposed convolutions. Each of the first five
+    transposed convolutions also takes the encoder's output of the same resolution (the fifth takes the
+    partial view itself).
     """
 
     def __init__(self, divisor: int = 1, output_cells: int = 256) -> None:
@@ -37,7 +38,8 @@ class RecAE(Network):
 
         Args:
             divisor: hidden channels are divided by it; the decoder keeps at least 4.
-            output_cells: 64, 128 or 256; smaller sides leave out the last transposed convolutions.
+            output_cells: 64, 128 or 256 cells a side; with fewer, the last transposed convolutions are left
+                out.
         """
         super().__init__(input_cells=64, output_cells=output_cells)
         encoder = [narrowed(channels, divisor) for channels in ENCODER]
@@ -57,7 +59,7 @@ class RecAE(Network):
         xavier(self)
 
     def start_by_he(self) -> None:
-        """Initialise weights after He, and the output bias by the mean occupancy of the training shapes."""
+        """Initialise weights after He, and the output's bias to the mean occupancy of the training shapes."""
         he(nn.ModuleList([self.down, self.to_vector, self.from_vector, self.up]))
         last = self.up[-1]
         assert isinstance(last, Doubling) and last.bias is not None
@@ -76,7 +78,7 @@ class RecAE(Network):
     def taught_tiles(
         self, partial: Tensor, truth: TruthBatch, generator: Generator, cells: int
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Do the same as `taught` on one random tile of each shape; layers beyond 64^3 run only there.
+        """Do as `taught`, for one random tile of each shape; layers beyond 64^3 compute only the tile.
 
         All tiles are equally likely, so without a mask the expected loss is that of the whole grid. A step of
         `recae-small` takes 0.29 s of CPU a pair with tiles of 128^3, and 1.36 s without tiles.
@@ -85,7 +87,7 @@ class RecAE(Network):
             partial: (b, 1, 64, 64, 64) float32.
             truth: the truth of the same pairs.
             generator: draws the tiles.
-            cells: side of a tile.
+            cells: number of cells along a side of a tile.
         """
         base = torch.cat([functional.relu(self._until_64(partial)), partial], dim=1)
         count = self.output_cells // cells
@@ -115,19 +117,19 @@ class RecAE(Network):
 
 
 def tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], cells: int) -> Tensor:
-    """Return a tile of the output of doubling layers with ReLU between, equal to a cut of the whole output.
+    """Return a tile of the output of doubling layers with ReLU between them, without computing the rest.
 
     An output cell of a layer depends on the input cell that it lies in and on that cell's neighbours. So one
     more cell around the tile is enough at every layer.
 
     Args:
         layers: transposed convolutions 4^3 of stride 2.
-        base: (1, c, n, n, n).
+        base: (1, c, n, n, n), input of the first layer.
         place: index of the tile along each axis.
-        cells: side of a tile of the result.
+        cells: number of cells along a side of the tile, in the output.
 
     Returns:
-        (1, 1, cells, cells, cells).
+        (1, 1, cells, cells, cells), equal to that part of the whole output.
     """
     lows = [index * cells >> len(layers) for index in place]
     width, side, margin = cells >> len(layers), base.shape[-1], 1
@@ -145,6 +147,6 @@ def tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], c
 
 
 def _cut(x: Tensor, begins: Sequence[int], lows: Sequence[int], highs: Sequence[int]) -> Tensor:
-    """Return cells [low, high) along each axis of a grid (1, c, …) whose first cell is `begins`."""
+    """Return the cells [low, high) along each axis of a grid (1, c, …) that starts at `begins`."""
     box = (slice(low - first, high - first) for first, low, high in zip(begins, lows, highs, strict=True))
     return x[(slice(None), slice(None), *box)]

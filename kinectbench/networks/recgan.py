@@ -17,7 +17,7 @@ CHANNELS = (8, 16, 32, 64, 128, 256)
 
 
 class Discriminator(nn.Module):
-    """The discriminator, 2,794,488 parameters: six convolutions of stride 2, and the mean of the output.
+    """The discriminator, 2,794,488 parameters: six convolutions of stride 2 and a sigmoid.
 
     The partial view (64^3) is reshaped, not resampled, to layers of n x n cells and placed before the shape
     along z: at 256^3 the grid is 256 x 256 x 260.
@@ -53,7 +53,7 @@ class RecGAN(RecAE):
         self.discriminator = Discriminator(divisor)
 
     def generator_parameters(self) -> list[nn.Parameter]:
-        """Return the parameters that complete shapes."""
+        """Return the generator's parameters."""
         return [values for name, values in self.named_parameters() if not name.startswith("discriminator.")]
 
 
@@ -69,11 +69,11 @@ def discriminator_loss(
 
     Args:
         discriminator: the discriminator that is trained.
-        partial: (b, 1, 64, 64, 64) views.
+        partial: (b, 1, 64, 64, 64) partial views.
         fake: (b, 1, n, n, n) predicted probabilities, without gradients.
         real: (b, 1, n, n, n) the truth.
-        settings: choices on which paper and code differ.
-        generator: the source of the random mixtures.
+        settings: choices where the paper and its code differ.
+        generator: the source of random numbers, which mix `fake` and `real` for the gradient penalty.
     """
     count = len(fake) if settings.epsilon == "sample" else fake.shape
     epsilon = torch.rand(count, generator=generator, device=fake.device)

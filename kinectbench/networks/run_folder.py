@@ -34,7 +34,7 @@ class State:
     Attributes:
         step: number of finished steps.
         rows: rows of the log so far.
-        sums: losses summed since the last row, and the number of summed steps as `steps`.
+        sums: each loss summed over the steps since the last row, and as `steps` the number of these steps.
         best_iou: the best validation IoU so far; `best_step`: its step.
         seconds: time of training so far.
     """
@@ -47,7 +47,7 @@ class State:
     seconds: float = 0.0
 
     def add(self, losses: Losses) -> None:
-        """Count a finished step."""
+        """Count a finished step, and add its losses to the sums."""
         self.step += 1
         for name, value in {**losses, "steps": 1.0}.items():
             self.sums[name] = self.sums.get(name, 0.0) + value
@@ -86,7 +86,7 @@ def _flat(values: dict[str, object], before: str = "") -> Iterator[tuple[str, ob
 
 
 def prepare_folder(folder: Path, config: MethodSettings) -> None:
-    """Create the folder, or check that it has the same configuration.
+    """Create the folder and write the configuration, or check that the folder has the same one.
 
     Raises:
         SettingsError: the folder holds a training with another configuration.
@@ -108,14 +108,14 @@ def prepare_folder(folder: Path, config: MethodSettings) -> None:
 
 
 def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
-    """Write the checkpoint, the log and, unless only the best are kept, the weights.
+    """Write checkpoint, log, curves, and the weights unless the best ones are kept and already written.
 
     Args:
         folder: the training's folder.
         learner: the network and its optimisers.
         state: progress of the training.
-        facts: facts for training.json that do not change; the releases must be the same to continue.
-        config: the configuration to keep.
+        facts: constant entries of training.json; a training continues only with the same releases.
+        config: the method's configuration.
     """
     latest = config.training.keep == "last" or state.best_step == 0  # validation writes the best
     if latest:
@@ -146,7 +146,7 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
 
 
 def benchmarks(facts: dict[str, Any]) -> list[str]:
-    """Return the training releases, in order, by `benchmark_sha256`."""
+    """Return the `benchmark_sha256` of each training release, in order."""
     return [facts["benchmark_sha256"], *facts["further_benchmarks_sha256"]]
 
 

@@ -77,7 +77,7 @@ def score_predicted(
 def as_written(
     trained: Trained, release: Release, run: UnfinishedFile, target: Target, device: str
 ) -> Prediction:
-    """Return the content of a pair's prediction file; errors as in `completed_target`."""
+    """Return a prediction as it would be read from its file; errors as in `completed_target`."""
     probability, _ = completed_target(trained, release, target, device)
     return _read_again(probability, run)
 

@@ -21,13 +21,13 @@ Losses = dict[str, float]
 
 
 class StepError(KinectBenchError):
-    """A training cannot continue."""
+    """Raised when a training cannot continue."""
 
     kind, what = "training", "diverged"
 
 
 class Learner:
-    """A network with its optimisers; random numbers of a step depend only on the seed and the step's number.
+    """A network with its optimisers; a step's random numbers depend only on seed, step and process.
 
     Attributes:
         network: the network that is trained.
@@ -72,7 +72,7 @@ class Learner:
         return {"loss": loss.item()}
 
     def _rate_factor(self, epoch: int, share: float) -> float:
-        """Return the factor of the learning rates."""
+        """Return the factor by which all learning rates are reduced at this point of the training."""
         training = self._config.training
         halved = 0.5 ** (epoch // training.halve_every_epochs) if training.halve_every_epochs else 1.0
         return halved * ((1 + math.cos(math.pi * share)) / 2 if training.schedule == "cosine" else 1.0)
@@ -85,7 +85,7 @@ class Learner:
         return self.network.taught(batch.partial, batch.truth, generator)
 
     def _adversarial(self, network: RecGAN, batch: Batch, generator: Generator) -> Losses:
-        """Update the discriminator, then the generator with the prediction made before."""
+        """Update the discriminator, then the generator; both use one prediction, made before."""
         settings = self._config.adversarial
         assert settings is not None
         with self._autocast():
@@ -110,7 +110,7 @@ class Learner:
         }
 
     def _descend(self, loss: Tensor, index: int) -> None:
-        """Update by one optimiser, and discard the other's gradients."""
+        """Update the parameters of one optimiser by the gradients of `loss`; discard other gradients."""
         if not torch.isfinite(loss):
             raise StepError("the loss is no number any more; choose a lower learning rate, and train again")
         optimiser = self.optimisers[index]

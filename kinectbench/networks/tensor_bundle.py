@@ -134,7 +134,7 @@ def _opened(index: Path, content: bytes) -> TensorBundle:
 
 
 class _Reader:
-    """Reads the blocks of an index; the file's size bounds the bytes read."""
+    """Reads the blocks of an index; in all, no more bytes than the file has."""
 
     def __init__(self, content: bytes) -> None:
         self._content, self._bytes_left, self._entries_left = content, len(content), MOST_ENTRIES
@@ -218,7 +218,7 @@ def _fields(content: bytes) -> dict[int, list[int | bytes]]:
 
 
 def _number(fields: Mapping[int, list[int | bytes]], field: int) -> int:
-    """Return the last value of a number; 0 if missing, as protocol buffers omit zeros."""
+    """Return a number field's last value; 0 if the field is missing, as protocol buffers omit zeros."""
     value = fields.get(field, [0])[-1]
     if not isinstance(value, int):
         raise ValueError("a field of another kind")

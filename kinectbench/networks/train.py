@@ -58,7 +58,7 @@ class Training:
         part: rank and number of processes.
         learner: network and optimisers.
         state: progress of the training.
-        facts: facts for training.json that do not change.
+        facts: constant entries of training.json.
     """
 
     config: MethodSettings
@@ -145,7 +145,7 @@ def train(
 
 
 def _facts_of(releases: Sequence[Release], targets: Sequence[tuple[Release, Target]]) -> dict[str, object]:
-    """Return facts about the training pairs for training.json."""
+    """Return the entries of training.json that describe the training pairs."""
     return {
         "benchmark_sha256": releases[0].benchmark_sha256,
         "further_benchmarks_sha256": tuple(release.benchmark_sha256 for release in releases[1:]),
@@ -266,7 +266,7 @@ def _memory_errors_reported() -> Iterator[None]:
 
 
 def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:
-    """Validate and add a row to the log if it is due and missing."""
+    """Validate and add a row to the log, if that is due after this step and not yet done."""
     state, every = training.state, training.config.training.validate_every_steps
     due = state.step > 0 and (state.step % every == 0 or state.step == training.steps)
     if due and not (state.rows and state.rows[-1].step == state.step):
@@ -276,7 +276,7 @@ def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None
 
 
 def _look(training: Training) -> TrainingRow:
-    """Validate and add a row to the log; keep the best weights if configured, and all that is said of them.
+    """Validate and add a row to the log; if the IoU is the best so far, keep the weights if configured.
 
     If it is interrupted, nothing has changed, and the validation is repeated.
     """

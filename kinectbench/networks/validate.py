@@ -1,4 +1,4 @@
-"""Quality of a network on validation pairs, counted like predictions."""
+"""Measure a network's IoU on validation pairs, as predictions are scored."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ PROTOCOL = "known"
 def completed(
     network: Network, partial: NDArray[np.bool_], config: MethodSettings, device: str
 ) -> NDArray[np.float16]:
-    """Predict a partial view (64, 64, 64): (n, n, n) float16 in [0, 1], both in the grid's axes."""
+    """Predict a partial view (64, 64, 64): (n, n, n) float16 in [0, 1], both in the pair's axes."""
     network.eval()
     with torch.inference_mode():
         tensor = as_tensor(turned_axes(partial, config)[None], device)

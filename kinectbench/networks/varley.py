@@ -1,4 +1,4 @@
-"""Varley et al.: from a partial view to occupancy at 40^3 by three convolutions and two full layers.
+"""Varley et al.: occupancy at 40^3 from a partial view, by three convolutions and two fully connected layers.
 
 Source: Varley et al., Shape Completion Enabled Robotic Grasping, IROS 2017; layer sizes as in
 CRLab/shape_completion_experiments, `conv3_dense2.py`, reimplemented from its description.

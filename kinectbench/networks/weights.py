@@ -61,7 +61,7 @@ def read_weights(path: Path) -> Arrays:
 def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[np.generic]]]:
     """Yield a file's values in flat slabs: name of the array, index of the first value, values (n,).
 
-    Slabs are needed because an array may be as large as the memory. Errors as in `read_weights`.
+    So an array as large as the memory can be read in parts. Errors as in `read_weights`.
     """
     with _opened(path, most_bytes) as archive:
         for entry in archive.infolist():
@@ -120,7 +120,7 @@ def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
 
 
 def _problem(name: str, array: FileArray) -> str:
-    """Return why a network cannot have this value; "" if it can."""
+    """Return why a network cannot have these values, in a few words; "" if it can."""
     # A float64 may exceed float32. The comparison is also false for NaN.
     most = np.finfo(np.float32).max
     if not -most <= array.min() <= array.max() <= most:
@@ -142,7 +142,7 @@ def check_values(network: "Module") -> None:
     """Refuse a network with a value that no file of weights can hold.
 
     Raises:
-        SettingsError: the name of the value, and what it is.
+        SettingsError: there is such a value; the message names it and says what is wrong.
     """
     import torch
 

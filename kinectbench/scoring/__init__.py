@@ -1,1 +1,1 @@
-"""Metrics, protocols, thresholds, submissions, tables."""
+"""Score predictions: submitted files, metrics, protocols, thresholds and score tables."""

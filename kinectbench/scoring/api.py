@@ -1,4 +1,4 @@
-"""For training: a release as a dataset, and a scorer in memory, pair by pair."""
+"""Python interface for training: a release as a dataset, and a scorer that counts predictions in memory."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,9 +34,9 @@ from kinectbench.scoring.truth import read_packed_truth
 
 
 class Scorer:
-    """Scores predictions as they are made: `update` each pair, then ask for the `result`.
+    """Scores predictions as they are made: call `update` for each pair, then `result`.
 
-    Give validation pairs first, if there are any: the thresholds are chosen on them, and the first test pair
+    Give validation pairs first, if there are any: thresholds are chosen on them, and the first test pair
     fixes the thresholds.
     """
 
@@ -56,14 +56,14 @@ class Scorer:
 
         Args:
             dataset: the dataset of the release, or the release's path.
-            method: name in the result.
+            method: the method's name, for the result.
             protocols: some of "paper", "known", "occluded", "measured", "known-unsaid", "shell"; default: all
                 that the pairs allow, without "shell".
-            thresholds_file: see docs/scoring.md.
-            missing: how a pair without a prediction counts: "error" a failure, "empty" an empty grid.
+            thresholds_file: a file with the thresholds; see docs/scoring.md.
+            missing: how a pair without a prediction counts: "error": as a failure; "empty": as an empty grid.
             upsampling: "half-pixel" or "corner-aligned".
-            surface: whether surface metrics are computed. They take most of the time: leave them out (null)
-                where a network is scored after every epoch.
+            surface: whether surface metrics are computed. They take most of the time: leave them out where a
+                network is scored after every epoch.
             own_threshold: the method's own threshold for categories without validation pairs, one of 0.1,
                 0.15, ... 0.9; same as `threshold` in a method.json.
 
@@ -143,7 +143,7 @@ class Scorer:
         )
 
     def _left(self, split: str) -> list[Target]:
-        """Return the pairs of a split without a prediction; none of a validation split that is not used."""
+        """Return a split's pairs that have no prediction; none for validation if it is not used."""
         if split == "validation" and not (
             self._searched and any(target.split == split for target in self._results)
         ):

@@ -40,16 +40,16 @@ def make_table(
     settings: ScoreSettings,
     empty: Collection[Target] = (),
 ) -> ScoreTable:
-    """Make the table of a method. It has no averages if only some pairs were scored: they would flatter.
+    """Make a method's table; without averages if a pair failed, as a mean over the others could be too high.
 
     Args:
         release: the release that was predicted.
         method: the method's name.
         results: result of every counted pair, also of the validation split.
         thresholds: threshold of every category of the test split.
-        rates: base rates.
-        failures: why a prediction could not be scored.
-        settings: see `describe`.
+        rates: base rate of every category.
+        failures: {pair: why its prediction could not be scored}.
+        settings: the settings that the scores depend on (`describe`).
         empty: pairs without a prediction that were counted as empty grids.
     """
     rows = rows_of(results, settings.protocols, thresholds, rates)
@@ -164,7 +164,7 @@ def quality_of(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityF
 
 
 def describe(counting: Counting, missing: str) -> ScoreSettings:
-    """Return the settings that the scores depend on."""
+    """Return the settings that the scores depend on, as the table states them."""
     way = "cell centres to cell centres" if counting.upsampling == HALF_PIXEL else "outermost centres aligned"
     return ScoreSettings(
         score_version=VERSIONS["score"],

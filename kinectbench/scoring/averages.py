@@ -24,14 +24,14 @@ EXTREMES = 3
 
 @dataclass(frozen=True)
 class ObjectQuality:
-    """The quality of an object's truth.
+    """The quality of an object's truth, as averages over its recordings.
 
     Attributes:
         category: the object's category.
-        estimated_iou: mean over the object's recordings; None if the value of one recording is not known.
+        estimated_iou: mean estimated IoU of the truth; None if it is unknown for one recording.
         estimated_iou_low: mean lower end of the estimate's interval; None like `estimated_iou`.
         estimated_iou_high: mean upper end of that interval.
-        repeatability_iou: mean repeatability IoU over the object's recordings.
+        repeatability_iou: mean repeatability IoU; None if it is unknown for one recording.
         unknown_share: share of the object's true shape that is not known: mean over all its pairs; None if
             the rows are of an older version without this share.
     """
@@ -46,7 +46,7 @@ class ObjectQuality:
 
 @dataclass(frozen=True)
 class ObjectMeans:
-    """The objects of one category under one protocol.
+    """Mean metrics of each object of one category, under one protocol.
 
     Attributes:
         names: names of the objects, sorted.
@@ -62,13 +62,14 @@ class ObjectMeans:
 
 
 def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
-    """Return {heading: {category: means of its objects}}, sorted, of categories with a counted pair.
+    """Return {heading: {category: means of its objects}}; a heading is a protocol, with part and kind if any.
 
-    Views of one object are not independent: each object counts once, however many views it has. The
-    protocols `paper` and `shell` weigh every pair equally, as the paper does.
+    Categories are sorted; one without a counted pair is left out. Views of one object are not independent:
+    each object counts once, however many views it has. The protocols `paper` and `shell` weigh every pair
+    equally, as the paper does.
 
     Args:
-        rows: the rows of a table; a row without figures is of an all-unknown pair, and counts nowhere.
+        rows: the rows of a table; a row without metrics is of an all-unknown pair, and is skipped.
     """
     groups: dict[str, dict[str, dict[str, list[ScoreRow]]]] = {}
     for row in rows:
@@ -85,10 +86,10 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
 
 
 def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | None]) -> float | None:
-    """Return the mean of a value that is no metric: over pairs, then objects, then categories.
+    """Return the mean of a value of each row that is no metric: over pairs, then objects, then categories.
 
     Args:
-        rows: rows under one heading; rows without figures count nowhere.
+        rows: rows under one heading; rows without metrics are skipped.
         value: returns the value of a row.
 
     Returns:
@@ -104,7 +105,7 @@ def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | Non
 
 
 def _means(by_object: Mapping[str, Sequence[ScoreRow]], plain: bool) -> ObjectMeans:
-    """Return the means of one category's objects under one protocol."""
+    """Return one category's means by object; with `plain`, an object's weight is its number of pairs."""
     names = tuple(sorted(by_object))
     values = [[_known_mean([getattr(row, m) for row in by_object[name]]) for m in AVERAGED] for name in names]
     counts = np.array([len(by_object[name]) for name in names], np.float64)
@@ -175,7 +176,7 @@ def overall_averages(
 ) -> dict[str, OverallAverages]:
     """Return {protocol: macro mean over the counted categories, its intervals, sums of pairs and objects}.
 
-    Figures of the truth are means over all categories.
+    Means of the truth's quality also include categories without a counted pair.
     """
     estimated = ("truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high")
     of_truth = (*estimated, "truth_repeatability_iou", "truth_unknown_share")
@@ -212,20 +213,20 @@ def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
 
 
 def _known_mean(values: Sequence[float | None]) -> float | None:
-    """Return the mean; None if a value is not known."""
+    """Return the mean of the values; None if one of them is None, or if there are none."""
     known = [value for value in values if value is not None]
     return fmean(known) if known and len(known) == len(values) else None
 
 
 def _known(values: Float64) -> dict[str, float | None]:
-    """Return averages by name; None where not computed."""
+    """Return {metric: average}; None instead of NaN."""
     return {
         name: None if np.isnan(value) else float(value) for name, value in zip(AVERAGED, values, strict=True)
     }
 
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
-    """Return intervals by metric, clipped to the metric's range; None where there is no interval."""
+    """Return {metric: interval}, clipped to the metric's range; None where there is no interval."""
     named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):

@@ -1,4 +1,4 @@
-"""A folder of predictions in the camera frame: which file answers which view, and how it fits its depth."""
+"""A folder of predictions in the camera frame: the files of each view, and how well they fit its depth."""
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -39,7 +39,7 @@ class CameraPredictionFile:
     """The file of one prediction.
 
     Attributes:
-        target: the view that it answers.
+        target: the predicted view.
         name: `<recording>/<view>` without suffix; hypothesis k of several is `<recording>/<view>.<k>`.
         path: the file.
     """
@@ -50,14 +50,17 @@ class CameraPredictionFile:
 
 
 def names_of(target: Target, hypotheses: int) -> list[str]:
-    """Return the names of a view's predictions; each of several hypotheses has its number, from 0 on."""
+    """Return the names of a view's predictions; several hypotheses are numbered from 0."""
     return [target.name] if hypotheses == 1 else [f"{target.name}.{k}" for k in range(hypotheses)]
 
 
 def find_files(
     folder: Path, targets: Iterable[Target], method: MethodFile
 ) -> Iterator[tuple[Target, str, CameraPredictionFile | str | None]]:
-    """Yield each view's predictions by name: the file, why it cannot be used, or None where there is none."""
+    """Yield the view, the name and the file of each expected prediction.
+
+    Instead of the file there is the reason if it cannot be used, and None if there is no file.
+    """
     root = folder.resolve()
     for target in targets:
         for name in names_of(target, method.hypotheses):
@@ -81,7 +84,7 @@ def find_files(
 
 
 def load_camera_shape(file: CameraPredictionFile, method: MethodFile) -> CameraShape:
-    """Read a prediction as a shape in its view's camera frame, metres (or of free size, if declared so).
+    """Read a prediction as a shape in its view's camera frame, metres, or in any unit if its scale is "free".
 
     Raises:
         PredictionError: the file is unacceptable, or not of the declared form; one line.
@@ -122,12 +125,12 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
 
 
 def shape_content(shape: CameraShape) -> Held:
-    """Return what a predicted shape holds: vertices and faces, points, or cells."""
+    """Return a digest of a predicted shape, by which equal predictions are found."""
     return content_of(shape.points_m, shape.faces)
 
 
 def _refused(shape: CameraShape, T_grid_camera: Float64, voxel_size_m: float) -> str:
-    """Why the solid of a closed mesh cannot be made; "" if it can, or if the shape is no closed mesh."""
+    """Return why a closed mesh cannot be made solid; "" if it can, or if the shape is no closed mesh."""
     if (mesh := closed_mesh(shape)) is None:
         return ""
     try:
@@ -145,11 +148,11 @@ def check_camera(
     Args:
         release: the release that was predicted.
         folder: the folder of predictions.
-        method: what method.json declares.
+        method: the method's method.json.
         progress: called with (views done, views in all).
 
     Returns:
-        A line for each problem, and notes on how usable predictions lie to their views' depth.
+        A line for each problem; and notes on how well usable predictions fit their views' depth.
     """
     problems = method_problems(folder, method, release)
     problems += [
@@ -213,7 +216,7 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
 
 
 def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
-    """Return a line for each error of unit or axes and each refused solid, and notes on what may be right.
+    """Return a line for each wrong unit or axes and each refused solid, and notes on what may be intended.
 
     `check` reports these lines as errors, `score` as warnings.
     """
@@ -240,12 +243,12 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
 
 
 def missing_in_camera(name: str) -> str:
-    """Return one line that says which file is missing."""
+    """Return the line that says that a prediction is missing, and which file is expected."""
     return f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}"
 
 
 def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list[str]:
-    """Return a line for each file in a folder that answers no view."""
+    """Return a line for each file in a folder that belongs to no view."""
     names = [name for target in release.targets for name in names_of(target, method.hypotheses)]
     expected = {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)}
     return stray_lines(stray_files(folder, expected), ())

@@ -48,7 +48,7 @@ class CameraShape:
         points_m: (n, 3) float64: vertices of a mesh, points of a cloud, centres of occupied cells with a free
             neighbour, or centres of cells less than a cell from the surface (sdf).
         faces: (m, 3) faces of a mesh, else (0, 3).
-        normals: (n, 3) where points have them.
+        normals: (n, 3) normals of a cloud's points; None if there are none.
         cells: (i, j, k) bool occupancy, or float32 signed distances in metres; None for meshes and points.
         T_camera_grid: (4, 4) similarity; the centre of cell (i, j, k) is at
             `T_camera_grid @ ((i + .5, j + .5, k + .5) * voxel_size_m)`.
@@ -129,7 +129,7 @@ def _shape(file: IO[bytes], suffix: str) -> CameraShape:
 
 
 def _of_arrays(arrays: Arrays) -> CameraShape:
-    """Return the shape in an .npz; its keys tell the form."""
+    """Return the shape in an .npz file; its form follows from the keys."""
     no_faces = np.zeros((0, 3), np.int64)
     several = [key for key in ("points_m", "occupancy", "sdf_m") if key in arrays]
     if len(several) > 1:

@@ -1,4 +1,4 @@
-"""Closed meshes among predicted shapes, and which of them are refused before they are made solid."""
+"""Closed meshes among predicted shapes, and the refusal of those that cannot be made solid."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,21 +15,21 @@ from kinectbench.scoring.mesh_prediction import MAX_FAR
 
 @dataclass(frozen=True)
 class ClosedMesh:
-    """A mesh whose every edge has two faces; vertices (n, 3), faces (m, 3)."""
+    """A mesh in which every edge has two faces; vertices (n, 3), faces (m, 3)."""
 
     vertices_m: Float64
     faces: Int32
 
     @cached_property
     def outward(self) -> tuple[Int32, float]:
-        """The faces with each piece turned outwards, and the volume that they enclose, m^3."""
+        """The faces, with each connected piece oriented outwards, and the volume that they enclose, m^3."""
         faces = outwards(self.vertices_m, self.faces)
         a, b, c = (self.vertices_m[faces[:, corner]] for corner in range(3))
         return faces, abs(float(np.einsum("ij,ij->", a, np.cross(b, c)))) / 6
 
 
 def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
-    """The mesh of a shape without doubled vertices; None if it is open or no mesh."""
+    """Return a shape's mesh with duplicate vertices merged; None if it is open, or the shape is no mesh."""
     if shape.form != "mesh":
         return None
     vertices, faces = joined_vertices(shape.points_m, shape.faces.astype(np.int32))
@@ -37,14 +37,14 @@ def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
 
 
 def open_because(shape: CameraShape) -> str:
-    """What keeps a predicted mesh from being closed, in words; "" if it is closed, or no mesh."""
+    """Return why a predicted mesh is not closed, in words; "" if it is closed, or the shape is no mesh."""
     if shape.form != "mesh":
         return ""
     return why_open(joined_vertices(shape.points_m, shape.faces.astype(np.int32))[1])
 
 
 def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
-    """Refuse a mesh whose solid cannot be made in the cells of the truth.
+    """Refuse a mesh that cannot be made solid in the cells of the truth.
 
     Args:
         vertices_m: (n, 3) in the truth's grid, metres.
@@ -52,7 +52,7 @@ def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
         voxel_size_m: edge of a cell.
 
     Raises:
-        PredictionError: the mesh is too far away, or has too many faces across each other.
+        PredictionError: the mesh is too far away, or too many of its faces overlap each other.
     """
     from kinectbench.core.voxels.solid import costs_too_much
 
@@ -62,7 +62,7 @@ def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
 
 
 def in_cells(voxel_size_m: float, vertices_m: Float64) -> Float64:
-    """Vertices (n, 3) in cells of the truth; those that are too far away are refused."""
+    """Convert vertices (n, 3) from metres to cells of the truth; refuse vertices that are too far away."""
     vertices = vertices_m / voxel_size_m
     if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
         far_m = MAX_FAR * FULL_CELLS * voxel_size_m

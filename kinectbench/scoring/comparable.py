@@ -15,7 +15,7 @@ Means = Mapping[str, Mapping[str, ObjectMeans]]
 
 
 def complete_ones(tables: Tables) -> dict[str, ScoreTable]:
-    """Return the tables in which every pair is scored; means over some pairs would flatter.
+    """Return the tables in which every pair is scored; a mean over some pairs could be too high.
 
     Raises:
         SettingsError: fewer than two tables are complete.
@@ -46,16 +46,16 @@ def _left_out_line(name: str, table: ScoreTable) -> str:
 
 
 def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[str, ObjectMeans]]:
-    """Return {category: means of its objects} of each table.
+    """Return {category: means of its objects} for each table.
 
     Args:
         tables: complete tables by the methods' names.
         metric: one of `METRICS`.
-        protocol: with its part and kind, such as `aligned-t+s-visible`.
+        protocol: the protocol, with part and kind of registration if any, such as `aligned-t+s-visible`.
 
     Raises:
-        SettingsError: the tables are of different truth, or a table has no such protocol or metric; the line
-            names those that all tables have.
+        SettingsError: the tables are of different truth, or one lacks the protocol or the metric; the message
+            lists what all tables have.
     """
     _check_truth(tables)
     of = {name: object_means(table.rows) for name, table in tables.items()}
@@ -78,7 +78,7 @@ def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[st
 
 
 def _scored_metrics(means: Mapping[str, ObjectMeans]) -> list[str]:
-    """Return the metrics that every object has."""
+    """Return the metrics that are known for every object."""
     columns = [np.isnan(of.values).any(axis=0) for of in means.values()]
     without = dict(zip(AVERAGED, np.any(columns, axis=0).tolist(), strict=True))
     return [name for name in METRICS if not without[name]]
@@ -115,7 +115,7 @@ def _check_truth(tables: Tables) -> None:
 
 
 def check_same(tables: Tables, protocol: str) -> None:
-    """Refuse tables that were counted differently, are of other pairs, or disagree about the same truth.
+    """Refuse tables that were counted differently, cover different pairs, or disagree about the same truth.
 
     Args:
         tables: by the methods' names.
@@ -147,7 +147,7 @@ def check_same(tables: Tables, protocol: str) -> None:
 
 
 def _truths(table: ScoreTable, protocol: str) -> dict[str, tuple[object, ...]]:
-    """Return, by pair, those values of its row that do not depend on the prediction."""
+    """Return {pair: values of its row that depend only on the truth}."""
     return {row.pair: _of_truth(row) for row in table.pairs(protocol)}
 
 

@@ -105,7 +105,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     """Compare methods that were scored on the same truth.
 
     Args:
-        tables: at least two complete ones; incomplete ones are left out, with a note.
+        tables: at least two complete tables; incomplete ones are left out, with a note.
         metric: one of the averaged metrics.
         protocol: one under which all tables were scored.
 
@@ -164,7 +164,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
 
 
 def _qualified(tables: Mapping[str, ScoreTable]) -> list[str]:
-    """What to know before a method's figures are believed, a line each."""
+    """Return a line for each method whose table has caveats: its marks, except "baseline"."""
     marks = {name: [m.words for m in table.marks if m.kind != BASELINE] for name, table in tables.items()}
     return [f"{name}: {'; '.join(words)}" for name, words in marks.items() if words]
 
@@ -251,9 +251,9 @@ def _differences(
 def _intervals(
     means: Sequence[Mapping[str, ObjectMeans]], metric: str, scope: str
 ) -> list[tuple[float, float] | None]:
-    """Return the interval of the mean difference of every pair of methods, computed as for one method.
+    """Return the confidence interval of the mean difference of every pair of methods.
 
-    Both methods were scored on the same objects, so the interval is of each object's difference.
+    Both methods were scored on the same objects, so it is computed from each object's difference.
     """
     column, pairs = AVERAGED.index(metric), list(combinations(range(len(means)), 2))
     groups = []

@@ -76,7 +76,7 @@ def _of_version(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_names(table: ScoreTable) -> Iterator[str]:
-    """Report conflicting names in the rows, and categories named like a mean."""
+    """Report conflicting names in the rows, and categories with a name reserved for a mean."""
     rows = [Named(*row) for row in dict.fromkeys((r.recording, r.object, r.category) for r in table.rows)]
     if clash := first_clash(rows):
         yield clash.problem
@@ -84,7 +84,7 @@ def _of_names(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_rows(table: ScoreTable) -> Iterator[str]:
-    """Report faults of single rows, and of rows compared by pair, recording and protocol."""
+    """Report faults of single rows, and contradictions between rows of one pair, recording or protocol."""
     thing: dict[str, tuple[str, str]] = {}
     whole: dict[str, tuple[int, float | None]] = {}
     pairs: dict[str, set[str]] = {}
@@ -120,7 +120,7 @@ def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
 
 
 def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
-    """Report the fault of one row."""
+    """Report the faults of a single row."""
     figures = [getattr(row, name) for name in VOXEL_METRICS]
     if row.threshold not in THRESHOLDS:
         yield f"has a threshold of {row.threshold:g}, which is not one of the {len(THRESHOLDS)}"
@@ -165,7 +165,7 @@ def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
 
 
 def _of_thresholds(table: ScoreTable) -> Iterator[str]:
-    """Report rows of a category with different thresholds, or with another threshold than the table's."""
+    """Report rows with another threshold than their category's, and thresholds chosen on scored objects."""
     used: dict[str, float] = dict(table.thresholds)
     for row in table.rows:
         if used.setdefault(row.category, row.threshold) != row.threshold:
@@ -179,7 +179,7 @@ def _of_thresholds(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_sources(table: ScoreTable) -> Iterator[str]:
-    """Report inconsistent sources of thresholds: words, categories and counts."""
+    """Report contradictions about where thresholds are from: the table's, the categories', the counts."""
     source, sources, use = table.threshold_source, table.threshold_source_by_category, table.validation
     categories = {row.category for row in table.rows} | table.thresholds.keys()
     if not categories == table.thresholds.keys() == sources.keys():
@@ -220,7 +220,7 @@ def _fit(source: str, by_category: set[str], version: int) -> bool:
 
 
 def _of_missing(table: ScoreTable) -> Iterator[str]:
-    """Report contradictions about pairs scored as empty and files scored, which several keys count."""
+    """Report contradictions about missing pairs: several keys state which were scored as empty."""
     test = {row.pair: row.cells for row in table.rows}
     empty = set(table.missing_as_empty)
     if {name for name, cells in test.items() if not cells} != empty & test.keys():
@@ -241,6 +241,6 @@ def _near(one: float, other: float) -> bool:
 
 
 def _listed(names: Sequence[str], at_most: int = 3) -> str:
-    """Return at most `at_most` of some names of a file, and the number of the rest."""
+    """Return up to `at_most` names, made safe to print, and the number of the others."""
     more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
     return ", ".join(printable(name, 60) for name in names[:at_most]) + more

@@ -1,6 +1,6 @@
-"""Counts of one pass over a prediction and its truth: enough for every metric, threshold and protocol.
+"""Count a prediction against its truth in one pass: enough for every metric, threshold and protocol.
 
-Predicted occupancy, and the truth at a coarser resolution, are computed here, too.
+Binarised predictions, and the truth at a coarser resolution, are computed here, too.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -45,7 +45,7 @@ class ProtocolCounts:
 
 
 def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIXEL) -> Tally:
-    """Count a prediction against the truth in one pass.
+    """Return the counts of a prediction against the truth, made in one pass.
 
     Args:
         prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
@@ -71,7 +71,7 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 def tallies(
     prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """Return a prediction's tally, and {protocol: tally} for protocols that count against another truth."""
+    """Return a prediction's tally, and {protocol: tally} for protocols that compare with another truth."""
     truths = {name: truth.under(PROTOCOLS[name]) for name in protocols}
     others = {name: tally(prediction, of, upsampling) for name, of in truths.items() if of is not truth}
     return tally(prediction, truth, upsampling), others
@@ -87,7 +87,7 @@ def _from_histogram(values: Float64, counts: Int64) -> Tally:
 
 
 def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable[Packed]]) -> Tally:
-    """Tally voxel by voxel in float64, part by part; `grids` are full, known and seen in the same parts."""
+    """Tally a prediction part by part, in float64; `grids` are full, known and seen, divided likewise."""
     from kinectbench.scoring.kernels import count_reals
 
     bins, ce_sum = np.zeros((STEPS + 1, 8), np.int64), np.zeros(8)
@@ -118,7 +118,7 @@ def tally_unknown_share(tally: Tally) -> float:
 
 
 def is_all_unknown(tally: Tally, protocol: str) -> bool:
-    """Return whether a pair tells nothing under a protocol, and is therefore left out of means.
+    """Return whether a pair says nothing about a prediction under a protocol, so that means leave it out.
 
     There are two cases. The protocol counts no voxel: every prediction has an IoU of 1. Or the part of the
     shape in the protocol's region is all unknown: a prediction has an IoU of 1 if it is empty among the known
@@ -156,16 +156,19 @@ def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PI
 def ceiling_tallies(
     truth: PackedTruth, side: int, protocols: Sequence[str], upsampling: str
 ) -> tuple[Tally, Mapping[str, Tally]]:
-    """Return the tallies of the truth itself, reduced to `side`^3 cells of occupied shares, as a prediction.
+    """Return the tallies of the truth itself, taken as a prediction with `side`^3 cells.
 
-    Their best IoU is about the most that a method of that resolution can reach. Values chosen with the
-    upsampling in mind may reach a little more.
+    Each cell has its occupied share as its value. The best IoU of these tallies is about the most that a
+    method of that resolution can reach. Values chosen with the upsampling in mind may reach a little more.
 
     Args:
         truth: the packed truth.
         side: below 256.
         protocols: see `tallies`.
         upsampling: see `upsampled_planes`.
+
+    Returns:
+        As `tallies`.
     """
     others = {}
     for name in protocols:
@@ -189,7 +192,7 @@ def reduced(full: NDArray[np.bool_], side: int) -> Float32:
 
 
 def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
-    """Return the same as `reduced`, faster, where a coarse cell is a whole number of cells."""
+    """Return the same as `reduced`, but faster, if a coarse cell is made of whole fine cells."""
     step = len(full) // side
     counts: NDArray[np.generic] = np.ascontiguousarray(full).view(np.uint8)
     for axes_done, axis in enumerate((2, 1, 0), start=1):

@@ -131,14 +131,14 @@ def item_of(
 
 
 def _value(key: str, stored: FileArray, packed: bool) -> object:
-    """Return a stored value in the form that an item has."""
+    """Return a value as items hold it: a number, a text, an array, or an unpacked grid."""
     if key in (*NUMBERS, *TEXTS):
         return stored.item()
     return stored if packed or key not in PACKED_SHAPES else unpack(stored)
 
 
 def wanted_parts(keys: Sequence[str], hidden: bool) -> list[str]:
-    """Return the arrays of a pair file that some keys need; without the truth's if `hidden` (held back)."""
+    """Return the arrays of a pair file that some keys need; those of the truth only if it is not `hidden`."""
     wanted = dict.fromkeys(key for key in keys if key in OF_PAIR)
     if META in keys:
         wanted |= dict.fromkeys((*META_PARTS, "full", "known"))

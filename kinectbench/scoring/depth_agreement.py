@@ -66,18 +66,18 @@ AXES: Mapping[tuple[int, int, int], str] = {
 
 @dataclass(frozen=True)
 class Agreement:
-    """How a prediction lies to its view's depth.
+    """How well a predicted shape fits its view's depth image.
 
     Attributes:
-        distance_m: median distance of the view's points of the object from the shape, metres.
-        diagonal_m: diagonal of the box around these points.
+        distance_m: median distance of the object's measured points from the shape, metres.
+        diagonal_m: diagonal of the bounding box of these points.
+        slips: wrong units or axes that would explain the distance, in words, each with the distance after its
+            correction, the simplest first; () if the distance is small or unexplained. A shape with a mirror
+            plane has several.
         beyond_share: share of the shape's surface more than a cube's side from the middle of the pair's cube.
-        slips: errors of unit or axes that would explain the distance, in words, each with the distance after
-            its correction, the simplest first; () if the distance is small or unexplained. A shape with a
-            mirror plane has several.
-        refused: why `score` refuses the shape because its solid cannot be made; "" if it can be made.
-        open_because: what keeps a mesh from being closed, in words; "" if it is closed, or no mesh.
-        content: what the shape holds; None if that is not asked.
+        refused: why `score` refuses the shape because it cannot be made solid; "" if it can.
+        open_because: why a mesh is not closed, in words; "" if it is closed, or no mesh.
+        content: digest of the shape; None if it is not needed.
     """
 
     distance_m: float
@@ -99,7 +99,7 @@ class Agreement:
         return self.distance_m > LARGE * self.diagonal_m
 
     def line(self, slip: str, method: MethodFile) -> str:
-        """Return a line with one of the errors and the key of method.json that corrects it."""
+        """Return a line with one explaining error, and the key of method.json that corrects it."""
         words = f"{self.distance_m:.3g} m from its view's depth (median)"
         without = f"Without that it is {dict(self.slips)[slip]:.3g} m"
         return f"{words}; {slip} {without}: declare {remedy(slip, method)} in {MethodFile.FILE}"
@@ -175,10 +175,10 @@ def remedy(slip: str, method: MethodFile) -> str:
 
 
 def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> float:
-    """Return the share of a surface farther than a side from the middle of the cube, along any axis.
+    """Return the share of a shape's surface more than `side_m` from the middle of the cube, along any axis.
 
     Args:
-        shape: in the camera frame.
+        shape: the shape, camera frame.
         T_grid_camera: (4, 4).
         side_m: side of the cube, metres.
     """
@@ -205,9 +205,9 @@ def _scale(T: Float64) -> float:
 
 
 def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
-    """Return the median distance of points from their nearest neighbour.
+    """Return the median distance between nearest neighbours in a cloud.
 
-    For random points on a surface, it equals the median distance of the surface from the points.
+    If the points are random on a surface, the surface has the same median distance from them.
     """
     if tree.n < 2:
         return 0.0
@@ -218,7 +218,10 @@ def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
 def mends(
     T_camera_prediction: Float64, T_world_camera: Float64, T_world_grid: Float64
 ) -> Iterator[tuple[str, Float64]]:
-    """Yield typical errors in words, the simplest first, and each (4, 4) correction, camera to camera."""
+    """Yield each typical error in words, the simplest first, and the (4, 4) transform that corrects it.
+
+    The transform maps the camera frame to itself.
+    """
     both = sorted(product(UNITS.items(), AXES.items()), key=lambda one: (one[0][0] != "") + (one[1][1] != ""))
     for (unit, factor), (signs, axes) in both:
         if words := _both(unit, axes):

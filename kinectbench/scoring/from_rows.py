@@ -1,4 +1,4 @@
-"""Values that follow from the rows of a table: averages, curves, extremes, notes; computed only here.
+"""Compute the values that follow from the rows of a table: averages, curves, extremes and notes.
 
 `score` fills a table with these values. Readers compute them again from the rows, and refuse a file that
 states other values.
@@ -50,7 +50,7 @@ def from_rows(
 ) -> FromRows:
     """Compute the values that follow from the rows.
 
-    There are no averages if only some pairs were scored: they would flatter.
+    There are no averages if a pair was not scored, as a mean over the others could be too high.
 
     Args:
         rows: the rows of a table.
@@ -81,7 +81,7 @@ def from_rows(
 
 
 def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
-    """Return {object: figures of its truth}: means over the object's recordings, or over its pairs."""
+    """Return {object: quality of its truth}: means over the object's recordings, or over its pairs."""
     of_object: dict[str, list[ScoreRow]] = {}
     for row in rows:
         of_object.setdefault(row.object, []).append(row)

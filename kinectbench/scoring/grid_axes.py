@@ -1,4 +1,4 @@
-"""Swapped or flipped axes of predicted grids, found by comparing them with what the views measured."""
+"""Find swapped or flipped axes of predicted grids by comparing the grids with the views' measured cells."""
 
 from collections.abc import Iterable
 from itertools import permutations, product
@@ -72,8 +72,7 @@ def _fits(prediction: Prediction, partial: Bools) -> Float64:
     """Return how well a prediction fits a view with each of `ALL_AXES`: (48,), from -1 to 1.
 
     The fit is the mean prediction in measured cells, minus the mean in the empty cells in front of them,
-    divided
-    by the largest value.
+    divided by the largest predicted value.
     """
     side, largest = len(partial), float(prediction.max())
     found = np.flatnonzero(partial)

@@ -32,7 +32,7 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
 
 
 def _baseline(table: ScoreTable) -> str:
-    """Return a mark for a baseline, also by name: only baselines have these names."""
+    """Return a mark if the table is a baseline's, as it states or as the method's name shows."""
     return "baseline" if table.baseline or table.method.lower() in BASELINE_NAMES else ""
 
 
@@ -58,7 +58,7 @@ def _validation(table: ScoreTable) -> str:
 
 
 def _from(table: ScoreTable, source: str, words: str) -> str:
-    """Return a mark with the categories whose threshold has this source; `words` say where it is from."""
+    """Return a mark with the categories whose threshold has a given source; `words` describe the source."""
     # Most methods in space have no thresholds. Thresholds of grid methods are searched or declared.
     has_none = any_in_space(table.settings.protocols) and table.threshold_source == FIXED_SOURCE
     sources = {} if has_none else table.threshold_source_by_category
@@ -77,7 +77,7 @@ def _unchecked(table: ScoreTable) -> str:
 
 
 def _closed(table: ScoreTable) -> str:
-    """Return a mark with the number of open meshes that an option closed."""
+    """Return a mark with the number of open meshes or points that `--close` made solid."""
     closed = {row.pair for row in table.rows if row.closed is not None}
     views = len({row.pair for row in table.rows})
     return f"{len(closed)} of {views} open, closed by {table.settings.close}" if closed else ""

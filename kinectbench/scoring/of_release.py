@@ -1,7 +1,7 @@
-"""Whether a score table belongs to a release: pairs, objects, hashes of truth, and splits.
+"""Check that a score table belongs to a release: pairs, objects, hashes of truth, and splits.
 
-The caller compares the hash of the release that the table states. No pair is read here: `recheck` checks base
-rates and coverage.
+The caller has already compared the release's hash with the one in the table. No pair is read here: `recheck`
+checks base rates and coverage.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
-    """Report rows of pairs outside the test split, with other names, or with a wrong unknown share."""
+    """Report rows outside the test split, of another object or category, or with a wrong unknown share."""
     for row in table.rows:
         target = test.get(row.pair)
         if target is None:
@@ -72,7 +72,7 @@ def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _validation(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Report a contradiction about the validation split."""
+    """Report contradictions about the validation split: its number of pairs, and its categories."""
     validation = release.split("validation")
     if table.validation is not None and table.validation.pairs != len(validation):
         yield f"states {table.validation.pairs} validation pairs; the release has {len(validation)}"

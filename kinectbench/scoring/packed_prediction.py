@@ -32,8 +32,9 @@ OUTERMOST_LOGIT = float(np.log(THRESHOLDS[-1] / (1 - THRESHOLDS[-1])))
 def packed(probability: NDArray[np.float16]) -> Arrays | None:
     """Pack a prediction into the arrays of its npz.
 
-    A level is the mean of its values. The middle of its range instead changed the cross-entropy by 2 % for a
-    network that was trained for two steps and predicted nearly the same value everywhere.
+    A level is the mean of the values that share its code. With the middle of their range instead, the
+    cross-entropy changed by 2 % for a network that was trained for two steps and predicted nearly the same
+    value everywhere.
 
     Args:
         probability: (256, 256, 256), values in [0, 1].

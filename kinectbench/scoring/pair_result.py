@@ -36,11 +36,11 @@ LEAST_CHECKED, CHECKED_SHARE = 4, 0.01
 
 
 def drawn(names: Iterable[str], of: str) -> frozenset[str]:
-    """Return the names of pairs that are counted again: a random sample, different for each file.
+    """Return a random sample of names of pairs, which are counted again as a check.
 
     Args:
         names: the names of all pairs.
-        of: a text or hash of the whole file; a changed row changes the sample.
+        of: a text or hash of the whole file, the seed of the sample: a changed row changes the sample.
     """
     order = sorted(set(names), key=lambda name: sha256_text(f"{of} {name}"))
     return frozenset(order[: max(LEAST_CHECKED, int(CHECKED_SHARE * len(order)))])
@@ -77,7 +77,7 @@ class PairJob:
         threshold: threshold of the surface metrics; None leaves these metrics out.
         counting: how the pair is counted.
         earlier: the pair's result in the journal of an interrupted run, or None.
-        check: whether the pair is counted again, and refused if the kept result differs.
+        check: whether the pair is counted again even so, and refused if `earlier` differs.
     """
 
     target: Target

@@ -61,7 +61,7 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
 
 
 def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loaded:
-    """Load the same as `load_prediction`, with facts about the file.
+    """Load a prediction as `load_prediction` does, and return it with facts about its file.
 
     Prediction and hash are read one after the other from one open file, which must not change meanwhile.
 
@@ -107,7 +107,7 @@ def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> tuple[P
 
 
 def _state(file: IO[bytes]) -> tuple[int, int, int]:
-    """Return values that change when a file is written: its size and times."""
+    """Return a file's size and times, which change when it is written."""
     state = os.fstat(file.fileno())
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns
 

@@ -1,4 +1,4 @@
-"""A folder of submitted predictions: the file of each target, and problems."""
+"""Find the files in a folder of submitted predictions, match them to the targets, and report problems."""
 
 import contextlib
 import os
@@ -40,7 +40,7 @@ class FoundPredictions:
         files: the file of each target that has one.
         missing: targets without a file.
         problems: targets whose file is ambiguous or unsafe, and why.
-        stray: files that answer no target, relative to the folder, sorted.
+        stray: files that match no target, relative to the folder, sorted.
         method: the folder's method.json; None if there is none.
     """
 
@@ -100,7 +100,7 @@ def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None)
 
 
 def _other_mesh(folder: Path, target: Target) -> str | None:
-    """Return why the mesh file of a target is not supported; None if there is no such file."""
+    """Return a line on a target's mesh file in an unsupported format; None if there is no such file."""
     for suffix in OTHER_MESHES:
         name = target.name + suffix
         if (folder / name).is_file():
@@ -174,10 +174,12 @@ def missing_line(target: Target) -> str:
 
 
 def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
-    """Tell one method's folder (its subfolders are recordings) from a folder of several methods.
+    """Return the folder of each method: the given folder, or its subfolders if it holds several methods.
+
+    Subfolders of a single method's folder are recordings.
 
     Returns:
-        The folder of each method by name, sorted; a single method is called by its folder's name.
+        {name: folder}, sorted; a single method is called by its folder's name.
 
     Raises:
         PredictionError: the folder is missing, holds neither, or is a release; or a method is a link out of
@@ -206,12 +208,12 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
 
 
 def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[Target]) -> list[str]:
-    """Return a line for each folder beside the methods' that holds no prediction; hidden folders are ignored.
+    """Return a line for each subfolder without a prediction beside the methods'; hidden ones are skipped.
 
     Args:
         folder: the folder that was given to `split_methods`.
         methods: the methods that `split_methods` returned.
-        targets: the targets that predictions may answer.
+        targets: the targets that may be predicted.
     """
     if folder in methods.values():
         return []
@@ -253,7 +255,7 @@ def check_folder(folder: Path) -> None:
 
 
 def _answers(folder: Path, recordings: frozenset[str]) -> bool:
-    """Return whether a folder has a recording's subfolder with something like a prediction in it."""
+    """Return whether a folder has a subfolder, named like a recording, with a file like a prediction."""
     with os.scandir(folder) as entries:
         named = [entry.path for entry in entries if entry.name in recordings and entry.is_dir()]
     for path in named:
@@ -277,7 +279,7 @@ def check_method(name: str) -> None:
 
 
 def check(release: Release, folder: Path) -> list[str]:
-    """Return the problems of `check_grids` alone."""
+    """Return only the problems that `check_grids` finds."""
     return check_grids(release, folder)[0]
 
 
@@ -292,9 +294,9 @@ def check_grids(
         progress: called with (files done, files in all).
 
     Returns:
-        One line per problem: problems of the whole folder first, then in the order of the targets, stray
-        files last; empty without problems. And a note on each kind of prediction that says nothing of its
-        view.
+        A line for each problem: those of method.json first, then those of the targets in order, then swapped
+        axes and stray files; empty without problems. And notes on predictions that do not depend on their
+        view: constant ones, and equal ones.
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
@@ -323,7 +325,7 @@ def check_grids(
 def _looked_at(
     release: Release, predictions: FoundPredictions, readable: Sequence[Target]
 ) -> Iterator[tuple[Prediction, Bools]]:
-    """Yield some predictions, spread evenly over all, each with the partial of its view."""
+    """Yield some predictions, spread evenly over all, each with its view's `partial_256`."""
     for target in sorted(readable)[:: -(-len(readable) // MOST_LOOKED_AT) or 1]:
         names = ("partial_256", "voxel_size_m")
         partial, size_m = read_parts(release.pair_path(target), target.sha256, names)
@@ -331,7 +333,7 @@ def _looked_at(
 
 
 def _file_content(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | Held:
-    """Return the fault of one file, or what it holds."""
+    """Return the fault of a prediction's file, or a digest of the prediction if it has none."""
     size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
     name = target.name + path.suffix
     try:

@@ -59,7 +59,7 @@ EVERY_VOXEL = tuple(name for name, of in PROTOCOLS.items() if not of.known)
 
 
 def further_grids(protocols: Sequence[str]) -> tuple[str, ...]:
-    """Return the grids of a pair file that some protocols need in addition to the common grids."""
+    """Return the grids of a pair file that some protocols need beside `full`, `known` and `seen`."""
     grids = [grid for name in protocols for grid in (PROTOCOLS[name].distrusts, PROTOCOLS[name].truth)]
     return tuple(dict.fromkeys(grid for grid in grids if grid not in (None, SOLID)))
 

@@ -30,7 +30,7 @@ FIGURES = [name for name in DERIVED if name not in ("notes", "marks")]
 
 
 def read_table(path: Path) -> ScoreTable:
-    """Read a score table; recompute values that follow from its rows, and keep `verified` only if it holds.
+    """Read a score table, recompute the values that follow from its rows, and drop an invalid `verified`.
 
     Raises:
         StorageError: the file is missing or damaged, its rows contradict each other, or its other values
@@ -40,7 +40,11 @@ def read_table(path: Path) -> ScoreTable:
 
 
 def recomputed(table: ScoreTable, where: str) -> ScoreTable:
-    """Return a table computed from a table's rows; errors as in `read_table`, beginning with `where`."""
+    """Return a table with the values that follow from its rows computed again.
+
+    Raises:
+        StorageError: as in `read_table`; the message begins with `where`.
+    """
     problem = next(contradictions(table), None)
     if problem is None:
         complete = not table.failures and bool(table.complete or table.overall or table.by_category)
@@ -62,7 +66,7 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
 
 
 def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Mapping[str, Averages]]) -> Iterator[str]:
-    """Report curves of an older table that contradict the score at its threshold."""
+    """Report curves of an older table that contradict the mean IoU of its rows at the threshold."""
     for protocol, curves in (table.iou_by_threshold or {}).items():
         for category, curve in curves.items():
             used = table.thresholds.get(category)
@@ -110,7 +114,7 @@ def differing(stated: object, computed: object, key: str, whole: bool = False) -
 def _bootstrapped(
     stated: Mapping[str, Sequence[float] | None], computed: Mapping[str, Sequence[float] | None], key: str
 ) -> Iterator[str]:
-    """Compare random intervals, whose ends may differ by a small part of their width."""
+    """Report intervals that differ by more than a small part of their width, as the bootstrap is random."""
     for name, ends in stated.items():
         of = computed.get(name)
         near = of is not None and ends is not None and OF_BOOTSTRAP * (of[1] - of[0]) + TOLERANCE

@@ -128,7 +128,7 @@ def _upsampling(stated: ScoreTable, path: Path) -> str:
 
 
 def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[str]:
-    """Report a different method name, and warnings that no longer occur."""
+    """Report a different method name, and warnings that the table lacks."""
     method = MethodFile.read_if_there(folder)
     if method is not None and stated.method not in (method.name, folder.resolve().name):
         name, said = printable(stated.method), printable(method.name)

@@ -1,4 +1,4 @@
-"""The options of `score`, and checks that they agree with each other and with what methods declare."""
+"""The options of `score`, and checks that they agree with each other and with each method.json."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ from kinectbench.scoring.thresholds import read_thresholds
 
 @dataclass(frozen=True)
 class Request:
-    """Those options of `score` that predictions may contradict; see `score` for their meaning.
+    """The options of `score` that may contradict the predictions; see `score` for their meaning.
 
     Attributes:
-        jobs: number of processes on this machine, or which other machines count.
+        jobs: number of processes on this machine, or the executor that counts on other machines.
         in_parts: whether only one part of the pairs is counted (`count_methods`).
     """
 
@@ -75,7 +75,8 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
     Args:
         request: the options.
         folder: the method's predictions; without a method.json they are in the pairs' grid.
-        of_several: whether it may be one of several methods; protocols that do not fit it leave it out.
+        of_several: whether other methods are scored, too; then protocols that do not fit this method are no
+            error, as it is left out.
 
     Raises:
         SettingsError: an option applies only to the other kind of predictions.
@@ -98,7 +99,7 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
 
 
 def _refuse_elsewhere(request: Request, what: str) -> None:
-    """Refuse to score surfaces in space in parts, or on other machines."""
+    """Refuse to score what cannot be scored in parts or on other machines; `what` names it."""
     if request.in_parts:
         raise SettingsError(f"{what} are not scored in parts; leave out --shard")
     if not isinstance(request.jobs, int):

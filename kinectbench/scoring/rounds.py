@@ -28,8 +28,8 @@ class Plan:
 
     Attributes:
         found: the method's files.
-        files: the file of every pair to count; None: an empty grid.
-        failures: why the other pairs cannot be counted.
+        files: {pair to count: its prediction's file, or None for an empty grid}.
+        failures: {other pair: why it cannot be counted}.
         fixed: given thresholds; None: they are chosen on the validation split.
     """
 
@@ -45,7 +45,10 @@ class Plan:
         return None if method is None or method.threshold is None else nearest_step(method.threshold)
 
     def part(self, shard: Shard, *, surface: bool) -> dict[Target, Path | None]:
-        """Return the files that one part counts: its recordings', and validation pairs that give thresholds.
+        """Return the files that one part of the run counts.
+
+        They are those of the part's recordings, and of the validation pairs that its thresholds are chosen
+        on.
 
         Args:
             shard: the part.
@@ -65,10 +68,10 @@ class Plan:
 
 
 def plan(release: Release, predictions: Path, thresholds_file: Path | None, missing: Missing) -> Plan:
-    """Find a method's files, and plan their counting.
+    """Find a method's files, and return which pairs are counted.
 
     A method without any validation prediction is scored without the validation split. If it has some, the
-    rest counts as missing.
+    other validation pairs count as missing.
 
     Raises:
         PredictionError, ReleaseError, SettingsError: see `score`.
@@ -95,15 +98,15 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
 
 
 def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) -> tuple[Target, ...]:
-    """Return the pairs of the test split, and of the validation split if needed; their truth must be open.
+    """Return the pairs of the test split; check that the truth of all needed splits is open.
 
     Args:
         release: the release that is scored.
-        validation: whether the validation split is needed.
+        validation: whether the validation split is needed, too.
         solid: whether the truth must be solid; an open mesh has no inside.
 
     Raises:
-        ReleaseError: there is no test pair, or its truth is held back.
+        ReleaseError: there is no test pair, or the truth is held back or not solid.
     """
     test = release.split("test")
     if not test:
@@ -116,13 +119,13 @@ def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) ->
 
 @dataclass(frozen=True)
 class Rounds:
-    """Counts pairs, round by round.
+    """Counts pairs: those of the validation split first, then those of the test split.
 
     Attributes:
         release: the release that is scored.
         counting: how pairs are counted, the same for all.
         journal: keeps counts until all are complete.
-        jobs: number of processes on this machine, or where else pairs are counted.
+        jobs: number of processes on this machine, or the executor that counts on other machines.
         progress: called with (pairs done, pairs in all).
     """
 
@@ -185,7 +188,7 @@ class Rounds:
 
 
 class _Silent:
-    """A console that prints nothing: progress counts the pairs of finished recordings instead."""
+    """A console that prints nothing, as progress is reported by recording instead."""
 
     def heard(self, message: object) -> None: ...
     def warn(self, message: str, task: object = None) -> None: ...

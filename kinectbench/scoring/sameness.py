@@ -1,4 +1,4 @@
-"""Predictions that say nothing of their view: constant ones, and ones that are equal for different views."""
+"""Find predictions that do not depend on their view: constant ones, and equal ones for different views."""
 
 import hashlib
 from collections import Counter
@@ -14,10 +14,10 @@ LEAST_EQUAL = 0.5
 
 
 class Held(NamedTuple):
-    """What a prediction holds.
+    """The content of a prediction, in short.
 
     Attributes:
-        digest: of its values.
+        digest: hash of its values.
         constant: the value of all of its cells; None if they differ, or if it has no cells.
     """
 
@@ -26,7 +26,7 @@ class Held(NamedTuple):
 
 
 def content_of(*arrays: NDArray[np.generic]) -> Held:
-    """Return what a prediction holds: one grid, or the arrays of a shape."""
+    """Return the digest of a prediction, given its grid or the arrays of its shape."""
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
         digest.update(f"{array.shape} {array.dtype}".encode())
@@ -38,10 +38,10 @@ def content_of(*arrays: NDArray[np.generic]) -> Held:
 
 
 def same_lines(contents: Mapping[str, Held]) -> Iterator[str]:
-    """Yield a line for each value that predictions have in all cells, and one if most equal another one.
+    """Yield a line for each value of constant predictions, and a line if most predictions equal another one.
 
     Args:
-        contents: what each prediction holds, by name.
+        contents: {name of a prediction: its content}.
     """
     constant: dict[float, list[str]] = {}
     for name, content in contents.items():

@@ -54,14 +54,14 @@ def score(
 
     Args:
         release: the release that was predicted.
-        predictions: one method's folder, `<recording>/<view>.npy` or `.npz`; untrusted.
+        predictions: one method's folder, with a file `<recording>/<view>` for each view; untrusted.
         method: the method's name.
         protocols: see `protocols_of`.
-        thresholds_file: see `read_thresholds`; it wins over the validation split.
+        thresholds_file: see `read_thresholds`; if given, nothing is chosen on the validation split.
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
         surface: whether surface metrics are computed; they take most of the time.
-        jobs: number of processes, or where else pairs are counted; the result does not depend on it.
+        jobs: number of processes, or the executor that counts elsewhere; the result does not depend on it.
         progress: called with (pairs done, pairs in all).
         resume_in: a folder where counts are kept until all are complete; None keeps nothing.
         close: one of `CLOSINGS`: how open meshes and points in the camera frame are closed; None: not at all.
@@ -103,7 +103,7 @@ def _with_what_is_said(
     asked: Plan,
     release: Release,
 ) -> ScoreTable:
-    """Return the table with values from method.json and the folder; arguments as in `score`."""
+    """Return the table with warnings and the run's hash added, from method.json and the folder."""
     method = asked.found.method
     more = (
         *method_lines(predictions, method, release),
@@ -117,7 +117,7 @@ def _with_what_is_said(
 
 
 def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], table: ScoreTable) -> list[str]:
-    """Return a line about scored files that are not from the run that method.json names."""
+    """Return a line about scored files whose digests differ from those in method.json; none if all agree."""
     digests = {
         target.name + file.suffix: of.prediction
         for target, file in files.items()
@@ -214,9 +214,9 @@ def _left_out(
     missing: Missing,
     out: Path,
 ) -> dict[str, ScoreTable]:
-    """Return tables without figures of methods that the protocols do not fit, if they fit another one.
+    """Return tables, without scores, of methods that the protocols do not fit, if they fit another method.
 
-    They are written for the page, but for those of methods with earlier scores, which are kept.
+    Each is written, unless earlier scores of the method are there, which are kept.
 
     Raises:
         SettingsError: the protocols fit no method.
@@ -235,10 +235,10 @@ def _left_out(
 
 
 def _written(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> ScoreTable:
-    """Write the table of a folder of predictions and return it; if none can be scored, keep earlier scores.
+    """Write a method's table and return it; if no prediction can be scored, keep earlier scores.
 
     Raises:
-        PredictionError: none can be scored, and it is the only method.
+        PredictionError: no prediction can be scored, and it is the only method.
     """
     if table.rows:
         table.write(out)
@@ -313,7 +313,11 @@ def _answers_validation(release: Release, folder: Path) -> bool:
 
 
 def _freeze(release: Release, table: ScoreTable, path: Path | None) -> None:
-    """Write the thresholds of all categories to a file, if one is given and any was chosen on validation."""
+    """Write the thresholds of all categories to a file, if one is given.
+
+    Raises:
+        SettingsError: no threshold was chosen on the validation split.
+    """
     if path is None:
         return
     if table.threshold_source not in SEARCHED:

@@ -77,7 +77,7 @@ def _parts(sample: Mapping[str, bytes], row: Mapping[str, object], keys: Sequenc
 
 
 def _earlier(sample: Mapping[str, bytes], row: Mapping[str, object], name: str) -> FileArray:
-    """Read a value from a sample of earlier versions."""
+    """Read a value from a sample of an earlier version."""
     if name in PACKED_SHAPES:
         content = sample[name + NPY]
         if len(content) > MAX_BYTES:

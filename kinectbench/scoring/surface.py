@@ -95,7 +95,7 @@ def surface_metrics(
 
 
 def _metrics(forward: "Spread", back: "Spread", truth: PackedTruth) -> SurfaceMetrics:
-    """Return the metrics of both surfaces' distances; `truth` gives the scale."""
+    """Return the surface metrics, given the distances from the prediction to the truth and back."""
     if not len(forward) and not len(back):
         return SAME
     voxel_mm = truth.voxel_size_m * 1000

@@ -1,6 +1,7 @@
 """Voxel surfaces: cells, nearest cells, agreement of normals. Import late: numba is slow to load.
 
-A shape has a hundred thousand surface cells, a prediction of noise eight million: so little is kept per cell.
+A shape has a hundred thousand surface cells, a prediction of noise eight million, so little is stored per
+cell.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,7 +25,7 @@ class Cells:
     """A set of cells, sorted by block.
 
     Attributes:
-        index: (n,) int32, the cells, grouped by block, in C order within a block.
+        index: (n,) int32, the cells as x << 16 | y << 8 | z, grouped by block, in C order within a block.
         start: (b + 1,) int32, where each nonempty block begins in `index`.
         box: (b, 6) int32, the smallest and the largest x, y, z of each block's cells.
     """
@@ -37,7 +38,7 @@ class Cells:
         return len(self.index)
 
     def chosen(self, which: Bools) -> "Cells":
-        """Return the cells of a mask (n,); the boxes still bound all cells."""
+        """Return the cells that a mask (n,) selects; boxes are not shrunk."""
         before = np.concatenate([[0], np.cumsum(which)]).astype(np.int32)
         return Cells(self.index[which], before[self.start], self.box)
 
@@ -104,13 +105,13 @@ def spreads(
 ) -> list[tuple[Spread, Spread]]:
     """Return the distances of one surface to another, counted within parts of the grid.
 
-    If the nearest cell of the whole other surface lies in a part, it is the nearest in that part, too. Only
-    the remaining cells are searched again.
+    If the nearest cell of the whole other surface lies in a part, it is the nearest in that part, too. So
+    only the other cells are searched again.
 
     Args:
         queries: the surface whose cells are counted.
         targets: the other surface.
-        masks: packed parts of the grid, to which both surfaces are cut.
+        masks: packed parts of the grid; for each, both surfaces are cut to it.
         hidden: packed; each second result counts only the queries in it.
 
     Returns:

@@ -21,7 +21,7 @@ def suspicious_lines(
     """Yield a line for each kind of probably wrong prediction, with the number of such predictions.
 
     Args:
-        method: the method's name; a baseline may predict nothing, or the same everywhere.
+        method: the method's name; for a baseline, empty and full predictions are not reported.
         results: the result of every counted pair; without a prediction its `cells` is 0.
         thresholds: threshold of every category of the test split.
     """

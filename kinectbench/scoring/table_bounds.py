@@ -20,7 +20,7 @@ ROUNDING = 1e-9  # a sum of shares may be above 1 by 1e-15
 
 
 def out_of_bounds(table: ScoreTable) -> Iterator[str]:
-    """Yield a sentence for each value outside the schema's minimum, maximum, pattern or words.
+    """Yield a sentence for each value outside the schema's minimum, maximum, pattern or list of words.
 
     Values that follow from the rows are not checked: the reader computes them again.
     """

@@ -114,7 +114,7 @@ def _said_of(
     targets: Sequence[Target],
     tallies: Mapping[Target, Tally],
 ) -> str:
-    """Return the line about categories whose threshold is not from their own validation pairs."""
+    """Return a warning about categories whose threshold is not from their own validation pairs."""
     how = {
         METHOD_SOURCE: f"is the method's own, {value:g}",
         POOLED_SOURCE: f"is {value:g}, which all validation predictions give together",
@@ -128,11 +128,13 @@ def _said_of(
 
 
 def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozenset[str]) -> Thresholds:
-    """Read a threshold file: JSON with `thresholds` {category: p} and, if known, `objects` they come from.
+    """Read a threshold file: JSON with `thresholds`, {category: threshold}, and possibly `objects`.
+
+    `objects` are those whose pairs the thresholds were chosen on.
 
     Raises:
-        SettingsError: the file is missing or unreadable, a category is missing, a threshold is not one of
-            the seventeen, or it was chosen on an object of the test split.
+        SettingsError: the file is missing or unreadable, a category is missing, a threshold is not one of the
+            seventeen, or it was chosen on an object of the test split.
     """
     try:
         content = read_plain(path, ThresholdsFile.MAX_BYTES)

@@ -39,12 +39,12 @@ class PackedTruth:
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
 
     def under(self, protocol: Protocol) -> "PackedTruth":
-        """Return the truth as a protocol takes it: shape and known cells; itself if both are the same."""
+        """Return the truth that a protocol compares with: its shape and its known cells."""
         of = self.distrusting(protocol.distrusts)
         return of if protocol.truth == SOLID else replace(of, full=of.others[protocol.truth])
 
     def distrusting(self, name: str | None) -> "PackedTruth":
-        """Return a copy whose `known` lacks another grid's cells; itself if that grid is empty."""
+        """Return the truth with the cells of another grid removed from `known`; itself if there are none."""
         if name is None or not self.others[name].any():
             return self
         return replace(self, known=self.known & ~self.others[name])

@@ -112,11 +112,12 @@ EQUAL = 1e-12
 
 
 def sign_flip_ps(differences: Float64) -> list[float]:
-    """Return two-sided p-values of sign-flip tests: each row's differences are symmetric about zero.
+    """Return two-sided p-values of sign-flip tests, one per row.
 
-    The p-value is the share of all 2^n assignments of signs whose sum is at least as far from zero as the
-    observed one. It is exact up to 30 differences: the sums of both halves are sorted and counted against
-    each other. Beyond 30, `samples` assignments are drawn with a fixed seed, the same for every row.
+    The null hypothesis is that a row's differences are symmetric about zero. The p-value is the share of all
+    2^n assignments of signs whose sum is at least as far from zero as the observed one. It is exact up to 30
+    differences: the sums of both halves are sorted and counted against each other. Beyond 30, `samples`
+    assignments are drawn with a fixed seed, the same for every row.
 
     Args:
         differences: (m, n) float64, n > 0, for m tests; already multiplied by weights, if any.
@@ -156,7 +157,7 @@ def _sums(differences: Float64) -> Float64:
 
 
 def _sampled(differences: Float64, observed: Float64) -> list[float]:
-    """Return p-values by drawn signs: each draw serves every test, by one matrix product."""
+    """Return p-values estimated with random signs; one matrix product serves all tests."""
     rng = np.random.default_rng(SEED)
     count = differences.shape[1]
     # sum(s x) with signs s in {-1, 1} is 2 sum((s + 1) / 2 x) - sum(x).
@@ -172,7 +173,7 @@ def _sampled(differences: Float64, observed: Float64) -> list[float]:
 
 
 def samples(count: int) -> int:
-    """Return the number of sign assignments drawn for so many differences: a million, fewer beyond 500."""
+    """Return how many sign assignments are drawn for `count` differences: a million, fewer beyond 500."""
     return max(LEAST_SAMPLES, min(SAMPLES, MOST_SIGNS // count))
 
 

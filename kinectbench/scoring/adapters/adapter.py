@@ -1,4 +1,4 @@
-"""An adapter: a writer of a method's input files, and a reader of its output."""
+"""An adapter writes the input files of a published method, and reads the method's output."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,8 +21,9 @@ class Adapter:
     """Input and output of one method.
 
     Attributes:
-        write: writes the method's input files; returns the view and `T_camera_method` for camera.json.
-        output: name of the file that the method writes for a view; `*` stands for anything.
+        write: writes the method's input files for a view; returns the view as written, and keys for
+            camera.json, among them `T_camera_method` (4, 4).
+        output: name of the file that the method writes for a view; `*` is a wildcard.
         read: reads that file; returns the shape in the method's own frame, which `T_camera_method` of
             camera.json maps to the camera; raises PredictionError, ValueError or one of `UNREADABLE`.
         form: what the method predicts: mesh, points or voxels.
@@ -39,7 +40,7 @@ class Adapter:
 
 
 def find_output(folder: Path, pattern: str) -> Path | None:
-    """A method's output file in the folder of a view; None if there is none.
+    """Return a method's output file in the folder of a view; None if there is none.
 
     Raises:
         PredictionError: the folder has several output files.
@@ -53,5 +54,5 @@ def find_output(folder: Path, pattern: str) -> Path | None:
 
 
 def scaling(scale: float) -> Float64:
-    """Return the (4, 4) similarity that only scales."""
+    """Return the (4, 4) similarity that scales uniformly, without rotation and translation."""
     return np.diag([scale, scale, scale, 1.0])

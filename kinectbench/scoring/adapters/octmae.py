@@ -38,7 +38,12 @@ NUMBERS = 7
 
 
 def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
-    """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json; report what the cube cuts."""
+    """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json.
+
+    Returns:
+        The view as written, and keys for camera.json, among them the share of the object that OctMAE's cube
+        cuts off.
+    """
     shown = framed(view, WIDTH, HEIGHT)
     write_color(shown, folder)
     write_png(folder / "mask.png", shown.mask.astype(np.uint8) * 255)
@@ -71,7 +76,10 @@ def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
 
 
 def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
-    """Return the cut-off share of the object, and what it is of: the true solid, or the seen points."""
+    """Return the share of the object outside OctMAE's cube: of the true solid ("truth"), or "seen" points.
+
+    The measured points are used where the truth is held back; the second result says which was used.
+    """
     seen_m, target = view.object_points_m, view.target
     if release.metadata.hides(target.recording):
         points_m, of = seen_m, "seen"

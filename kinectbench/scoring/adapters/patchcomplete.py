@@ -1,7 +1,8 @@
-"""PatchComplete (Rao et al., NeurIPS 2022): distances of 32^3 voxels in a cube.
+"""PatchComplete (Rao et al., NeurIPS 2022): signed distances in 32^3 voxels of a cube.
 
-Source: its repository, commit 938303c: it reads `tsdf`, in units of the cube, and writes `predicted_voxels`,
-in voxels; values up to 1e-10 are solid. The cube is that of the pair, in the camera's axes.
+Source: its repository, commit 938303c: it reads `tsdf`, in units of the cube's edge, and writes
+`predicted_voxels`, in voxels; values up to 1e-10 are solid. The cube is that of the pair, in the camera's
+axes.
 """
 
 from pathlib import Path
@@ -43,7 +44,7 @@ def write_patchcomplete(release: Release, view: RgbdView, folder: Path) -> tuple
 def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
     """Return each voxel centre's distance along z to the measured surface: (32, 32, 32), metres, clipped.
 
-    The distance is positive in front of the surface. Voxels outside the object's pixels are positive, too.
+    The distance is positive in front of the surface, and where the object has no measured pixel.
 
     Args:
         view: depth and mask of the object.

@@ -49,7 +49,7 @@ def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVi
 
 
 def _upright(release: Release, view: RgbdView) -> Float64:
-    """Return the rotation (3, 3) from axes with x right, y up and z towards the viewer to the camera."""
+    """Return the rotation (3, 3) to the camera from axes with x right, y up and z towards the viewer."""
     floor = release.floor(view.target.recording)
     up = np.array([0.0, -1.0, 0.0])
     if floor is not None:
@@ -76,7 +76,7 @@ def read_pointr(path: Path) -> CameraShape:
 
 
 def _check(header: NpyHeader) -> None:
-    """Refuse a header that is no list of points."""
+    """Refuse the header of an array that is not (n, 3) floats."""
     shape = header.shape
     if header.dtype.kind != "f" or len(shape) != 2 or shape[1] != 3 or not 1 <= shape[0] <= MAX_POINTS:
         raise NpyError(f"{shape} {header.dtype}; (n, 3) floats are wanted")

@@ -36,7 +36,7 @@ def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
         folder: where the files are written.
 
     Returns:
-        The view, and a key for method.json: `T_camera_method` (4, 4).
+        The view, and a key for camera.json: `T_camera_method` (4, 4).
     """
     write_color(view, folder, "image.png")
     write_png(folder / "mask.png", view.mask.astype(np.uint8) * 255)

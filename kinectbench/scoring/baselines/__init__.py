@@ -1,1 +1,1 @@
-"""Reference methods, beginning with trivial ones."""
+"""Baselines: simple methods, beginning with trivial ones, to which other methods are compared."""

@@ -1,4 +1,4 @@
-"""Scores of baselines beside a method's, computed in memory and stored beside the scores.
+"""Score baselines for comparison with a method; their tables are stored beside the method's scores.
 
 Under the grid protocols only voxel metrics are computed: they suffice to judge a method, and surface metrics
 take most of the time. Beside predictions in the camera frame, baselines are scored under `camera` alone.
@@ -38,17 +38,20 @@ def baselines_beside(
 
     Tables are kept in `out/baselines/<name>/scores.json`, tables in space in `out/baselines/<name>+camera/`.
     A kept table is used again if release, settings and the versions of counting and of the baselines are the
-    same, and a few pairs counted again give its rows. Thresholds are chosen per baseline on the validation
-    split; without one they are 0.5.
+    same, and if a few of its rows, which are computed again, agree. Thresholds are chosen per baseline on the
+    validation split; without one they are 0.5.
 
     Args:
         release: the release that is scored.
         out: folder of the scores.
-        protocols: names of `PROTOCOLS` that the pairs allow; or the protocols of a table in space.
+        protocols: names of `PROTOCOLS` that the pairs allow; or protocols of space.
         upsampling: "half-pixel" or "corner-aligned".
         without: names of baselines that are left out.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all), if any pair must be counted.
+
+    Returns:
+        A table for each baseline.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.

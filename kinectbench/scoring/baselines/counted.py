@@ -1,4 +1,4 @@
-"""Baselines counted pair by pair in memory: the same tables as for their files, without files."""
+"""Score baselines in memory, pair by pair: the tables are those that their prediction files would get."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -43,14 +43,14 @@ def score_baselines(
 ) -> list[ScoreTable]:
     """Score every baseline that a release allows as a method, and write `out/<name>/scores.json`.
 
-    The tables are those that `write_baselines` and `score_methods` would give, except for the hashes of files
-    that do not exist.
+    The tables are those that `write_baselines` and `score_methods` would give, without hashes of prediction
+    files, as there are none.
 
     Args:
         release: the release that is predicted.
         out: folder for the results.
         protocols: see `protocols_of`.
-        thresholds_file: see `read_thresholds`; it wins over the validation split.
+        thresholds_file: see `read_thresholds`; if given, nothing is chosen on the validation split.
         upsampling: "half-pixel" or "corner-aligned".
         surface: whether surface metrics are computed.
         jobs: number of processes; the result does not depend on it.
@@ -157,7 +157,7 @@ def baselines_that_differ(
 
 
 def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -> None:
-    """Report the progress of one round as progress of both rounds."""
+    """Report the progress within one round as progress over all rounds."""
     progress(before + done, pairs)
 
 
@@ -168,7 +168,7 @@ def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> 
 
 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
-    """Return every baseline's counts of one pair; for a validation pair only what chooses thresholds."""
+    """Return every baseline's counts of one pair; surface metrics and ceilings for a test pair only."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256, counting.further_grids)
     reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side
     results = {}

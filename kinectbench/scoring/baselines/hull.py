@@ -41,7 +41,10 @@ def silhouette(inputs: Inputs) -> Bools:
 
 
 def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
-    """Extrude along rays from a camera at cell coordinates (3,); along z unless it is before the grid."""
+    """Return a partial with all cells behind it set, as seen from a camera at cell coordinates (3,).
+
+    Rays are parallel to z if the camera is not in front of the grid.
+    """
     from kinectbench.scoring.baselines.kernels import sweep_plane, transposed
 
     count = len(partial)

@@ -1,4 +1,4 @@
-"""Baselines under the protocols of space: their cells are scored as solids, view by view, without files."""
+"""Score baselines in memory under the protocols of space: their cells are taken as solids."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -43,7 +43,8 @@ def space_baselines(
         release: the release that is predicted.
         names: baselines that the release allows (`possible_baselines`).
         protocols: camera, aligned or both.
-        thresholds_file: see `read_thresholds`; default: as under the grid protocols.
+        thresholds_file: see `read_thresholds`; default: thresholds are chosen per baseline on the validation
+            split; without one they are 0.5.
         jobs: number of processes.
         progress: called with (views done, views in all).
 
@@ -87,7 +88,7 @@ def space_baselines(
 def space_baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
 ) -> set[str]:
-    """Score a few pairs again and return the names of tables whose rows differ."""
+    """Score a few pairs again; return the names of the baselines whose tables (by name) have other rows."""
     rates = base_rates(release, jobs)
     tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
     pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
@@ -111,7 +112,7 @@ def space_baselines_that_differ(
 
 
 def _tallies(task: BaselineTask) -> Tallies:
-    """Return each baseline's tally of a validation pair; the tallies choose the thresholds."""
+    """Return {baseline: tally of a validation pair}; thresholds are chosen by these tallies."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
     return {name: tally(prediction, truth) for name, prediction in predicted(task)}
 
@@ -119,7 +120,7 @@ def _tallies(task: BaselineTask) -> Tallies:
 def _results(
     thresholds: Mapping[str, Mapping[str, float]], asked: tuple[Asked, ...], task: BaselineTask
 ) -> Results:
-    """Return every baseline's result of one view."""
+    """Return {baseline: result of one view, or why it cannot be scored}."""
     truth = read_space_truth(files_of(task.release, task.target))
     category = task.target.category
     results: Results = {}

@@ -22,8 +22,8 @@ class TrainingTruth:
     """Truth of one category's training pairs.
 
     Attributes:
-        mean: (64, 64, 64) float32, the mean shape.
-        partials: (n, 64, 64, 8) uint8, packed inputs.
+        mean: (64, 64, 64) float32, the mean occupancy of the true shapes.
+        partials: (n, 64, 64, 8) uint8, packed partial views of the pairs.
         files: (n,) (pair file, SHA-256) of each pair.
     """
 
@@ -40,7 +40,7 @@ class Inputs:
         pair: the pair without its truth.
         base_rate: share of occupied voxels in the category's truth, in [0, 1]; NaN if the truth is held back.
         up_grid: (3,) float64 unit vector, away from the floor, in grid axes.
-        training: None where the category has no training pairs.
+        training: truth of the category's training pairs; None if there are none, or if no baseline needs it.
     """
 
     pair: PairInput
@@ -50,7 +50,7 @@ class Inputs:
 
     @property
     def partial(self) -> NDArray[np.bool_]:
-        """`partial_256`, (256, 256, 256) bool."""
+        """The partial view at full resolution, `partial_256`: (256, 256, 256) bool."""
         return unpack(self.pair.partial_256)
 
 

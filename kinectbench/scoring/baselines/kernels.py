@@ -9,7 +9,7 @@ from kinectbench.core.types import Bools, Float64, Int64
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def transposed(rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the transpose (m, n) of bytes (n, m), by tiles: 65536 x 256 take 8.7 ms, with numpy 13."""
+    """Return bytes (n, m) transposed, tile by tile: 65536 x 256 take 8.7 ms, and 13 ms with numpy."""
     n, m = rows.shape
     turned = np.empty((m, n), np.uint8)
     tile = 32
@@ -34,21 +34,21 @@ def sweep_plane(
     row_within: Bools,
     column_within: Bools,
 ) -> None:
-    """Move rays one plane further: rays that meet a set cell become hit, and hit rays set their cells.
+    """Move rays to the next plane: rays that meet a set cell become hit, and hit rays set their cells.
 
-    Rays lie in p rows and p columns; cells of a plane in n rows and n columns.
+    There are p x p rays and n x n cells in a plane.
 
     Args:
         hit: (p, p) whether each ray has met the partial so far; changed.
         plane: (n, n) the cells of this plane; changed.
         row_crossed: (p,) the row of cells that each row of rays crosses in this plane.
         column_crossed: (p,) the column of cells that each column of rays crosses.
-        row_inside: (p,) whether each row of rays crosses the grid in this plane.
-        column_inside: (p,) whether each column of rays does.
+        row_inside: (p,) whether each row of rays is inside the grid in this plane.
+        column_inside: (p,) whether each column of rays is.
         row_ray: (n,) the row of rays that passes nearest to the centres of each row of cells.
         column_ray: (n,) the column of rays nearest to each column of cells.
-        row_within: (n,) whether `row_ray` exists.
-        column_within: (n,) whether `column_ray` exists.
+        row_within: (n,) whether that row of rays exists.
+        column_within: (n,) whether that column of rays exists.
     """
     set_rows = np.array([plane[x].any() for x in range(len(plane))])
     for p in range(len(hit)):

@@ -36,7 +36,8 @@ def mirror(inputs: Inputs) -> Bools:
 def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) -> tuple[Float64, float]:
     """Return the best mirror plane n . x = offset: unit normal (3,), and offset in cells of the 256-grid.
 
-    Of the mirrored points most fall on the partial view, and fewest into observed free space.
+    The score of a plane is the number of mirrored points on the partial view, minus the number of those in
+    observed free space or outside the grid.
 
     Args:
         points: (n, 3) occupied cells of the partial view, in cells of the 256-grid.

@@ -1,4 +1,4 @@
-"""Baselines that a release allows, their predictions pair by pair, and their files."""
+"""Which baselines a release allows, their predictions for each pair, and files of these predictions."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ SPLITS: tuple[Split, ...] = ("test", "validation")
 
 @dataclass(frozen=True)
 class BaselineTask:
-    """One pair for some baselines.
+    """A pair, and the baselines that predict it.
 
     Attributes:
         release: the release that contains the pair.
@@ -62,7 +62,7 @@ def baseline_tasks(
     rates: Mapping[str, BaseRate],
     splits: Sequence[Split] = SPLITS,
 ) -> list[BaselineTask]:
-    """Return a task for every pair of the given splits; `rates` has the base rates known by category."""
+    """Return a task for every pair of the given splits; `rates` maps categories to their known base rates."""
     values = {category: rate.value for category, rate in rates.items()}
     return [
         BaselineTask(release, target, values.get(target.category, math.nan), tuple(names))

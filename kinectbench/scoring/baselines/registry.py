@@ -1,4 +1,4 @@
-"""The baselines by name, and the simplest of them. A new one is a function and a line in `BASELINES`."""
+"""The baselines by name, and the simplest ones. To add one, write a function and a line in `BASELINES`."""
 
 from collections.abc import Callable, Mapping
 
@@ -35,7 +35,10 @@ def partial(inputs: Inputs) -> NDArray[np.bool_]:
 
 
 def mean_shape(inputs: Inputs) -> NDArray[np.float16]:
-    """Return the mean of the category's training shapes, each in its own view's box: (64, 64, 64) float16."""
+    """Return the mean of the category's training shapes, which are not aligned: (64, 64, 64) float16.
+
+    Each shape is taken as it lies in its own pair's grid.
+    """
     assert inputs.training is not None
     return inputs.training.mean.astype(np.float16)
 

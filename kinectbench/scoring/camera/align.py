@@ -1,9 +1,9 @@
-"""Register a predicted surface to the truth: a shift, a scale, a rotation; fixed starts and steps.
+"""Register a predicted surface to the true one by a translation, optionally with a scale and a rotation.
 
-Rule of this project, after the iterated closest point by planes (Chen and Medioni 1992), both ways: samples
-of the prediction are drawn to the nearest of the truth, and samples of the truth draw the nearest of the
-prediction, so that no shape can shrink onto a part of the other. Only known truth is looked at. Nothing is
-random, and no result depends on the number of cores.
+Rule of this project: a symmetric form of point-to-plane ICP (Chen and Medioni 1992). Each sample of the
+prediction is matched to the nearest sample of the truth, and each sample of the truth to the nearest sample
+of the prediction, so that neither shape can shrink onto a part of the other. Only known parts of the truth
+are used. Starts and steps are fixed: nothing is random, and no result depends on the number of cores.
 """
 
 from collections.abc import Iterator, Sequence
@@ -45,11 +45,12 @@ LEAST_SIZE, MOST_SIZE = 0.05, 20.0
 
 @dataclass(frozen=True)
 class SurfaceRegistration:
-    """What brings a prediction to the truth.
+    """The similarity that aligns a predicted surface with the true one.
 
     Attributes:
-        T: (4, 4) similarity in the truth's grid, metres; its rotation has determinant +1.
-        ok: whether the steps came to rest at a size that is possible.
+        T: (4, 4) similarity that moves the prediction within the truth's grid frame, metres; its rotation has
+            determinant +1.
+        ok: whether the iteration converged, and the registered shape has a plausible size.
     """
 
     T: Float64
@@ -58,7 +59,7 @@ class SurfaceRegistration:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Samples of both surfaces in the truth's grid: of the prediction as it is, and of known truth."""
+    """Samples of the predicted surface, unregistered (`ours`), and of the known true one (`theirs`)."""
 
     truth: SpaceTruth
     ours: Surface
@@ -66,18 +67,18 @@ class _Pair:
 
     @property
     def normals(self) -> Float64:
-        """(n, 3) of the truth."""
+        """(n, 3) normals of the true surface's samples."""
         assert self.theirs.normals is not None
         return self.theirs.normals
 
     @cached_property
     def ways(self) -> tuple[NearestOfMoving, NearestOfMoving]:
-        """The nearest of the truth to samples of the prediction, and the other way round."""
+        """Search objects: for the nearest true sample of each predicted one, and for the reverse."""
         ours, theirs = self.ours, self.theirs
         return NearestOfMoving(theirs.samples, len(ours)), NearestOfMoving(ours.samples, len(theirs))
 
     def thinned(self, most: int) -> "_Pair":
-        """The same with fewer samples; those of the truth are put into the midst of its steps."""
+        """Return at most `most` samples a surface; the true ones are moved off the steps of their voxels."""
         made = self.truth.smoothed
         if most not in made:
             few = replace(self, theirs=self.theirs.thinned(most))
@@ -89,12 +90,12 @@ class _Pair:
 
 
 def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceRegistration:
-    """Register a predicted surface to the known part of the true one.
+    """Register a predicted surface to the known part of the true surface.
 
     Args:
-        truth: of the view.
-        surface: predicted, in the truth's grid.
-        kind: of `KINDS`.
+        truth: the truth of the view.
+        surface: the predicted surface, in the truth's grid frame.
+        kind: what the registration may change, one of `KINDS`.
     """
     return register_kinds(truth, surface, (kind,))[kind]
 
@@ -102,7 +103,7 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
 def register_kinds(
     truth: SpaceTruth, surface: Surface, kinds: Sequence[str]
 ) -> dict[str, SurfaceRegistration]:
-    """The same by several kinds, each as if it were alone; what they share is made once."""
+    """Return {kind: registration}, as `register_surface` gives it for each kind; shared work is done once."""
     known = truth.known_surface
     if not len(known):
         return dict.fromkeys(kinds, SurfaceRegistration(np.eye(4), ok=False))
@@ -121,7 +122,10 @@ def register_kinds(
 
 
 def _starts(pair: _Pair, kind: str) -> Iterator[Float64]:
-    """As predicted; then with the same middle, of the same size, and turned about each axis, as is free."""
+    """Yield initial similarities (4, 4): the identity; then centroids aligned.
+
+    The latter also equalise the sizes and try fixed rotations about each axis, as far as `kind` allows.
+    """
     yield np.eye(4)
     ours, theirs = pair.ours.center_m, pair.theirs.center_m
     scale = 1.0 if kind == "t" else pair.theirs.spread_m / max(pair.ours.spread_m, 1e-9)
@@ -137,7 +141,13 @@ def _rotations() -> Sequence[Float64]:
 
 
 def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float64, Float64, int]:
-    """Places of the prediction, where each belongs, normals there, the middle, weights; how many one way."""
+    """Match samples in both directions, with the prediction moved by `T` (4, 4).
+
+    Returns:
+        Moved predicted samples (k, 3), their matched true samples (k, 3) and the normals there (k, 3); the
+        mean of the moved samples (3,); robust weights (k,); and the number of matches from prediction to
+        truth, which come first.
+    """
     from kinectbench.core.geometry.gauss_newton import robust_weights
     from kinectbench.scoring.camera.kernels import mapped
     from kinectbench.scoring.camera.steps import drawn_together
@@ -153,7 +163,7 @@ def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float6
 
 
 def _far(pair: _Pair, T: Float64) -> float:
-    """The Chamfer distance of the samples."""
+    """Return the sum of both directions' mean match distances, metres, with the prediction moved by `T`."""
     places, targets, *_, count = _matches(pair, T)
     distances = np.sqrt(((places - targets) ** 2).sum(axis=1))
     ways = np.split(distances, [count])
@@ -161,7 +171,10 @@ def _far(pair: _Pair, T: Float64) -> float:
 
 
 def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> tuple[Float64, float]:
-    """The similarity after some steps; how far the last moved a sample, metres, 0 where it only slides."""
+    """Take up to `count` steps from `start`; return the similarity and how far the last step moved samples.
+
+    That motion is in metres. It is 0 if the steps only slide or turn the shape along a surface that fits.
+    """
     from kinectbench.core.geometry.gauss_newton import NormalEquations
     from kinectbench.scoring.camera.steps import similarity_about, step_equations
 

@@ -1,9 +1,10 @@
-"""The best one-to-one assignment of two sets of points. Import late: numba is slow to load.
+"""The best one-to-one assignment between two point sets. Import late: numba is slow to load.
 
-Source: the auction with falling eps of D. P. Bertsekas, "The auction algorithm: a distributed relaxation
-method for the assignment problem" (1988). A point bids for the place that costs it least, distance and price
-together. Prices only rise, so that a list of the cheapest places holds until its second is above what the
-first place beyond the list had cost.
+Source: the auction algorithm with decreasing eps of D. P. Bertsekas, "The auction algorithm: a distributed
+relaxation method for the assignment problem" (1988). Each point bids for the other set's point (its "place")
+with the least cost: distance plus price. Each point keeps a short list of its cheapest places. As prices only
+rise, a list stays valid until its second-best cost exceeds the cost, at the time when the list was made, of
+the cheapest place outside it.
 """
 
 import numpy as np
@@ -24,14 +25,15 @@ LEAST = 1e-6
 
 
 def assigned_mean_m(points_m: Float64, others_m: Float64) -> float | None:
-    """The mean distance of the best one-to-one assignment, at most `WITHIN` of it too large.
+    """Return the mean distance of the best one-to-one assignment, metres, with relative error `WITHIN`.
 
     Args:
         points_m: (n, 3), n above `NEAR`.
         others_m: (n, 3).
 
     Returns:
-        The mean; None where the bids do not come to an end in bounded time.
+        The mean, which may be too large, never too small; None if the auction does not end within a bounded
+        number of bids.
     """
     n = len(points_m)
     size_m = float(np.linalg.norm(np.ptp(np.concatenate([points_m, others_m]), axis=0)))
@@ -55,20 +57,20 @@ def assigned_mean_m(points_m: Float64, others_m: Float64) -> float | None:
 def _round(  # type: ignore[no-untyped-def]
     points, places, prices, near, beyond, owner, eps: float, most: int
 ) -> bool:
-    """Bids of one eps, until each place has an owner; changes all from `prices` to `owner`.
+    """Auction with one eps until each place has an owner; update `prices`, `near`, `beyond` and `owner`.
 
     Args:
-        points: (3, n).
-        places: (3, n).
-        prices: (n,) of the places.
-        near: (n, k) the list of each point.
-        beyond: (n,) the least that a place beyond the list cost when it was made; -inf: there is none yet.
-        owner: (n,) point of each place, -1 before.
-        eps: what a bid is above the second best, metres.
-        most: bids.
+        points: (3, n) the points that bid.
+        places: (3, n) the points that are bid for.
+        prices: (n,) price of each place.
+        near: (n, k) each point's list of cheapest places.
+        beyond: (n,) cost of the cheapest place outside the list when the list was made; -inf: no list yet.
+        owner: (n,) the point that owns each place, initially -1.
+        eps: the least amount by which a bid raises a price, metres.
+        most: maximum number of bids.
 
     Returns:
-        Whether these were enough.
+        Whether every place has an owner after at most `most` bids.
     """
     n = len(prices)
     costs, queue = np.empty(n), np.arange(n)
@@ -94,7 +96,7 @@ def _round(  # type: ignore[no-untyped-def]
 def _best(  # type: ignore[no-untyped-def]
     point, places, prices, listed: NDArray[np.int64]
 ) -> tuple[float, float, int]:
-    """What the best and the second of the listed places cost a point (3,), and the best."""
+    """Return a point's lowest and second-lowest cost among the listed places, and the cheapest place."""
     best, second, place = np.inf, np.inf, -1
     for j in listed:
         x, y, z = places[0, j] - point[0], places[1, j] - point[1], places[2, j] - point[2]
@@ -108,7 +110,7 @@ def _best(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _list(point, places, prices, listed: NDArray[np.int64], costs) -> float:  # type: ignore[no-untyped-def]
-    """Fill the list of a point (3,) with the cheapest places; returns what the next one costs."""
+    """Fill a point's list with its cheapest places; return the cost of the cheapest place not listed."""
     for j in range(len(prices)):
         x, y, z = places[0, j] - point[0], places[1, j] - point[1], places[2, j] - point[2]
         costs[j] = np.sqrt(x * x + y * y + z * z) + prices[j]

@@ -1,4 +1,4 @@
-"""What the truth's own uncertainty leaves of each metric, and the figures that other papers' code prints."""
+"""Best scores that the truth's uncertainty allows, and metrics as other papers' code computes them."""
 
 import math
 
@@ -18,17 +18,19 @@ PCN_FACTOR, PCN_TOLERANCE = 1000.0, 0.01
 def ceiling(
     sigma_m: float, tolerances_m: dict[str, float], area_m2: float, volume_m3: float
 ) -> Ceiling | None:
-    """The figures of the real surface, which the true one misses by a normal error; None where sigma is 0.
+    """Return the best scores that a truth with surface error `sigma_m` allows; None if it has no error.
 
-    Along the normal the real surface is d away, d normal of standard deviation sigma. So the mean of |d| is
-    sigma sqrt(2 / pi), that of d squared is sigma squared, and the share within tau is erf(tau / (sigma
-    sqrt 2)). Of the volume, area x mean |d| / 2 is missing, and as much is too much.
+    These are the scores of a prediction that equals the real surface. The truth deviates from that surface
+    along the normal by a distance d, which is normally distributed with standard deviation sigma. So the mean
+    of |d| is sigma sqrt(2 / pi), the mean of d squared is sigma squared, and the share of the surface within
+    tau is erf(tau / (sigma sqrt 2)). The truth lacks a volume of area x mean |d| / 2, and has as much in
+    excess.
 
     Args:
         sigma_m: standard deviation of the truth's surface, metres.
         tolerances_m: {name of an F-score: its tolerance}, metres.
-        area_m2: of the known true surface of the part.
-        volume_m3: of the known true cells of the part.
+        area_m2: area of the part's known true surface.
+        volume_m3: volume of the part's known true cells.
     """
     if not sigma_m > 0:
         return None
@@ -45,13 +47,13 @@ def ceiling(
 def as_papers(
     octmae: dict[str, float], ours: Surface, theirs: Surface, size_m: float, emd: bool = False
 ) -> AsPapers:
-    """The figures of OctMAE, PCN and SDS-Complete.
+    """Return metrics as the code of OctMAE, PCN and SDS-Complete computes them.
 
     Args:
-        octmae: what is OctMAE's, whose distances are those of the metrics of space: by key.
+        octmae: OctMAE's metrics by key, already computed from the distances of our own metrics.
         ours: the predicted surface in known space, not empty.
-        theirs: the true one, likewise.
-        size_m: the diagonal of the truth's box, which is 1 for PCN.
+        theirs: the known true surface, not empty.
+        size_m: diagonal of the truth's bounding box, metres; PCN's metrics are in this unit.
         emd: whether the earth mover's distance is computed, which takes seven seconds.
     """
     one, other = points_by_area(ours), points_by_area(theirs)
@@ -75,7 +77,7 @@ def as_papers(
 
 
 def points_by_area(surface: Surface) -> Float64:
-    """`POINTS` points (n, 3) of a surface, drawn by area as those papers draw them; the same each time."""
+    """Return `POINTS` of a surface's samples, (n, 3), drawn in proportion to area with a fixed seed."""
     area = np.cumsum(surface.areas)
     places = np.sort(np.random.default_rng(SEED).random(POINTS)) * area[-1]
     found: Float64 = surface.points_m[np.minimum(np.searchsorted(area, places), len(area) - 1)]
@@ -83,5 +85,5 @@ def points_by_area(surface: Surface) -> Float64:
 
 
 def _to_points(points_m: Float64, others_m: Float64) -> Float64:
-    """(n,) distance of each point to the nearest other one."""
+    """Return each point's distance to the nearest of `others_m`: (n,), metres."""
     return Samples(others_m).nearest(points_m)[0]

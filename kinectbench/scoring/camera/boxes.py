@@ -1,8 +1,9 @@
-"""The two nearest samples of points, by a tree of boxes. Import late: numba is slow to load.
+"""Search for the two nearest samples of points, in a tree of boxes. Import late: numba is slow to load.
 
-A tree of SciPy finds them too, but takes two to four times as long to be made (measured at 80,000 and 190,000
-samples), and has one point and one box at a time. Here samples lie along a Z curve, a leaf and a node are
-looked at as a whole, and a search begins at the samples that were the nearest last.
+SciPy's tree gives the same, but takes two to four times as long to build (measured with 80,000 and 190,000
+samples), and examines one point and one box at a time. Here samples are sorted along a Z curve, all samples
+of a leaf and all boxes of a node are examined together, and a search starts at the samples that the previous
+search found.
 """
 
 import numpy as np
@@ -20,17 +21,17 @@ SURE = 1 - 1e-9
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def boxes_of(samples, order):  # type: ignore[no-untyped-def]
-    """A tree over samples.
+    """Build a tree of boxes over samples.
 
     Args:
         samples: (n, 3), not empty.
-        order: (n,) their order; near ones must follow each other, see `near_together`.
+        order: (n,) indices that sort the samples so that neighbours follow each other (`near_together`).
 
     Returns:
-        (leaves, 3, LEAF) the samples in this order, filled up with infinity; (nodes, 6, BOXES) the lowest and
-        highest corners of the boxes in a node, filled up with boxes that hold nothing; (nodes,) the first
-        child of each, a leaf if it is below the number of leaves, else that number and a node's. The last
-        node is the root.
+        `groups` (leaves, 3, LEAF), the sorted samples, padded with infinity; `boxes` (nodes, 6, BOXES), the
+        lowest and highest corners of each node's boxes, padded with empty boxes; `first` (nodes,), the number
+        of each node's first child: a leaf if below the number of leaves, else a node, counted on after the
+        leaves. The last node is the root.
     """
     leaves = -(-len(samples) // LEAF)
     groups = np.full((leaves, 3, LEAF), np.inf)
@@ -70,17 +71,18 @@ def _widen(node, axis, box, low, high):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def two_nearest(points, which, places, both, groups, boxes, first):  # type: ignore[no-untyped-def]
-    """(m, 2) float64: the distances of points (n, 3) from the two nearest samples; infinity if there is one.
+    """Return the distances of points from their two nearest samples: (m, 2); infinity if there is no second.
 
     Args:
         points: (n, 3).
-        which: (m,) indices of those that are asked.
-        places: (n, 2) places in the tree's order where the search begins, -1 where nothing is known of a
-            point; those that are asked become the places of what is found.
-        both: whether the second is asked. If not it is one that is farther, unless both are equally near.
-        groups: of `boxes_of`, as are those that follow.
-        boxes: those.
-        first: those.
+        which: (m,) indices of the points to search for.
+        places: (n, 2) positions of two samples in the tree's order, where each search starts; -1 if unknown.
+            Entries of `which` are replaced by the samples found.
+        both: whether the second nearest is needed. If not, any farther sample may be returned as the second,
+            unless two samples are equally near.
+        groups: the first result of `boxes_of`.
+        boxes: the second result.
+        first: the third result.
     """
     far, here = np.empty((len(which), 2)), np.empty(LEAF)
     stack, away, gaps = np.empty(128, np.int64), np.empty(128), np.empty(BOXES)
@@ -145,9 +147,10 @@ def two_nearest(points, which, places, both, groups, boxes, first):  # type: ign
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def near_together(points: Float64) -> Int64:
-    """(n,) int64: indices of points (n, 3) in an order in which near ones follow each other.
+    """Return an order of points (n, 3) in which neighbours follow each other: (n,) int64 indices.
 
-    That of a Z curve (Morton, 1966) through 2^20 cells a side of their box; in a cell the lowest index first.
+    Points are sorted along a Z curve (Morton, 1966) through 2^20 cells a side of their bounding box; within a
+    cell by index.
     """
     low, high = points[0].copy(), points[0].copy()
     for n in range(len(points)):
@@ -177,7 +180,7 @@ def near_together(points: Float64) -> Int64:
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _spread(cell):  # type: ignore[no-untyped-def]
-    """The 20 bits of a number, two zeros between them."""
+    """Return a 20-bit number with two zero bits inserted between its bits."""
     cell = (cell | cell << 32) & 0x1F00000000FFFF
     cell = (cell | cell << 16) & 0x1F0000FF0000FF
     cell = (cell | cell << 8) & 0x100F00F00F00F00F
@@ -187,15 +190,15 @@ def _spread(cell):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mean_offsets(points, normals, radius, groups, boxes, first):  # type: ignore[no-untyped-def]
-    """(n,) float64: the mean offset along the normal of the samples within a radius of each point; 0 of none.
+    """Return the mean offset, along each point's normal, of the samples within a radius: (n,); 0 without any.
 
     Args:
         points: (n, 3).
-        normals: (n, 3).
-        radius: that.
-        groups: of `boxes_of`, as are those that follow.
-        boxes: those.
-        first: those.
+        normals: (n, 3) unit normals of the points.
+        radius: the radius, in the unit of the points.
+        groups: the first result of `boxes_of`.
+        boxes: the second result.
+        first: the third result.
     """
     offsets, stack, leaves, limit = (
         np.zeros(len(points)),
@@ -230,19 +233,20 @@ def mean_offsets(points, normals, radius, groups, boxes, first):  # type: ignore
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def nearest_of_moving(points, asked, base, leeway, places, samples, order, groups, boxes, first):  # type: ignore[no-untyped-def]
-    """(m,) float64 distances of the points that are asked, and (m,) int64 indices of their nearest samples.
+    """Return the selected points' distances to their nearest samples (m,), and these samples' indices (m,).
 
     Args:
-        points: (n, 3).
-        asked: (n,) which are asked.
-        base: (n, 3) where each was when it was looked for last; changed, as are those that follow.
-        leeway: (n,) how far from there its nearest sample stays the nearest; -1 before the first search.
-        places: (n, 2) of `two_nearest`.
+        points: (n, 3) current positions.
+        asked: (n,) bool, which points are selected.
+        base: (n, 3) each point's position at its last search; updated.
+        leeway: (n,) how far a point may move from `base` before it must be searched again; -1 before the
+            first search; updated.
+        places: (n, 2) as in `two_nearest`; updated.
         samples: (s, 3).
-        order: (s,) their order in the boxes.
-        groups: of `boxes_of`, as are those that follow.
-        boxes: those.
-        first: those.
+        order: (s,) the samples' order in the tree.
+        groups: the first result of `boxes_of`.
+        boxes: the second result.
+        first: the third result.
     """
     again, count, m = np.empty(len(points), np.int64), 0, 0
     for n in range(len(points)):

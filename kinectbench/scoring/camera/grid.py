@@ -1,4 +1,4 @@
-"""Predictions in the cells of a pair as solids in the camera frame: they are scored as any other solid."""
+"""Score a prediction in the pair's grid under the protocols of space: its cells are taken as a solid."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,14 +18,14 @@ from kinectbench.scoring.prediction_file import load_hashed
 
 @dataclass(frozen=True)
 class GridJob:
-    """A view to be scored whose prediction is in the cells of its pair.
+    """A view to score whose prediction is in the pair's grid.
 
     Attributes:
         target: the view.
-        truth: its files in the release.
-        file: of its prediction; None for an empty one.
-        threshold: a cell is occupied if its value is above it.
-        asked: see `asked_rows`.
+        truth: the files that hold its truth.
+        file: the prediction's file; None for an empty prediction.
+        threshold: cells with a value above it are occupied.
+        asked: the rows to compute (`asked_rows`).
     """
 
     target: Target
@@ -36,7 +36,7 @@ class GridJob:
 
 
 def score_grid(job: GridJob) -> ViewResult | str:
-    """Score a view; the reason where its prediction cannot be scored.
+    """Score a view; return the reason instead if its prediction cannot be scored.
 
     Raises:
         ReleaseError: the truth is missing, or not the published one.
@@ -59,7 +59,9 @@ def grid_result(
     asked: tuple[Asked, ...],
     digest: str | None = None,
 ) -> ViewResult:
-    """The result of a prediction (n, n, n) in [0, 1]; other sides than 256 are upsampled as under `known`.
+    """Return the result of a prediction (n, n, n) with values in [0, 1], binarised at the threshold.
+
+    A prediction of another side than 256 is upsampled as under the grid protocols.
 
     Raises:
         PredictionError: its surface has too many faces.

@@ -1,4 +1,4 @@
-"""The table of a method whose predictions are in the cells of a pair, under the protocols of space."""
+"""Score a method whose predictions are in the pairs' grids under the protocols of space; return its table."""
 
 from collections.abc import Sequence
 
@@ -24,10 +24,11 @@ SEARCHING = Counting(("paper",), surface=False)
 def space_alone(
     protocols: Sequence[str] | None, upsampling: str, close: str | None = None
 ) -> tuple[str, ...]:
-    """Those of some protocols that are of space; () where none is.
+    """Return those of the requested protocols that are protocols of space; () if none is.
 
     Raises:
-        SettingsError: others are among them, another upsampling is asked, or meshes are to be closed.
+        SettingsError: protocols of space are mixed with others or with another upsampling than half-pixel, or
+            `close` is given.
     """
     if close is not None:
         raise SettingsError(
@@ -53,14 +54,14 @@ def score_grid_in_space(
     jobs: int,
     progress: Progress | None,
 ) -> ScoreTable:
-    """Score the test split of a method whose predictions are in the cells of a pair.
+    """Score the test split of a method whose predictions are in the pairs' grids.
 
     Args:
-        release: what the predictions are for.
-        asked: what is to be scored.
-        method: its name.
-        protocols: of `space_alone`.
-        missing: as of `score`.
+        release: the release that was predicted.
+        asked: the method's files, and the thresholds or how to choose them.
+        method: the method's name.
+        protocols: protocols of space (`space_alone`).
+        missing: see `score`.
         jobs: number of processes.
         progress: called with (views done, views in all).
 

@@ -1,4 +1,4 @@
-"""Loops over the cells and patches of surfaces. Import late: numba is slow to load."""
+"""Loops over cells and surface patches. Import late: numba is slow to load."""
 
 import numpy as np
 from numba import njit
@@ -9,14 +9,15 @@ RADIUS_CELLS = 3
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def faces_of_cells(packed):  # type: ignore[no-untyped-def]
-    """Every face between an occupied cell and a free one.
+    """Return every face between an occupied cell and a free one.
 
     Args:
-        packed: (i + 2, j + 2, k / 8) uint8, cells with a free one around, as `pack` packs them along k.
+        packed: (i + 2, j + 2, b) uint8: the grid with a border of free cells, packed along k by `pack`.
 
     Returns:
-        (n, 3) int32, the occupied cell of each face without the free ones around, in C order; (n,) int8, the
-        axis across the face; (n,) int8, 1 where the free cell has the larger index, else -1.
+        (n, 3) int32, each face's occupied cell, with indices that leave out the border, in C order; (n,)
+        int8, the axis normal to the face; (n,) int8, 1 if the free cell has the larger index along it, else
+        -1.
     """
     count = _faces(packed, np.empty((0, 3), np.int32), np.empty(0, np.int8), np.empty(0, np.int8))
     inside = np.empty((count, 3), np.int32)
@@ -27,7 +28,7 @@ def faces_of_cells(packed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _faces(packed, inside, axes, signs):  # type: ignore[no-untyped-def]
-    """The number of faces; they are written where there is room. Eight cells are looked at together."""
+    """Return the number of faces; write as many as the arrays can hold. Eight cells are tested at once."""
     count, last = 0, packed.shape[2] - 1
     free = np.empty(6, np.int64)
     for i in range(1, packed.shape[0] - 1):
@@ -58,11 +59,13 @@ def _faces(packed, inside, axes, signs):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def outward(packed, inside):  # type: ignore[no-untyped-def]
-    """(n, 3) float64: away from the mass of the 7^3 cells around each surface cell, of length 1 or 0.
+    """Return each cell's outward normal: away from the centroid of the occupied cells among the 7^3 around.
+
+    The result is (n, 3) float64, unit length, or 0 where these cells are symmetric.
 
     Args:
-        packed: as `faces_of_cells` takes them.
-        inside: (n, 3) as it returns them.
+        packed: as in `faces_of_cells`.
+        inside: (n, 3) cells, the first result of `faces_of_cells`.
     """
     normals = np.zeros((len(inside), 3))
     rows, columns, last = packed.shape[0], packed.shape[1], packed.shape[2] - 1
@@ -100,15 +103,15 @@ def outward(packed, inside):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def zero_crossings(cells, axis):  # type: ignore[no-untyped-def]
-    """Where signed distances change their sign between neighbours along one axis.
+    """Find the sign changes of signed distances between neighbours along one axis.
 
     Args:
         cells: (i, j, k) float32, negative inside.
         axis: 0, 1 or 2.
 
     Returns:
-        (n, 3) float64, the crossings, in indices of cells; (n, 3) float64, the gradient there, of length 1 or
-        0.
+        (n, 3) float64, the positions of the crossings in cells, with cell centres at integers; (n, 3)
+        float64, the gradient there, of unit length, or 0.
     """
     ni, nj, nk = cells.shape
     si, sj, sk = 1 if axis == 0 else 0, 1 if axis == 1 else 0, 1 if axis == 2 else 0
@@ -145,15 +148,15 @@ def zero_crossings(cells, axis):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def to_patches(points, found, corner, first, second, is_triangle):  # type: ignore[no-untyped-def]
-    """(n,) float64: distance of each point to a patch, which is a triangle or a rectangle.
+    """Return each point's distance to a given patch, a triangle or a rectangle: (n,) float64.
 
     Args:
         points: (n, 3).
-        found: (n,) the index of the patch.
-        corner: (m, 3), a corner of each patch.
-        first: (m, 3), the edge from there to the next corner.
-        second: (m, 3), the edge to the corner before.
-        is_triangle: whether patches are triangles; of rectangles the edges are at right angles.
+        found: (n,) index of each point's patch.
+        corner: (m, 3), one corner of each patch.
+        first: (m, 3), the edge from that corner to the next one.
+        second: (m, 3), the edge from that corner to the previous one.
+        is_triangle: whether patches are triangles; otherwise they are rectangles.
     """
     distances = np.empty(len(points))
     for n in range(len(points)):
@@ -175,7 +178,11 @@ def to_patches(points, found, corner, first, second, is_triangle):  # type: igno
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _in_triangle(uu, uv, vv, pu, pv):  # type: ignore[no-untyped-def]
-    """(u, v) of the point of a triangle that is nearest to one whose products with the edges are pu, pv."""
+    """Return the coordinates (u, v) of the triangle's point nearest to p.
+
+    The triangle is spanned by edges U and V from the origin: `uu`, `uv`, `vv`, `pu` and `pv` are dot
+    products.
+    """
     determinant = uu * vv - uv * uv
     if determinant > 0:
         u, v = (vv * pu - uv * pv) / determinant, (uu * pv - uv * pu) / determinant
@@ -200,7 +207,7 @@ def _in_triangle(uu, uv, vv, pu, pv):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mapped(points, affine):  # type: ignore[no-untyped-def]
-    """(n, 3) float64: points (n, 3) mapped by (3, 4). A matrix product would wake all cores for it."""
+    """Return points (n, 3) mapped by a (3, 4) matrix; a matrix product would start threads on all cores."""
     found = np.empty(points.shape, np.float64)
     for n in range(len(points)):
         x, y, z = points[n]
@@ -212,13 +219,15 @@ def mapped(points, affine):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-def]
-    """(n,) bool each: whether points lie in known cells, and in seen ones; all outside is known, not seen.
+    """Return which points lie in known cells, and which in seen cells: (n,) bool each.
+
+    Points outside the grid count as known and not seen.
 
     Args:
-        points: (n, 3), in the unit of `voxel_size`.
+        points: (n, 3), in the unit of `voxel_size`, from the grid's corner.
         voxel_size: edge of a cell.
         known: (i, j, k / 8) uint8, packed.
-        seen: likewise.
+        seen: (i, j, k / 8) uint8, packed.
     """
     is_known, is_seen = np.ones(len(points), np.bool_), np.zeros(len(points), np.bool_)
     ni, nj, nk = known.shape[0], known.shape[1], 8 * known.shape[2]
@@ -236,12 +245,14 @@ def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def inside_cells(cells, affine, side):  # type: ignore[no-untyped-def]
-    """(side, side, side) bool: centres of the truth's cells that lie in occupied cells of a prediction.
+    """Return which cells of the truth's grid have their centre in an occupied cell of a prediction.
+
+    The result is (side, side, side) bool.
 
     Args:
-        cells: (i, j, k) bool; outside the grid is free.
-        affine: (3, 4), from places in cells of the truth to places in cells of the prediction.
-        side: cells of the truth along each axis.
+        cells: (i, j, k) bool, the prediction; space outside its grid is free.
+        affine: (3, 4), from the truth's cell coordinates to the prediction's.
+        side: number of the truth's cells along each axis.
     """
     found = np.zeros((side, side, side), np.bool_)
     for i in range(side):
@@ -258,7 +269,7 @@ def inside_cells(cells, affine, side):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _place(affine, i, j):  # type: ignore[no-untyped-def]
-    """Where the line of cells (i, j) begins."""
+    """Return the transformed position of the point (i + 0.5, j + 0.5, 0): the start of a line of cells."""
     x = affine[0, 0] * (i + 0.5) + affine[0, 1] * (j + 0.5) + affine[0, 3]
     y = affine[1, 0] * (i + 0.5) + affine[1, 1] * (j + 0.5) + affine[1, 3]
     return x, y, affine[2, 0] * (i + 0.5) + affine[2, 1] * (j + 0.5) + affine[2, 3]
@@ -266,9 +277,10 @@ def _place(affine, i, j):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def inside_distances(cells, affine, side):  # type: ignore[no-untyped-def]
-    """The same where signed distances (i, j, k) are negative, linear between the centres of their cells.
+    """Do as `inside_cells`, for float32 signed distances: a centre is inside where they are negative.
 
-    From the outermost centres to the border of the grid they stay as they are; outside is free.
+    Distances are interpolated trilinearly between cell centres, and constant from the outermost centres to
+    the grid's border. Space outside the grid is free.
     """
     found = np.zeros((side, side, side), np.bool_)
     ni, nj, nk = cells.shape

@@ -1,4 +1,4 @@
-"""Metrics of a prediction in the space of its truth: distances of surfaces, and of solids the IoU."""
+"""Metrics under the protocols of space: surface distances, and voxel metrics (such as IoU) of solids."""
 
 import math
 from collections.abc import Callable
@@ -33,16 +33,16 @@ F_SCORE_SHARES = {"f_score_1pct": 0.01, "f_score_2pct": 0.02, "f_score_5pct": 0.
 
 @dataclass(frozen=True)
 class PartFigures:
-    """The figures of one part of a view.
+    """The metrics of one part (whole, visible or occluded) of a view's shape.
 
     Attributes:
-        surface: None in all where nothing of the true surface is known there.
-        voxels: likewise, and where there is no solid.
-        coverage_voxels: share of the grid's cells that count.
-        coverage_shape: share of the shape's cells that count; 1 of an empty shape.
-        surface_unknown_share: of the true surface's area, what is not known and left out.
-        ceiling: what the truth's uncertainty allows; None where it has none.
-        as_papers: of the whole, where that is asked.
+        surface: surface metrics; all None if the part has no known true surface.
+        voxels: voxel metrics; all None in that case, too, and if there is no solid.
+        coverage_voxels: share of the grid's cells that are counted.
+        coverage_shape: share of the true shape's cells that are counted; 1 if the shape is empty.
+        surface_unknown_share: share of the part's true surface area that is unknown and left out.
+        ceiling: the best scores that the truth's uncertainty allows; None if the truth states none.
+        as_papers: metrics as other papers compute them; only for the part "whole" under `camera`.
     """
 
     surface: SurfaceMetrics
@@ -56,14 +56,14 @@ class PartFigures:
 
 @dataclass(frozen=True)
 class Way:
-    """The samples of one surface that are measured, and what was found of each.
+    """Distances from the measured samples of one surface to the other surface: one direction of a comparison.
 
     Attributes:
-        distances_m: (n,) to the other surface.
-        cosines: (n,) |n . n'| with the nearest of it; None where one has no normals.
-        areas: (n,) what each stands for.
-        seen: (n,) whether it lies where the view saw.
-        is_mesh: whether areas are those of a predicted mesh's triangles, which may be nearly nothing.
+        distances_m: (n,) distance of each sample to the other surface.
+        cosines: (n,) |n . n'| with the nearest sample's normal; None if one surface has no normals.
+        areas: (n,) area that each sample represents.
+        seen: (n,) whether the sample lies in space that the view saw.
+        is_mesh: whether `areas` are those of a mesh's triangles, which may be close to 0.
     """
 
     distances_m: Float64
@@ -73,7 +73,7 @@ class Way:
     is_mesh: bool = False
 
     def of(self, part: str) -> "Way":
-        """Those of one part."""
+        """Return the samples of one part: "whole", "visible" or "occluded"."""
         if part == "whole":
             return self
         which = self.seen if part == "visible" else ~self.seen
@@ -81,10 +81,11 @@ class Way:
         return Way(self.distances_m[which], cosines, self.areas[which], self.seen[which], self.is_mesh)
 
     def mean(self, values: Float64, worse: Callable[[float, float], float] = min) -> float:
-        """The mean of values (n,), by area.
+        """Return the area-weighted mean of values (n,).
 
-        Of a predicted mesh the worse one of this and of the mean over samples: each triangle has a sample,
-        and dust of triangles without area would else find all of the truth and cost nothing.
+        For a mesh, return the worse of this mean and the unweighted one. Otherwise a mesh could gain by
+        scattering tiny triangles: each has a sample that may be near the truth, and has almost no area that
+        counts as wrong.
         """
         by_sample, area = float(values.mean()), float(self.areas.sum())
         if not area > 0:
@@ -94,20 +95,21 @@ class Way:
         return worse(by_area, by_sample) if self.is_mesh else by_area
 
     def near(self, tolerance_m: float) -> float:
-        """The share of the area within a tolerance."""
+        """Return the share of the area within a tolerance of the other surface; for a mesh see `mean`."""
         return self.mean((self.distances_m <= tolerance_m).astype(np.float64))
 
 
 def figures_by_part(
     truth: SpaceTruth, surface: Surface | None, solid: Solid | None, in_camera: bool = True
 ) -> tuple[dict[ShapePart, PartFigures], float]:
-    """The figures of each part, and the share of the predicted surface that lies in unknown space.
+    """Return {part: metrics}, and the share of the predicted surface's area that lies in unknown space.
 
     Args:
-        truth: of the view.
-        surface: predicted, in the truth's grid; None of an empty prediction.
-        solid: likewise; None where there is none.
-        in_camera: whether it is as predicted: it then has the figures of other papers, and more samples.
+        truth: the truth of the view.
+        surface: the predicted surface in the truth's grid frame; None for an empty prediction.
+        solid: the predicted solid in the truth's cells; None if the prediction has no inside.
+        in_camera: whether the prediction is unregistered (protocol `camera`): then more samples are measured,
+            and metrics are also computed as other papers do.
     """
     if surface is None:
         surface = point_surface(np.zeros((0, 3)), None)
@@ -142,7 +144,7 @@ def figures_by_part(
 
 
 def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
-    """How far one surface is from another; infinitely where that has no sample."""
+    """Measure at most `most` samples of `one` against `other`; distances are infinite if either is empty."""
     which = _drawn(one, most)
     queries, is_mesh = one.chosen(which), one.is_triangle
     if not len(other) or not len(one):
@@ -158,9 +160,9 @@ def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
 
 
 def _drawn(surface: Surface, most: int) -> Int64:
-    """Which samples are measured, `most` of them, drawn by a hash of all: nobody can choose them.
+    """Return the indices of `most` samples, drawn at random with a seed that is a hash of all samples.
 
-    A surface that is mapped has those that it had before.
+    So nobody can choose which samples are measured. A transformed surface keeps the draw of the original.
     """
     if len(surface) <= most:
         return np.arange(len(surface))
@@ -173,7 +175,7 @@ def _drawn(surface: Surface, most: int) -> Int64:
 
 
 def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
-    """The surface metrics from what was found both ways."""
+    """Return the surface metrics, given the distances from prediction to truth (`there`) and back."""
     if not len(back.areas):
         return SurfaceMetrics()
     if not len(there.areas) or not np.isfinite(back.distances_m).all():
@@ -198,7 +200,7 @@ def _tolerances_m(truth: SpaceTruth) -> dict[str, float]:
 
 
 def _as_octmae(there: Way, back: Way) -> dict[str, float]:
-    """Half of both ways, in mm, and F at distances up to its four tolerances: its eval.py (08c1be6)."""
+    """Return OctMAE's metrics by key: mean of both directions, and F at four distances (eval.py, 08c1be6)."""
     ways = (there, back)
     mm = MM_PER_M
     return {
@@ -217,14 +219,17 @@ def _f_score(precision: float, recall: float) -> float:
 
 
 def counted_cells(truth: SpaceTruth, part: str) -> Packed:
-    """The known cells of a part, packed."""
+    """Return the known cells of a part ("whole", "visible" or "occluded"), packed."""
     if part == "whole":
         return truth.known
     return truth.known & (truth.seen if part == "visible" else ~truth.seen)
 
 
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
-    """IoU, precision, recall and F1 of a part's known cells; and the shares of cells that count."""
+    """Return IoU, precision, recall and F1 over a part's known cells, and two shares of counted cells.
+
+    These are the share of the grid's cells and the share of the true shape's cells that are counted.
+    """
     if part not in truth.counted:
         counted = counted_cells(truth, part)
         truth.counted[part] = counted, packed_count(counted), packed_count(counted & truth.full)

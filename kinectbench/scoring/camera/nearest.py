@@ -1,8 +1,8 @@
-"""The nearest samples of points: of many once, and of points that move as a registration moves them.
+"""Find the nearest samples of fixed points, or of points that move during a registration.
 
-A point whose nearest sample is d1 away, and the next one d2, keeps the nearest while it is less than
-(d2 - d1) / 2 from where it was: no other one can have come nearer. So only those that went farther are looked
-for again, and what is found is exact.
+If a point's nearest sample is at distance d1 and the second nearest at d2, the nearest stays the same while
+the point moves less than (d2 - d1) / 2. So only points that moved farther are searched again, and the result
+is still exact.
 """
 
 import numpy as np
@@ -11,9 +11,9 @@ from kinectbench.core.types import Bools, Float64, Int64
 
 
 class Samples:
-    """Samples of a surface, among which the nearest are looked for.
+    """Samples of a surface in a search tree.
 
-    Of samples that are equally near, no earlier search decides which is found.
+    If samples are equally near, the choice does not depend on earlier searches.
 
     Args:
         points_m: (n, 3), at least one.
@@ -27,7 +27,7 @@ class Samples:
         self._places: dict[int, Int64] = {}
 
     def nearest(self, points: Float64) -> tuple[Float64, Int64]:
-        """The distances of points (n, 3), (n,), and the index of the nearest sample to each, (n,)."""
+        """Return each point's distance to its nearest sample, and that sample's index: (n,) each."""
         from kinectbench.scoring.camera.boxes import near_together, two_nearest
 
         order, *boxes = self.boxes
@@ -38,17 +38,23 @@ class Samples:
         return distances, order[places[:, 0]]
 
     def offsets(self, points: Float64, normals: Float64, radius_m: float) -> Float64:
-        """(n,) the mean offset of the samples within a radius of points (n, 3), along normals (n, 3)."""
+        """Return the mean offset, along each point's normal, of the samples within a radius: (n,), metres.
+
+        Args:
+            points: (n, 3).
+            normals: (n, 3) unit normals of the points.
+            radius_m: the radius; a point without a sample within it gets 0.
+        """
         from kinectbench.scoring.camera.boxes import mean_offsets
 
         return np.asarray(mean_offsets(points, normals, radius_m, *self.boxes[1:]))
 
 
 class NearestOfMoving:
-    """The nearest samples to points that are asked again and again.
+    """Finds the nearest samples of points that move a little between calls.
 
     Args:
-        samples: those.
+        samples: the samples to search.
         count: number of points.
     """
 
@@ -58,14 +64,14 @@ class NearestOfMoving:
         self._state = np.zeros((count, 3)), np.full(count, -1.0), np.full((count, 2), -1)
 
     def of(self, points: Float64, asked: Bools) -> tuple[Float64, Int64]:
-        """The nearest sample of the points that are asked.
+        """Return the nearest samples of the selected points.
 
         Args:
-            points: (n, 3) all of them, where they are now.
-            asked: (n,).
+            points: (n, 3) current positions of all points.
+            asked: (n,) which points are selected.
 
         Returns:
-            (m,) distances, and (m,) indices of samples, of those asked.
+            (m,) distances and (m,) indices of the nearest samples, for the selected points in order.
         """
         from kinectbench.scoring.camera.boxes import nearest_of_moving
 

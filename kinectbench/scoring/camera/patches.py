@@ -1,4 +1,4 @@
-"""Samples and patches of surfaces, in one pass over them. Import late: numba is slow to load."""
+"""Patches of cell surfaces, and samples of triangles. Import late: numba is slow to load."""
 
 import numpy as np
 from numba import njit
@@ -6,17 +6,17 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def squares_of_cells(inside, axes, signs, low, size: float):  # type: ignore[no-untyped-def]
-    """The faces of cells as squares, in the unit of `size`.
+    """Return the faces of cells as squares, in the unit of `size`.
 
     Args:
-        inside: (n, 3) the occupied cell of each, from the cell `low`.
-        axes: (n,) the axis across each.
-        signs: (n,) 1 where the free cell has the larger index, else -1.
-        low: (3,).
+        inside: (n, 3) occupied cell of each face, counted from the cell `low`.
+        axes: (n,) the axis normal to each face.
+        signs: (n,) 1 if the free cell has the larger index along that axis, else -1.
+        low: (3,) index of the first cell.
         size: edge of a cell.
 
     Returns:
-        (n, 3) float64 each: centres; corners; the edges from there along the next axis, and the one after.
+        (n, 3) float64 each: centres; one corner of each square; the two edges from that corner.
     """
     centers, corner = np.empty(inside.shape), np.empty(inside.shape)
     first, second = np.zeros(inside.shape), np.zeros(inside.shape)
@@ -32,17 +32,17 @@ def squares_of_cells(inside, axes, signs, low, size: float):  # type: ignore[no-
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def in_triangles(counts, corner, first, second, steps):  # type: ignore[no-untyped-def]
-    """So many samples in each triangle: one in the middle, several by a sequence.
+    """Place samples in triangles: one at the centroid, or several by a low-discrepancy sequence.
 
     Args:
-        counts: (m,).
-        corner: (m, 3).
-        first: (m, 3) an edge from there.
-        second: (m, 3) the other edge from there.
-        steps: two steps of the sequence.
+        counts: (m,) number of samples in each triangle.
+        corner: (m, 3) one corner of each triangle.
+        first: (m, 3) an edge from that corner.
+        second: (m, 3) the other edge from that corner.
+        steps: the sequence's increments of the two edge coordinates.
 
     Returns:
-        (n, 3) float64 the samples; (n,) int64 the triangle of each.
+        (n, 3) float64, the samples; (n,) int64, each sample's triangle.
     """
     points, owner, n = np.empty((counts.sum(), 3)), np.empty(counts.sum(), np.int64), 0
     for f in range(len(counts)):

@@ -1,4 +1,4 @@
-"""How far a method looks: what of the truth its volume cuts, and whether it leaves its view's mask."""
+"""Share of the truth outside a method's volume, and share of a prediction that projects outside the mask."""
 
 import numpy as np
 
@@ -10,12 +10,13 @@ from kinectbench.scoring.camera_shape import CameraShape
 
 
 def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -> float | None:
-    """The share of the true known cells outside a method's own volume; None where it has none.
+    """Return the share of the known true solid outside the method's volume; None without a volume or a solid.
 
     Args:
-        truth: of the view.
-        shape: that is predicted, in the camera frame; cells and distances have the volume of their grid.
-        volume_m: (2, 3), lowest and highest corner in the camera frame, as method.json declares it.
+        truth: the truth of the view.
+        shape: the predicted shape, camera frame; a grid of cells or distances also bounds the volume.
+        volume_m: (2, 3), lowest and highest corner of the volume in the camera frame, as method.json declares
+            it; None: not declared.
     """
     if volume_m is None and shape.cells is None:
         return None
@@ -33,11 +34,11 @@ def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -
 
 
 def outside_mask_share(truth: SpaceTruth, surface: Surface) -> float | None:
-    """The share of a predicted surface that projects outside the mask; None where there is no mask.
+    """Return the share of a predicted surface's area that projects outside the mask; None without a mask.
 
     Args:
-        truth: of the view.
-        surface: predicted, in the camera frame. What lies behind the camera is outside.
+        truth: the truth of the view.
+        surface: the predicted surface, camera frame; points behind the camera count as outside.
     """
     if truth.K is None or truth.mask is None:
         return None

@@ -1,4 +1,4 @@
-"""The table of a method whose predictions are in the camera frame."""
+"""Score a method whose predictions are in the camera frame, and make its table."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
@@ -52,18 +52,19 @@ def score_in_camera(
     """Score the test split of a method whose predictions are in the camera frame.
 
     Args:
-        release: what the predictions are for.
-        folder: of the predictions; untrusted.
-        declared: its method.json.
-        method: its name.
-        protocols: of `protocols_in_space`.
-        missing: "error" lists a missing prediction as a failure; "empty" scores the worst of each figure.
+        release: the release that was predicted.
+        folder: the method's predictions; untrusted.
+        declared: the method's method.json.
+        method: the method's name.
+        protocols: protocols of space (`protocols_in_space`).
+        missing: "error" lists a missing prediction as a failure; "empty" gives it the worst value of each
+            metric.
         jobs: number of processes.
         progress: called with (views done, views in all).
-        close: how open meshes and points are made solid, of `CLOSINGS`; None: not at all.
+        close: how open meshes and points are made solid, one of `CLOSINGS`; None: not at all.
 
     Returns:
-        The table. A prediction that cannot be scored is in its `failures`; the rest has been scored.
+        The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
 
     Raises:
         ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
@@ -97,15 +98,16 @@ def score_in_camera(
 
 
 def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) -> None:
-    """Refuse a table too large to be read, before hours are spent on it.
+    """Refuse a table with too many rows before it is computed, which may take hours.
 
     Args:
-        views: how many are scored.
+        views: number of views to score.
         asked: see `asked_rows`.
-        hypotheses: predictions of a view; several have rows of the first, the best and their mean.
+        hypotheses: number of predictions per view; if there are several, each row is repeated for the first,
+            the best and the mean.
 
     Raises:
-        SettingsError: it would have more than `MOST_ROWS_IN_SPACE` rows.
+        SettingsError: the table would have more than `MOST_ROWS_IN_SPACE` rows.
     """
     of_view = len(asked) * len(get_args(ShapePart)) * (3 if hypotheses > 1 else 1)
     if views * of_view > MOST_ROWS_IN_SPACE:
@@ -119,7 +121,7 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
 
 
 def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tuple[str, ...]:
-    """The protocols of predictions in the camera frame: those asked for, else all that apply.
+    """Return the protocols for predictions in the camera frame: those asked for, else all that apply.
 
     Raises:
         SettingsError: see `unfit`.
@@ -132,9 +134,10 @@ def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tup
 
 
 def unfit(asked: Sequence[str] | None, declared: MethodFile) -> str | None:
-    """Why predictions in the camera frame cannot be scored under the protocols asked for; None if they can.
+    """Return why the requested protocols do not fit predictions in the camera frame; None if they do.
 
-    One is of the grid, or `camera` is asked of predictions of free size.
+    They do not if one is a protocol of the pairs' grid, or if `camera` is requested for predictions of
+    unknown scale.
     """
     if other := [name for name in asked or () if name not in IN_SPACE]:
         return (
@@ -152,14 +155,14 @@ def unfit(asked: Sequence[str] | None, declared: MethodFile) -> str | None:
 def left_out_table(
     release: Release, method: str, protocols: tuple[str, ...], missing: Missing, reason: str
 ) -> ScoreTable:
-    """The table of a method that is left out of a score of several: every view has failed for one reason.
+    """Return the table of a method that is left out when several are scored: every view fails for one reason.
 
     Args:
-        release: what the predictions are for.
-        method: its name.
-        protocols: those asked for.
+        release: the release that was predicted.
+        method: the method's name.
+        protocols: the requested protocols.
         missing: as in `score_in_camera`.
-        reason: see `unfit`.
+        reason: the reason (`unfit`).
     """
     test = pairs_to_score(release, validation=False, solid=False)
     failures, settings = dict.fromkeys(test, reason), settings_in_space(protocols, missing)
@@ -170,7 +173,7 @@ def left_out_table(
 def _files(
     folder: Path, test: Sequence[Target], declared: MethodFile, missing: Missing
 ) -> tuple[dict[Target, tuple[CameraPredictionFile, ...]], dict[Target, str]]:
-    """The files of every view that is scored, and why others cannot be."""
+    """Return each scorable view's prediction files, and the reason for each view that cannot be scored."""
     files: dict[Target, tuple[CameraPredictionFile, ...]] = dict.fromkeys(test, ())
     failures: dict[Target, str] = {}
     absent: set[Target] = set()
@@ -191,7 +194,7 @@ def _files(
 
 
 def fixed_thresholds(categories: Iterable[str]) -> Thresholds:
-    """Those of predictions that have none, as rows state one all the same."""
+    """Return placeholder thresholds for predictions without probabilities: every row states a threshold."""
     of = dict.fromkeys(sorted(categories), FIXED)
     return Thresholds(of, FIXED_SOURCE, (), dict.fromkeys(of, FIXED_SOURCE))
 
@@ -206,17 +209,18 @@ def table_in_space(
     thresholds: Thresholds,
     validation: Mapping[Target, str | None] = MappingProxyType({}),
 ) -> ScoreTable:
-    """The table of what was found; an average over a part of the views would flatter, so there is none.
+    """Make a method's table from its views' results; without averages if a view could not be scored.
 
     Args:
-        release: what was predicted.
-        method: its name.
-        results: of every view that was scored.
-        failures: why others could not be.
+        release: the release that was predicted.
+        method: the method's name.
+        results: result of every view that was scored.
+        failures: the reason for every view that could not be scored.
         settings: see `settings_in_space`.
         empty: names of views without a prediction that were scored as empty.
-        thresholds: of every category.
-        validation: what chose them: {pair: digest of its prediction's file, if there is one}.
+        thresholds: threshold of every category.
+        validation: the validation pairs that the thresholds were chosen on, and the digest of each
+            prediction's file, if there is one.
     """
     rows = tuple(
         row
@@ -265,7 +269,7 @@ def _warnings(failures: Mapping[Target, str], empty: Sequence[str]) -> list[str]
 
 
 def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[ScoreRow]:
-    """The rows of one view."""
+    """Return the table's rows for one view."""
     return [
         ScoreRow(
             recording=target.recording,
@@ -298,7 +302,7 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
 
 
 def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> list[str]:
-    """A line on predictions that have no inside; none if all have."""
+    """Return lines on predictions without an inside (open meshes, points): those left open, those closed."""
     open_ones = {t.name: of.rows[0].closed for t, of in sorted(results.items()) if of.rows[0].solid is False}
     without = [name for name, closed in open_ones.items() if closed is None]
     closed = [name for name in open_ones if name not in without]
@@ -322,14 +326,14 @@ def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> 
 
 
 def _open_truth(release: Release, test: Sequence[Target]) -> list[str]:
-    """A line on truths that have no inside; none if all have."""
+    """Return a line with the number of views whose truth is an open mesh, without inside; none if it is 0."""
     count = sum(target.split in release.metadata.surface_truth for target in test)
     what = f"the truth of {count} of {len(test)} views is an open mesh, which has no inside: "
     return [what + "metrics of voxels stay empty"] if count else []
 
 
 def settings_in_space(protocols: tuple[str, ...], missing: Missing) -> ScoreSettings:
-    """The choices that the numbers depend on, in words and numbers."""
+    """Return the settings that the scores depend on, as the table states them."""
     return ScoreSettings(
         score_version=VERSIONS["score"],
         protocols=protocols,

@@ -1,4 +1,4 @@
-"""A predicted solid in the cells of the truth, and how much of it lies outside them."""
+"""Convert a predicted shape to a solid in the truth's cells; measure how much of it lies outside the grid."""
 
 from dataclasses import dataclass
 
@@ -25,8 +25,8 @@ class Solid:
     """A solid in the truth's grid.
 
     Attributes:
-        cells: (256, 256, 32) uint8, packed: those whose centre is inside.
-        outside: its volume outside the grid, in cells of the truth.
+        cells: (256, 256, 32) uint8, packed: the cells whose centre is inside the solid.
+        outside: volume of the solid outside the grid, in cells of the truth.
     """
 
     cells: Packed
@@ -34,13 +34,13 @@ class Solid:
 
 
 def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
-    """The mesh whose inside is that of an open mesh or of points; None where they stay without.
+    """Return a mesh to take as the solid of an open mesh or of points; None if there is none.
 
     Args:
         shape: an open mesh, or points.
-        surface: of the shape, in its frame.
-        close: of `CLOSINGS`: by winding numbers it is an open mesh as it is; by Poisson reconstruction a mesh
-            of samples that have normals, which nearly always is closed.
+        surface: the shape's surface, in the shape's frame.
+        close: one of `CLOSINGS`. "winding" returns an open mesh unchanged, for `solid_in`. "poisson"
+            reconstructs a mesh, nearly always closed, from samples that have normals.
     """
     if close == "winding":
         return shape if shape.form == "mesh" else None
@@ -62,20 +62,20 @@ def solid_in(
     T_grid_prediction: Float64,
     close: str | None = None,
 ) -> Solid | None:
-    """A predicted solid in the cells of the truth; None of points, and of open meshes unless that is asked.
+    """Return a predicted solid in the truth's cells; None for points, and for open meshes without `close`.
 
-    A cell is occupied if its centre is inside a closed mesh, in an occupied cell, or where distances that are
-    interpolated linearly are negative.
+    A cell is set if its centre lies inside a mesh, in an occupied cell, or where the linearly interpolated
+    distance is negative.
 
     Args:
-        truth: of the view.
-        shape: that is predicted.
-        mesh: what `closed_mesh` makes of it.
-        T_grid_prediction: (4, 4) similarity from the shape's frame to the truth's grid.
-        close: of `CLOSINGS`, if an open mesh is solid by winding numbers; None: it is not.
+        truth: the truth of the view.
+        shape: the predicted shape.
+        mesh: result of `closed_mesh` for the shape.
+        T_grid_prediction: (4, 4) similarity from the shape's frame to the truth's grid frame.
+        close: if not None, an open mesh is made solid by winding numbers.
 
     Raises:
-        PredictionError: the mesh is too far away, or has too many faces across each other.
+        PredictionError: the mesh is too far away, or too many of its faces overlap each other.
     """
     if shape.form == "mesh" and (mesh is not None or close is not None):
         if mesh is not None:
@@ -102,7 +102,7 @@ def solid_in(
 
 
 def _is_same_place(T_cells: Float64) -> bool:
-    """Whether the prediction's cells are those of the truth: rounding moves no centre out of its cell."""
+    """Return whether a transform between cell coordinates is the identity, up to rounding."""
     return bool(np.abs(T_cells - np.eye(4)).max() < 1e-6)
 
 
@@ -132,7 +132,7 @@ def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
 
 
 def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:
-    """The volume of a prediction's cells that lie outside the truth's grid, in cells of the truth."""
+    """Return the volume of a prediction's occupied cells outside the truth's grid, in cells of the truth."""
     assert shape.cells is not None and shape.voxel_size_m is not None
     limit_m, outside = FULL_CELLS * truth.voxel_size_m, 0
     for number, plane in enumerate(shape.cells):  # memory stays at one plane

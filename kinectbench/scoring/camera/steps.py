@@ -1,4 +1,4 @@
-"""The loops of one step of the registration in `align`. Import late: numba is slow to load."""
+"""Numba kernels for one step of the registration in `align`. Import late: numba is slow to load."""
 
 import numpy as np
 from numba import njit
@@ -6,20 +6,20 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def drawn_together(ours, theirs, normals, asked, found, nearest, affine):  # type: ignore[no-untyped-def]
-    """What a step of the registration draws where: those asked to their nearest, then the nearest of all.
+    """Collect a registration step's matches: first from prediction to truth, then from truth to prediction.
 
     Args:
-        ours: (n, 3) of the prediction.
-        theirs: (m, 3) of the truth.
-        normals: (m, 3) there.
-        asked: (n,) which of ours are asked.
-        found: (k,) of these, the index of the nearest of theirs.
-        nearest: (m,) the index of the nearest of ours.
-        affine: (3, 4) maps ours.
+        ours: (n, 3) samples of the prediction.
+        theirs: (m, 3) samples of the truth.
+        normals: (m, 3) normals of the truth's samples.
+        asked: (n,) bool, which predicted samples are matched; k of them are.
+        found: (k,) index of each matched predicted sample's nearest true sample.
+        nearest: (m,) index of each true sample's nearest predicted sample.
+        affine: (3, 4) transform of the predicted samples.
 
     Returns:
-        (k + m, 3) float64 each: places of ours, mapped; where each belongs; the normals there. And (3,) the
-        mean of the places.
+        (k + m, 3) float64 each: transformed predicted samples; their matched true samples; the normals there.
+        And the mean of the first (3,).
     """
     count, k = len(found), 0
     places, middle = np.empty((count + len(theirs), 3)), np.zeros(3)
@@ -41,21 +41,21 @@ def drawn_together(ours, theirs, normals, asked, found, nearest, affine):  # typ
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def step_equations(places, targets, normals, weights, middle, along, free):  # type: ignore[no-untyped-def]
-    """The normal equations of a step of the registration: H (free, free), gradient (free,), and a sum.
+    """Return the normal equations of a registration step, and the sum of squared distances along the normals.
 
-    The sum is that of the weighted squared distances along the normals.
-
-    A step shifts (3), scales by e^s and turns by a rotation vector (3) about `middle`. What it lessens is the
-    weighted sum of squared distances along the normals, and `along` times the whole squared distances.
+    These are H (free, free), the gradient (free,), and the weighted sum (a float). A step is a translation
+    (3), the logarithm of a scale (1) and a rotation vector (3), the last two about `middle`. The cost is the
+    weighted sum of squared point-to-plane distances plus `along` times that of squared point-to-point
+    distances.
 
     Args:
-        places: (n, 3) of the prediction.
-        targets: (n, 3) where each belongs.
-        normals: (n, 3) there.
-        weights: (n,).
-        middle: (3,).
-        along: a factor.
-        free: 3, 4 or 7, the first so many of these.
+        places: (n, 3) points of the prediction.
+        targets: (n, 3) the matched points of the truth.
+        normals: (n, 3) normals of the targets.
+        weights: (n,) weight of each match.
+        middle: (3,) the centre of scaling and rotation.
+        along: weight of the point-to-point distances.
+        free: number of free parameters: the first 3, 4 or 7.
     """
     H, g, squares = np.zeros((free, free)), np.zeros(free), 0.0
     row, whole = np.empty(7), np.empty(7)
@@ -88,10 +88,10 @@ def step_equations(places, targets, normals, weights, middle, along, free):  # t
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def similarity_about(step, middle):  # type: ignore[no-untyped-def]
-    """(4, 4) the similarity of a step (7,) about `middle` (3).
+    """Return the similarity (4, 4) of a step (7,) about `middle` (3,).
 
-    A shift (3), the logarithm of a scale, and a rotation vector (3), by Rodrigues' formula: of a single one
-    SciPy's takes 17 times as long (measured).
+    The step is a translation (3), the logarithm of a scale (1) and a rotation vector (3). Rodrigues' formula
+    is used here because SciPy takes 17 times as long for a single rotation (measured).
     """
     T, scale = np.eye(4), np.exp(step[3])
     x, y, z = step[4], step[5], step[6]

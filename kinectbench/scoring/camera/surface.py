@@ -1,7 +1,8 @@
-"""A surface as samples, each on a small flat patch: how far points are from it, and how much area each has.
+"""A surface as samples on small flat patches: distances of points from the surface, and area of each sample.
 
-Rules of this project. A mesh has its triangles as patches; occupied cells have the faces between them and
-free ones; signed distances have a square of one cell at each zero crossing; a point has no extent.
+Rules of this project: the patches of a mesh are its triangles; those of occupied cells are the faces between
+occupied and free cells; those of signed distances are squares of one cell's size at the zero crossings. A
+point of a cloud has no patch.
 """
 
 from dataclasses import dataclass, replace
@@ -30,18 +31,19 @@ STEPS = (0.7548776662466927, 0.5698402909980532)
 
 @dataclass(frozen=True)
 class Surface:
-    """Samples of a surface, in one frame, metres; the patches in that frame, or in the one of `placed`.
+    """Samples of a surface, metres, and the patches that they lie on.
 
     Attributes:
-        points_m: (n, 3).
-        areas: (n,) what each stands for: square metres; of points 1 each.
-        normals: (n, 3) of length 1, or 0 where there is none; None of points without normals.
-        corner: (m, 3) a corner of each patch; (0, 3) of points.
-        first: (m, 3) the edge from there.
-        second: (m, 3) the other edge from there.
-        owner: (n,) the patch of each sample.
-        is_triangle: whether patches are triangles, else rectangles.
-        placed: what it was before it was mapped, which finds its samples, and the (4, 4) from there.
+        points_m: (n, 3) the samples.
+        areas: (n,) the area that each sample represents, square metres; 1 for points of a cloud.
+        normals: (n, 3) unit normals, 0 where undefined; None for a cloud without normals.
+        corner: (m, 3) one corner of each patch; (0, 3) for a cloud.
+        first: (m, 3) an edge from that corner.
+        second: (m, 3) the other edge from that corner.
+        owner: (n,) index of each sample's patch.
+        is_triangle: whether patches are triangles; otherwise they are rectangles.
+        placed: for a transformed surface, the original one, whose search tree is reused and in whose frame
+            the patches are, and the (4, 4) similarity from there; else None.
     """
 
     points_m: Float64
@@ -59,23 +61,23 @@ class Surface:
 
     @cached_property
     def samples(self) -> Samples:
-        """The samples, to look for the nearest of many points."""
+        """The samples in a search tree, for nearest-neighbour queries."""
         return Samples(np.ascontiguousarray(self.points_m))
 
     @cached_property
     def center_m(self) -> Float64:
-        """(3,) mean of the samples, by area."""
+        """Area-weighted mean of the samples: (3,)."""
         center: Float64 = (self.areas[:, None] * self.points_m).sum(axis=0) / self.areas.sum()
         return center
 
     @cached_property
     def spread_m(self) -> float:
-        """Root of the mean square of the distances of the samples from the middle, by area."""
+        """Area-weighted root mean square distance of the samples from their mean, metres."""
         squared = ((self.points_m - self.center_m) ** 2).sum(axis=1)
         return float(np.sqrt((self.areas * squared).sum() / self.areas.sum()))
 
     def chosen(self, which: Bools | Int64) -> "Surface":
-        """Some of the samples; patches stay."""
+        """Return the surface with only some of its samples (mask or indices); all patches stay."""
         if which.dtype == np.bool_:  # rows by number take half of the time (measured)
             which = np.flatnonzero(which)
         if self.placed is not None:
@@ -92,7 +94,7 @@ class Surface:
 
     @cached_property
     def drawn(self) -> dict[int, Int64]:
-        """Which samples `metrics` has drawn to be measured, by how many."""
+        """Cache of `metrics`: {number of samples: indices of the samples drawn to be measured}."""
         return {}
 
     @cached_property
@@ -100,14 +102,14 @@ class Surface:
         return {}
 
     def thinned(self, most: int) -> "Surface":
-        """About every so-manieth sample, so that at most `most` remain; these stand for all, and are kept."""
+        """Return the surface with every k-th sample, at most `most` in all; the result is cached."""
         step = -(-len(self) // most)
         if step > 1 and most not in self._fewer:
             self._fewer[most] = self.chosen(np.arange(step // 2, len(self), step))
         return self._fewer[most] if step > 1 else self
 
     def transformed(self, T: Float64) -> "Surface":
-        """The surface mapped by a similarity (4, 4)."""
+        """Return the surface mapped by a similarity (4, 4)."""
         from kinectbench.scoring.camera.kernels import mapped
 
         before, T_before = self.placed or (self, np.eye(4))
@@ -121,9 +123,9 @@ class Surface:
         )
 
     def nearest(self, points_m: Float64) -> tuple[Float64, Int64]:
-        """The distance of points (n, 3) from the surface, metres, and the sample nearest to each.
+        """Return each point's distance from the surface (n,), metres, and its nearest sample's index (n,).
 
-        The distance is that from the patch of the nearest sample.
+        The distance is measured to the patch that the nearest sample lies on.
         """
         from kinectbench.scoring.camera.kernels import mapped, to_patches
 
@@ -137,7 +139,7 @@ class Surface:
 
 
 def surface_of(shape: CameraShape) -> Surface:
-    """The surface of a predicted shape, in its frame."""
+    """Return the surface of a predicted shape, in the shape's frame."""
     if shape.form == "mesh":
         return mesh_surface(shape.points_m, shape.faces)
     if shape.cells is None or shape.T_camera_grid is None or shape.voxel_size_m is None:
@@ -150,7 +152,7 @@ def surface_of(shape: CameraShape) -> Surface:
 
 
 def point_surface(points_m: Float64, normals: Float64 | None) -> Surface:
-    """A cloud of points (n, 3), metres, with normals (n, 3) of any length or without."""
+    """Return points (n, 3), metres, as a surface, without duplicates; normals (n, 3) may have any length."""
     if len(points_m) > 1:  # a point that is there twice is one: a tree of equal points is slow
         order = np.lexsort(points_m.T)
         again = (np.diff(points_m[order], axis=0) == 0).all(axis=1)
@@ -166,10 +168,11 @@ def point_surface(points_m: Float64, normals: Float64 | None) -> Surface:
 
 
 def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
-    """A mesh, closed or not: one sample at the middle of each triangle, or several in a large one.
+    """Return a mesh, open or closed, as a surface: one sample per triangle, or several in a large one.
 
-    Triangles that are `DUST` of the mean are left out: spread through space they would find all of a truth,
-    and cost nothing by their area.
+    Triangles smaller than `DUST` times the mean area are dropped. Otherwise a mesh could gain by scattering
+    tiny triangles: some would lie near any truth, and the others would have almost no area that counts as
+    wrong.
 
     Args:
         vertices_m: (v, 3) metres.
@@ -198,17 +201,17 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
 
 
 def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
-    """The faces between occupied cells and free ones, in the grid's frame; and the occupied cell of each.
+    """Return the faces between occupied and free cells as a surface, in the grid's frame.
 
-    Normals point away from the mass of the 7^3 cells around; the area of a face is that of the slanted
-    surface that it is a step of.
+    A normal points away from the occupied cells among the 7^3 around the face's cell. As faces form steps on
+    a slanted surface, a sample's area is its share of that surface, not the area of the face.
 
     Args:
         cells: (i, j, k) bool.
         voxel_size_m: edge of a cell.
 
     Returns:
-        The surface, and (n, 3) indices of cells.
+        The surface, and each face's occupied cell: (n, 3) indices.
     """
     from kinectbench.scoring.camera.kernels import faces_of_cells, outward
     from kinectbench.scoring.camera.patches import squares_of_cells
@@ -224,9 +227,9 @@ def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
 
 
 def distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
-    """The zero crossings of signed distances (i, j, k), negative inside, in the grid's frame.
+    """Return the zero crossings of signed distances (i, j, k), negative inside, as a surface, grid frame.
 
-    Outside the grid is free, so that a solid that goes on beyond it ends there.
+    Space outside the grid is free, so a solid that extends beyond the grid is closed at the border.
     """
     from kinectbench.scoring.camera.kernels import zero_crossings
 
@@ -259,7 +262,7 @@ def _squares(
     normals: Float64,
     voxel_size_m: float,
 ) -> Surface:
-    """Squares with sides of a cell; each stands for what of the slanted surface it is a step of."""
+    """Return squares of a cell's size as a surface; areas are those of the surface that they approximate."""
     # A plane with this normal has as many steps or crossings for each cell of its area.
     steps = np.abs(normals).sum(axis=1)
     areas, owner = voxel_size_m**2 / np.where(steps > 0, steps, 1), np.arange(len(centers_m))
@@ -267,7 +270,7 @@ def _squares(
 
 
 def _box(cells: Bools) -> tuple[Int64, Int64]:
-    """The box of what is occupied: the first cells, and those after the last; of nothing both are 0."""
+    """Return the occupied cells' first index along each axis, and the last + 1: (3,) each; 0 if none."""
     columns = np.asarray(cells.any(axis=2))
     if not columns.any():
         return np.zeros(3, np.int64), np.zeros(3, np.int64)

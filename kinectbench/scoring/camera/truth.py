@@ -1,4 +1,4 @@
-"""The truth of a view as predictions in the camera frame are held to it."""
+"""The truth of a view, in the form that the protocols of space compare predictions with."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,22 +28,23 @@ PARTS: tuple[ShapePart, ...] = ("whole", "visible", "occluded")
 
 @dataclass(frozen=True)
 class SpaceTruth:
-    """The truth of a view, in its grid's frame, metres.
+    """The truth of a view in its grid's frame, metres, which the protocols of space compare predictions with.
 
     Attributes:
-        full: (256, 256, 32) uint8, packed: the solid.
-        known: likewise, where the truth is trusted; what lies outside the grid is known to be free.
-        seen: likewise, what the view saw; of what lies outside the grid nothing is.
-        surface: of `full`: all its faces.
-        is_known: (n,) of each face, whether its occupied cell is known.
-        is_seen: (n,) likewise, whether it was seen.
-        T_grid_camera: (4, 4).
+        full: (256, 256, 32) uint8, packed: the true solid.
+        known: (256, 256, 32) uint8, packed: cells where the truth is trusted; space outside the grid is known
+            to be free.
+        seen: (256, 256, 32) uint8, packed: cells that the view saw; it saw nothing outside the grid.
+        surface: all faces of `full`, or the open mesh that is the truth.
+        is_known: (n,) whether the occupied cell of each sample of `surface` is known.
+        is_seen: (n,) whether that cell was seen.
+        T_grid_camera: (4, 4) from the camera's frame to the grid's.
         voxel_size_m: edge of a cell.
-        size_m: the diagonal of the box of `full`.
+        size_m: diagonal of the bounding box of the true shape.
         sigma_m: standard deviation of the true surface; 0 if it is exact or not known.
-        K: (3, 3) of the view; None where it is not needed.
-        mask: (height, width) bool, the object in the view; None where the release has none.
-        is_open: the truth is an open mesh: it has no inside, and `full` is empty.
+        K: (3, 3) intrinsics of the view, pixels; None where they are not needed.
+        mask: (height, width) bool, the object in the view; None if the release has no masks.
+        is_open: whether the truth is an open mesh: then it has no inside, and `full` is empty.
     """
 
     full: Packed
@@ -62,12 +63,12 @@ class SpaceTruth:
 
     @cached_property
     def known_surface(self) -> Surface:
-        """The faces that are known."""
+        """The known part of the surface."""
         return self.surface if self.is_known.all() else self.surface.chosen(self.is_known)
 
     @cached_property
     def areas_m2(self) -> dict[ShapePart, tuple[float, float]]:
-        """Of each part, the area of its surface, and of what is known of it; square metres."""
+        """{part: (area of its surface, area of the known part of that surface)}, square metres."""
         every = np.ones_like(self.is_seen)
         parts = dict(zip(PARTS, (every, self.is_seen, ~self.is_seen), strict=True))
         areas = self.surface.areas
@@ -78,12 +79,12 @@ class SpaceTruth:
 
     @cached_property
     def counted(self) -> dict[str, tuple[Packed, int, int]]:
-        """What `metrics` has counted of each part: its known cells, their number, and that of solid ones."""
+        """Cache of `metrics`: {part: (its known cells, their number, number of solid ones among them)}."""
         return {}
 
     @cached_property
     def some_cells_m(self) -> Float64:
-        """(n, 3) centres of about `COUNTED` known cells of the solid, camera frame."""
+        """Centres of about `COUNTED` known cells of the solid, evenly picked: (n, 3), camera frame."""
         cells = np.flatnonzero(unpack(self.full & self.known))
         # No step that divides a side would always meet the same columns.
         cells = cells[:: max(len(cells) // COUNTED, 1) | 1]
@@ -92,21 +93,21 @@ class SpaceTruth:
 
     @cached_property
     def smoothed(self) -> dict[int, Surface]:
-        """What `align` has made of the known surface, by how many samples it has."""
+        """Cache of `align`: {number of samples: the known surface, thinned and smoothed}."""
         return {}
 
     @cached_property
     def solid_cells(self) -> int:
-        """The number of cells of `full`."""
+        """Number of cells of `full`."""
         return packed_count(self.full)
 
     @property
     def unknown_share(self) -> float:
-        """Share of the cells of `full` that are not known; 0 of an empty shape."""
+        """Share of the cells of `full` that are not known; 0 for an empty shape."""
         return unknown_share(self.full, self.known)
 
     def at(self, points_m: Float64) -> tuple[Bools, Bools]:
-        """Whether points (n, 3) lie in known space, and in space that the view saw."""
+        """Return which points (n, 3) lie in known space, and which in space that the view saw: (n,) each."""
         from kinectbench.scoring.camera.kernels import known_and_seen
 
         found: tuple[Bools, Bools] = known_and_seen(points_m, self.voxel_size_m, self.known, self.seen)
@@ -115,13 +116,14 @@ class SpaceTruth:
 
 @dataclass(frozen=True)
 class ViewFiles:
-    """What the truth of a view is read from.
+    """The files that hold the truth of a view.
 
     Attributes:
-        pair: its pair file.
-        sha256: what its bytes must hash to.
-        mask: likewise of its mask; None where the release has none.
-        surface: likewise of the open mesh that is the truth; None: the truth is in the pair file.
+        pair: the pair file.
+        sha256: expected hash of the pair file.
+        mask: the mask's file and its expected hash; None if the release has no masks.
+        surface: file and expected hash of the open mesh that is the truth; None if the truth is in the pair
+            file.
     """
 
     pair: Path
@@ -131,7 +133,7 @@ class ViewFiles:
 
 
 def files_of(release: Release, target: Target) -> ViewFiles:
-    """The files of a view."""
+    """Return the files that hold the truth of a view."""
     mask, surface = view_images.mask_file(release, target), None
     if target.split in release.metadata.surface_truth:
         name = surface_name(target.recording)
@@ -166,7 +168,7 @@ def read_space_truth(files: ViewFiles) -> SpaceTruth:
 
 
 def _open_truth(files: ViewFiles, path: Path, sha256: str) -> SpaceTruth:
-    """The truth that is an open mesh in the world: all of its surface is known, and nothing is inside."""
+    """Read a truth that is an open mesh: all of its surface is known, and it has no inside."""
     names = ("seen", "T_world_grid", "T_world_camera", "voxel_size_m", "K")
     seen, T_world_grid, T_world_camera, voxel_size_m, K = read_parts(files.pair, files.sha256, names)
     try:
@@ -195,7 +197,7 @@ def _open_truth(files: ViewFiles, path: Path, sha256: str) -> SpaceTruth:
 def space_truth(
     full: Packed, known: Packed, seen: Packed, T_grid_camera: Float64, voxel_size_m: float
 ) -> SpaceTruth:
-    """The same from packed grids (256, 256, 32)."""
+    """Return the truth made from packed grids (256, 256, 32), without mask, intrinsics and sigma."""
     from kinectbench.scoring.camera.kernels import known_and_seen
 
     surface, cells = cell_surface(unpack(full), voxel_size_m)

@@ -1,4 +1,4 @@
-"""Score the predictions of one view in the camera frame: as they are, and after registrations."""
+"""Score the predictions of one view in the camera frame, both as predicted and after registration."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -39,21 +39,21 @@ Asked = tuple[str, str | None]
 
 @dataclass(frozen=True)
 class Scored:
-    """What one row states: a part of a view under a protocol.
+    """The content of one row: scores of one part of a view under one protocol.
 
     Attributes:
         protocol: camera or aligned.
         part: whole, visible or occluded.
-        figures: figures of the part.
+        figures: metrics of the part.
         alignment: the registration under `aligned`; None under `camera`.
-        solid: whether there is an inside; None where there is no prediction, or the truth has none.
-        predicted_unknown_share: of the predicted surface, what lies in unknown space.
-        cut: of the true known shape, what lies outside the method's own volume; None where it has none.
-        silhouette: of the predicted surface, what projects outside the mask; None if there is no mask.
-        hypotheses: which of several predictions of a view the row combines; None in the row of a single one.
-        closed: how an open mesh or points were made solid, as `--close` has it; None where they were not.
+        solid: whether the prediction, before any closing, has an inside; None without a prediction.
+        predicted_unknown_share: share of the predicted surface that lies in unknown space.
+        cut: share of the known true shape outside the method's own volume; None without such a volume.
+        silhouette: share of the predicted surface that projects outside the mask; None without a mask.
+        hypotheses: how the row combines several predictions of the view; None for a single prediction's row.
+        closed: the value of `--close` by which an open mesh or points were made solid; None if they were not.
         calibration: how well the votes of several solid predictions are calibrated; None without votes.
-        open_because: what keeps a mesh from being closed, in words; "" if it is closed, or no mesh.
+        open_because: why a mesh is not closed, in words; "" if it is closed, or no mesh.
     """
 
     protocol: str
@@ -76,9 +76,9 @@ class ViewJob:
 
     Attributes:
         target: the view.
-        truth: its files in the release.
-        files: of its predictions, the main one first; () for an empty one.
-        method: what method.json declares.
+        truth: the files that hold its truth.
+        files: its prediction files, the main one first; () for an empty prediction.
+        method: the method's method.json.
         protocols: camera, aligned or both.
         close: how open meshes and points are made solid; None: not at all.
     """
@@ -93,12 +93,12 @@ class ViewJob:
 
 @dataclass(frozen=True)
 class ViewResult:
-    """What was found of a view.
+    """The result of scoring a view.
 
     Attributes:
-        rows: what its rows state.
-        unknown_share: of the true shape's cells, those that are not known.
-        digest: BLAKE3 of the prediction's file, or of the digests of several; None without one.
+        rows: the content of its rows.
+        unknown_share: share of the true shape's cells that are not known.
+        digest: BLAKE3 of the prediction's file, or of several files' digests; None without a prediction.
         cells: side of the prediction's grid; 0 without a prediction.
     """
 
@@ -109,7 +109,7 @@ class ViewResult:
 
 
 def score_view(job: ViewJob) -> ViewResult | str:
-    """Score a view; the reason where a prediction of it cannot be scored.
+    """Score a view; return the reason instead if one of its predictions cannot be scored.
 
     Raises:
         ReleaseError: the truth is missing, or not the published one.
@@ -145,19 +145,19 @@ def score_shape(
     close: str | None = None,
     votes: Votes | None = None,
 ) -> tuple[Scored, ...]:
-    """The rows of one predicted shape, in the camera frame, by protocol, kind of registration and part.
+    """Return the rows of one predicted shape: one per protocol, kind of registration and part.
 
     Args:
-        truth: of the view.
-        shape: that is predicted.
+        truth: the truth of the view.
+        shape: the predicted shape, camera frame.
         asked: see `asked_rows`.
-        volume_m: (2, 3), lowest and highest corner of what the method looks at, camera frame; None: all,
-            or the shape's own grid.
+        volume_m: (2, 3), lowest and highest corner of the volume that the method covers, camera frame; None:
+            unlimited, except by the shape's own grid.
         close: how an open mesh or points are made solid; None: not at all.
-        votes: gets its solids; None: nobody asks for them.
+        votes: collects the shape's solids; None: they are not needed.
 
     Raises:
-        PredictionError: its solid cannot be made in the truth's cells.
+        PredictionError: the shape is empty, or its solid cannot be made in the truth's cells.
     """
     surface, mesh = surface_of(shape), closed_mesh(shape)
     if not len(surface):
@@ -197,11 +197,11 @@ def score_shape(
 
 
 def asked_rows(protocols: Sequence[str], scale: str) -> list[Asked]:
-    """The protocols, and under `aligned` the kinds of registration; of free size only those with a scale.
+    """Return the (protocol, kind of registration) pairs to score; the kind is None under `camera`.
 
     Args:
         protocols: camera, aligned or both.
-        scale: metric or free, as method.json has it.
+        scale: "metric" or "free", as method.json declares it; "free" allows only kinds that estimate a scale.
     """
     kinds = [kind for kind in KINDS if scale == "metric" or "s" in kind]
     found: list[Asked] = [("camera", None)] if "camera" in protocols else []
@@ -209,7 +209,7 @@ def asked_rows(protocols: Sequence[str], scale: str) -> list[Asked]:
 
 
 def _alignment(surface: Surface, kind: str, found: SurfaceRegistration) -> Alignment:
-    """What is reported of a registration of a surface in the truth's grid."""
+    """Return what a row reports about a registration: kind, scale, angle, shift of the centroid, success."""
     middle, scale = surface.center_m, similarity_scale(found.T)
     shift_m = transform_points(found.T, middle) - middle
     return Alignment(
@@ -222,7 +222,7 @@ def _alignment(surface: Surface, kind: str, found: SurfaceRegistration) -> Align
 
 
 def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
-    """The rows of a view of which nothing is predicted: the worst of each figure."""
+    """Return the rows of a view with an empty prediction: each metric has its worst value."""
     nothing = None if truth.is_open else Solid(np.zeros_like(truth.full), 0.0)
     found = figures_by_part(truth, None, nothing)[0]
     return tuple(
@@ -240,7 +240,10 @@ def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
 
 
 def _over(truth: SpaceTruth, found: Sequence[tuple[Scored, ...]], votes: Votes) -> list[Scored]:
-    """The rows over several predictions of a view: the best by Chamfer distance of the whole, and means."""
+    """Return the rows that combine several predictions of a view: the best prediction's, and the means.
+
+    The best prediction is the one with the smallest Chamfer distance of the whole shape.
+    """
     k = len(found)
     if k == 1:
         return []
@@ -259,7 +262,7 @@ def _over(truth: SpaceTruth, found: Sequence[tuple[Scored, ...]], votes: Votes) 
 
 
 def _mean(rows: Sequence[Scored]) -> Scored:
-    """The mean of each figure; None where one has none. What was registered is that of the first."""
+    """Return a row with the mean of each metric, None if a row lacks it; all else is from the first row."""
     figures = [row.figures for row in rows]
     surface = SurfaceMetrics(**_means([vars_of(of.surface) for of in figures]))
     voxels = VoxelMetrics(**_means([vars_of(of.voxels) for of in figures]))
@@ -274,7 +277,7 @@ def _mean(rows: Sequence[Scored]) -> Scored:
 
 
 def vars_of(metrics: SurfaceMetrics | VoxelMetrics) -> dict[str, float | None]:
-    """The figures of a class of metrics by name."""
+    """Return {name of a metric: value} of a metrics object."""
     return {field.name: getattr(metrics, field.name) for field in fields(metrics)}
 
 
@@ -283,6 +286,6 @@ def _means(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | None
 
 
 def _mean_of(values: Sequence[float | None]) -> float | None:
-    """The mean; None if one is not known."""
+    """Return the mean of the values; None if one of them is None."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if len(known) == len(values) else None

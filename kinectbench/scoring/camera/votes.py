@@ -1,4 +1,4 @@
-"""Votes of several solids of one view: how often the truth is solid where a share of them is."""
+"""Calibration of several predictions: how often a cell is truly solid where k of n predictions say so."""
 
 from dataclasses import dataclass, field
 
@@ -16,10 +16,10 @@ BINS = 10
 
 @dataclass
 class Votes:
-    """The solids of a view, by how they were registered.
+    """The solids of all predictions of a view, grouped by registration.
 
     Attributes:
-        solids: {what was asked: packed cells (256, 256, 32) of each prediction that has an inside}.
+        solids: {(protocol, kind of registration): packed cells (256, 256, 32) of each solid prediction}.
     """
 
     solids: dict[tuple[str, str | None], list[Packed]] = field(default_factory=dict)
@@ -27,7 +27,10 @@ class Votes:
     def calibration(
         self, truth: SpaceTruth, asked: tuple[str, str | None], part: ShapePart, k: int
     ) -> Calibration | None:
-        """Of k predictions in a part; None unless all have an inside, and a cell has a vote."""
+        """Return the calibration of k predictions over a part's known cells.
+
+        None if one of them has no inside, or if no counted cell is solid in any of them.
+        """
         solids = self.solids.get(asked, [])
         if len(solids) < k:
             return None
@@ -42,14 +45,14 @@ class Votes:
 
 
 def calibration_of(cells: Int64, solid: Int64) -> Calibration | None:
-    """The calibration by tenths of the votes.
+    """Return the calibration in ten bins of the share of predictions that call a cell solid.
 
     Args:
-        cells: (k + 1,) how many have 0, 1, ... k votes.
-        solid: (k + 1,) how many of these are solid in the truth.
+        cells: (k + 1,) number of cells that are solid in 0, 1, ... k predictions.
+        solid: (k + 1,) number of these cells that are solid in the truth.
 
     Returns:
-        None where no cell has a vote.
+        The calibration; None if no cell is solid in any prediction.
     """
     k = len(cells) - 1
     votes = np.arange(1, k + 1)

@@ -1,7 +1,8 @@
-"""Solids of open meshes, by generalised winding numbers. Import late: numba is slow to load.
+"""Convert open meshes to solids by generalised winding numbers. Import late: numba is slow to load.
 
 Source: A. Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers" (2013); far
-triangles together as G. Barill et al., "Fast winding numbers for soups and clouds" (2018).
+triangles are approximated together after G. Barill et al., "Fast winding numbers for soups and clouds"
+(2018).
 """
 
 import numpy as np
@@ -29,18 +30,18 @@ MOST_STEPS = 3 * 10**9
 
 
 def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, float] | None:
-    """Cells in the box of a mesh whose centre has a winding number above 1/2, or below -1/2.
+    """Return the cells whose centre is inside a mesh: its winding number there is above 1/2 or below -1/2.
 
-    So a mesh may be inside out.
+    So a mesh may be oriented inwards.
 
     Args:
         vertices: (n, 3), in cells, from the corner of the grid.
-        faces: (m, 3); the mesh may be open, crossed, or a soup.
-        side: cells of the grid along each axis.
+        faces: (m, 3); the mesh may be open, self-intersecting, or a soup.
+        side: number of cells of the grid along each axis.
 
     Returns:
-        (side, side, side) bool; and the volume outside the grid, in cells. None of a mesh that would take
-        more than `MOST_STEPS`.
+        (side, side, side) bool, and the volume inside the mesh but outside the grid, in cells. None if it
+        would take more than `MOST_STEPS` steps.
     """
     corners = vertices[faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -53,7 +54,7 @@ def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, f
 
 
 def _halved(corners: Float64) -> Float64:
-    """Triangles (n, 3, 3) halved across their longest edge until it is `LONGEST`: the number is the same."""
+    """Split triangles (n, 3, 3) at their longest edge until none exceeds `LONGEST`; winding numbers stay."""
     while True:
         lengths = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)
         long = lengths.max(axis=1) > LONGEST
@@ -67,11 +68,11 @@ def _halved(corners: Float64) -> Float64:
 
 
 def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
-    """A complete binary tree over triangles (n, 3, 3): the children of node i are 2 i and 2 i + 1.
+    """Build a complete binary tree over triangles (n, 3, 3): the children of node i are 2 i and 2 i + 1.
 
     Returns:
-        The triangles, filled up with empty ones; of each node the sum of its normals by area (2 k, 3), the
-        middle (2 k, 3) and the radius (2 k,) of a ball around it.
+        The sorted triangles, padded with empty ones; and for each node the sum of its triangles'
+        area-weighted normals (2 k, 3), and the centre (2 k, 3) and radius (2 k,) of a ball around them.
     """
     leaves = 1 << max(0, int(np.ceil(np.log2(len(corners) / LEAF))))
     filling = np.broadcast_to(corners[-1, 0], (leaves * LEAF - len(corners), 3, 3))
@@ -100,9 +101,10 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most):  # type: ignore[no-untyped-def]
-    """Set the cells inside, block by block: one is halved unless the number at its middle decides for all.
+    """Set the cells of `found` inside the mesh; return the inner volume outside the grid, in cells.
 
-    The volume outside the grid; NaN after `most` steps.
+    Space is processed in cubic blocks: a block is subdivided unless the winding number at its centre is sure
+    to decide for all of it. The result is NaN if this takes more than `most` steps.
     """
     side, outside, steps = found.shape[0], 0.0, 0
     first, last = np.floor(low / root).astype(np.int64), np.floor(high / root).astype(np.int64)
@@ -151,7 +153,7 @@ def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _number(x, y, z, triangles, total, middle, radius, nodes):  # type: ignore[no-untyped-def]
-    """The winding number at a place, a distance within which no triangle lies, and the steps this took."""
+    """Return a point's winding number, a lower bound of its distance to any triangle, and the steps taken."""
     leaves = len(total) // 2
     found, clear, top, steps = 0.0, np.inf, 1, 0
     nodes[0] = 1
@@ -181,7 +183,7 @@ def _number(x, y, z, triangles, total, middle, radius, nodes):  # type: ignore[n
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _solid_angle(triangle, x, y, z):  # type: ignore[no-untyped-def]
-    """Of a triangle as seen from a place, positive from behind; and a distance within which it does not lie.
+    """Return a triangle's solid angle at a point, positive from behind, and a lower bound of its distance.
 
     Source: A. van Oosterom and J. Strackee, "The solid angle of a plane triangle" (1983).
     """
