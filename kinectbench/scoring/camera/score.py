@@ -176,19 +176,19 @@ def _files(
     """Return each scorable view's prediction files, and the reason for each view that cannot be scored."""
     files: dict[Target, tuple[CameraPredictionFile, ...]] = dict.fromkeys(test, ())
     failures: dict[Target, str] = {}
-    absent: set[Target] = set()
+    absent: dict[Target, str] = {}  # the line of the first file that is missing
     for target, name, found in find_files(folder, test, declared):
         if isinstance(found, CameraPredictionFile):
             files[target] = (*files[target], found)
         elif found is not None:
             failures.setdefault(target, found)
         else:
-            absent.add(target)
+            line = absent.setdefault(target, missing_in_camera(name))
             # A view of which some hypotheses are there is not empty.
             if missing == "error" or declared.hypotheses > 1:
-                failures.setdefault(target, missing_in_camera(name))
-    for target in absent if missing == "empty" else ():
-        if not files[target] and "no prediction" in failures.get(target, ""):
+                failures.setdefault(target, line)
+    for target, line in absent.items() if missing == "empty" else ():
+        if not files[target] and failures.get(target) == line:
             del failures[target]
     return {target: found for target, found in files.items() if target not in failures}, failures
 
