@@ -31,7 +31,7 @@ DEPTH_SCALE = 1000.0
 
 
 class ScannetFolderRecording(FileRecording):
-    """One exported scene of ScanNet; frame numbers count as seconds."""
+    """One exported scene of ScanNet; the stamp of a frame is its number in seconds."""
 
     format: ClassVar[str] = "scannet"
     uses: ClassVar[frozenset[str]] = COLOR_DELAY
