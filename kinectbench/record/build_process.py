@@ -65,12 +65,12 @@ class BuildProcess:
         self._ask("whole")
 
     def sequence(self) -> PartialSequence | None:
-        """Return the frames stored so far, or None if there are none or the process failed. It goes on."""
+        """Return the frames stored so far; None without any, or if the process failed. It continues."""
         answer = self._answer("sequence")
         return answer if isinstance(answer, PartialSequence) else None
 
     def odometry(self) -> PartialOdometry | None:
-        """Return the odometry so far, or None if there is none or the process failed. It then ends."""
+        """Return the odometry so far; None without any, or if the process failed. The process ends."""
         answer = self._answer("odometry")
         return answer if isinstance(answer, PartialOdometry) else None
 

@@ -98,7 +98,7 @@ def record(
         folder: a missing or empty folder; it is created with the first frame.
         seconds: time limit from the first frame, by the clock of this machine; None: no limit.
         observers: get frames while recording, each on a separate thread.
-        progress: called after each frame.
+        progress: called with (frames, seconds since the first frame) after each frame.
 
     Raises:
         SettingsError: the folder is not empty.

@@ -57,10 +57,10 @@ class Advice(NamedTuple):
         sentence: one line.
         distance_m: distance from the middle of the object at which `nearer` and `farther` should end, metres.
             The page needs it because a sentence stays for five seconds.
-        turn_rad: angle to go `left` or `right` around the object to look into the opening; None: no end is
-            known.
-        rise_rad: angle to go up or down around the object for `higher`, `top`, `lower`; None: no end is
-            known.
+        turn_rad: angle to go `left` or `right` around the object to look into the opening; None: go on until
+            the advice changes.
+        rise_rad: angle to go up or down around the object for `higher`, `top`, `lower`; None: go on until the
+            advice changes.
     """
 
     kind: Kind

@@ -143,7 +143,8 @@ class LiveTracker:
         """Move the keyframes to their poses in a graph; newer frames move with their segment's last keyframe.
 
         Returns:
-            The transform (4, 4) from the old world to the graph's; None: the graph did not join them.
+            The transform (4, 4) from the old world to the graph's; None: the graph did not join the old
+                world.
         """
         frames, placed = self._follower.frames, dict(zip(graph.keyframes, graph.T_world, strict=True))
         T_moved: dict[int, Float64] = {}  # by keyframe

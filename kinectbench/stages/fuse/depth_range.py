@@ -3,7 +3,7 @@
 The distance to what the cameras look at is taken as the larger of two: the distance to where the optical axes
 meet, and the 10th percentile of the depth in the middle of the images. The latter alone is meaningful where
 the axes do not meet, as along a shelf. What the cameras look at may extend farther back by the radius of a
-ball that fills the wider side of the image. Chosen here; depth up to 3 m is fused in any case.
+ball that fills the wider side of the image. This rule was chosen here. Depth up to 3 m is fused in any case.
 """
 
 from collections.abc import Iterable

@@ -178,7 +178,7 @@ def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
 def _clear_m(
     frame: DepthFrame, voxel_size_m: float, truncation_m: float, farthest_m: float
 ) -> Callable[[Float32], Float32]:
-    """Make a function of depth: from how far in front of it on `_add` equals `_add_clear`, at any slant."""
+    """Make a function of depth: how far in front of it `_add` starts to equal `_add_clear`, at any slant."""
     least_m = max(truncation_m, HALF_DIAGONAL * voxel_size_m)
     sigmas = MAX_SLANT * CLEAR_SIGMAS if frame.closely else SURFACE_SIGMAS
 

@@ -26,7 +26,7 @@ NEAREST_M = 0.1
 def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> TriangleMesh:
     """Extract the zero surface of a block volume, in the world frame, brick by brick without seams.
 
-    The TSDF is corrected by `without_fringe` before.
+    First, edge artefacts are removed from the TSDF by `without_fringe`.
 
     Args:
         volume: fused blocks.

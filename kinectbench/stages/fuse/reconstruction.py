@@ -206,7 +206,7 @@ def _max_depth_m(settings: FusionSettings) -> float:
 
 
 def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionSettings) -> float:
-    """Truncation of the TSDF: some voxels, but no less than three times the poses' uncertainty.
+    """Truncation of the TSDF, metres: some voxels, but at least three standard deviations of the poses.
 
     If poses were off by more than the truncation, their surfaces would not be averaged but remain as double
     surfaces. Poses that were not checked do not widen it: see `pose_reach_m`.

@@ -71,7 +71,7 @@ class Pattern(NamedTuple):
         possible: nearly all values are multiples of eight; sufficient in a layout that usually has rotated
             bits.
         found: the values have all properties of rotated depth; plain depth in steps of 8 mm has them, too.
-        likely: as found; and read as plain depth, the values would be farther than a room is deep.
+        likely: `found`, and the values, read as plain depth, would be farther than a room is deep.
     """
 
     possible: bool
@@ -88,7 +88,7 @@ def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
     """Check whether depth images (height, width) uint16, 0 = none, have rotated bits.
 
     In rotated depth, at least 95 % of the values are multiples of eight, and one of them is an odd multiple.
-    The low three bits of all others are 1 (8.2 to 16.4 m). The values are too many and too large for an 8-bit
+    All others have the low three bits 001 (8.2 to 16.4 m). The values are too many and too large for an 8-bit
     picture. Plain depth in steps of 8 mm has these properties, too, so the median decides: read as plain
     depth, it is beyond 4.24 m if the bits are rotated.
     """

@@ -30,7 +30,7 @@ def up_at_rest(
     stamps_ns: Sequence[int],
     R_depth_imu: Float64,
 ) -> Iterator[UpSample]:
-    """Yield up in the depth camera's axes, for up to 100 frames where an accelerometer measures only gravity.
+    """Yield the up direction in the depth camera's axes, at up to 100 frames where the camera is still.
 
     Args:
         times_ns: times of the measurements, ascending, nanoseconds.

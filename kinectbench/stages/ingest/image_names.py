@@ -150,9 +150,10 @@ def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
 def _with_parts(whole: Sequence[int], fractions: Sequence[str]) -> list[int]:
     """Stamps in nanoseconds from whole seconds and fractions, which are counts of a unit or decimals.
 
-    They are decimals if all have the same length, or one starts with a zero. Otherwise they are counts if the
-    longest are nanoseconds and the seconds count from 1970, because floats do not have as many decimals, or
-    if as decimals they would be no times. Otherwise they are what makes the steps more regular.
+    Fractions are decimals if all have the same length, or one starts with a zero. Otherwise they are counts
+    if the longest are nanoseconds and the seconds count from 1970, because floats do not have as many
+    decimals, or if as decimals they could not be times. Otherwise they are whichever makes the steps more
+    regular.
 
     Args:
         whole: whole seconds.

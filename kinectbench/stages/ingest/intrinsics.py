@@ -40,7 +40,7 @@ HELD = "width, height, fx, fy, cx, cy"
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """What is known of a depth camera, None = unknown: pixels; depth_scale in native units per metre.
+    """Known values of a depth camera, pixels, and depth_scale, native units per metre; None = unknown.
 
     `notes` are warnings on how the values were read, such as a converted unit.
     """

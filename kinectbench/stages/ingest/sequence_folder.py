@@ -1,4 +1,4 @@
-"""A Sequence on disk: written from a recording frame by frame, and read at random.
+"""A Sequence on disk: written from a recording frame by frame, and read in any order.
 
 camera.json           `CameraFile`: the camera, and facts about the whole recording
 frames.json           `FramesFile`: the list of frames

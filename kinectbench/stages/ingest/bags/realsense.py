@@ -88,7 +88,7 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
-        """The CameraInfo messages of all topics; in version 1 also those in stream_info."""
+        """Pairs (topic's name, CameraInfo message); for version 1 also those inside stream_info messages."""
         infos = super().camera_infos(bag)
         for topic in bag.topics:
             if topic.type == STREAM_INFO:

@@ -120,7 +120,7 @@ class RosRecording(Recording):
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[NamedInfo]:
-        """The first readable CameraInfo message of each topic, with the topic's name."""
+        """Pairs (topic's name, its first readable CameraInfo message)."""
         infos = ((t.name, bag.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
         return [(name, message) for name, message in infos if message is not None]
 

@@ -101,8 +101,8 @@ def every_image(bag: RosBag) -> list[ImageTopic]:
 def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, list[str]]:
     """Choose the depth topic; return it, and a warning if there was a choice.
 
-    In order of weight, these decide: "depth" in the name, a name that says registered, integer values, no
-    compression, and the number of images.
+    These decide, the most important first: "depth" in the name, a name that says registered, integer values,
+    no compression, and the number of images.
 
     Args:
         bag: the bag to search.
@@ -141,8 +141,8 @@ def choose_color(
 ) -> tuple[ImageTopic | None, list[str]]:
     """Choose the colour topic; return it or None, and warnings.
 
-    In order of weight, these decide: a name that says neither infrared nor depth, a name that says colour,
-    the camera of the depth topic, colours instead of grey, no compression, and the number of images.
+    These decide, the most important first: a name that says neither infrared nor depth, a name that says
+    colour, the camera of the depth topic, colours instead of grey, no compression, and the number of images.
 
     Args:
         bag: the bag to search.
@@ -189,7 +189,7 @@ def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> Image
 
 
 def _first_folder(image: ImageTopic) -> str:
-    """The first part of a topic's name, which drivers use for the camera."""
+    """The first part of a topic's name, by which drivers name the camera."""
     return image.name.strip("/").split("/")[0]
 
 
@@ -217,8 +217,8 @@ def choose_camera_info(
     """Choose the CameraInfo message that describes the images of a topic.
 
     A candidate has the images' frame_id, is in their namespace (as image_transport puts it), or has a name of
-    their kind. In order of weight, these decide: the images' size, their namespace, their frame_id, and the
-    longest common start of the names. If the images are registered to those of `pixels_of` by name, the
+    their kind. These decide, the most important first: the images' size, their namespace, their frame_id, and
+    the longest common start of the names. If the images are registered to those of `pixels_of` by name, the
     CameraInfo of `pixels_of` takes precedence.
 
     Args:

@@ -76,7 +76,7 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder directly contains 16-bit depth and colour images, each named by a word."""
+    """Whether a folder directly contains 16-bit depth and colour images, named as such by a word."""
     if not path.is_dir():
         return False
     depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))

@@ -38,7 +38,7 @@ def named_like_poses(path: Path) -> str:
 
 
 def unread_poses(path: Path) -> list[str]:
-    """A warning that files which look like poses are not read, for a folder without others; empty if none."""
+    """A warning on files that look like poses, for a folder without readable poses; empty without them."""
     beside = named_like_poses(path)
     return (
         [f"{path}: no trajectory is read{beside}; write it as `trajectory.txt`, {TUM_ROWS}"] if beside else []
@@ -55,9 +55,9 @@ def read_pose_file(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read a file with the poses of all frames, camera to world.
 
-    A row of TUM belongs to the frame with its stamp. If only the rows have stamps and the frames are counted,
-    with as many rows as frames, rows and frames are in the same order. A row of RTAB-Map with an id belongs
-    to the frame with that number. Matrices (12 or 16 values in a row, or in rows of four) are in the order of
+    A row of TUM belongs to the frame with its stamp. If the rows have stamps but the frames are only counted,
+    and there are as many rows as frames, they are matched in order. A row of RTAB-Map with an id belongs to
+    the frame with that number. Matrices (12 or 16 values in a row, or in rows of four) are in the order of
     frames; with a number above each matrix, they belong to the frames with these indices, from 0.
 
     Args:

@@ -143,7 +143,7 @@ def _stamp_text(stem: str) -> str:
 def _read_poses(
     path: Path, color_ns: Sequence[int], depth_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read the newest file, with a pose for each colour image, or for each depth image if that fits instead.
+    """Read the trajectory in the newest file: a pose per colour image, or else per depth image; and warnings.
 
     Raises:
         RecordingError: the number of poses is that of neither.

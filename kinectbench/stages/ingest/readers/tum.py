@@ -153,7 +153,7 @@ def _read_rows(path: Path) -> list[tuple[int, Path]]:
 
 
 def _counted(rows: list[tuple[int, Path]]) -> list[tuple[int, Path]]:
-    """The rows with their stamps replaced by counted seconds."""
+    """The rows, with stamps of 0 s, 1 s, 2 s and so on instead of their own."""
     return [(stamp_ns, file) for stamp_ns, (_, file) in zip(counted_ns(len(rows)), rows, strict=True)]
 
 
