@@ -1,7 +1,7 @@
 """Start a build in a separate process while the recording is still being written.
 
 The process reads the growing folder, so it never delays the recorder. It stores each frame and registers it
-to earlier frames with the build's own code; the build then continues from there.
+to earlier frames with the build's own code, and the build later continues from these results.
 """
 
 import multiprocessing
@@ -44,7 +44,7 @@ ENDS_WITHIN_S = 5.0
 
 
 class BuildProcess:
-    """Takes the frames of a folder in a separate process, as they are written."""
+    """Stores and registers the frames of a growing folder in a separate process."""
 
     def __init__(self, folder: Path) -> None:
         """Start the process (spawned: threads do not survive a fork); the folder may appear later."""
@@ -61,16 +61,16 @@ class BuildProcess:
         return self._process.pid
 
     def ended(self) -> None:
-        """Tell the process that the folder is complete, so that its last frames are taken, too."""
+        """Tell the process that the folder is complete, so that it takes the last frames, too."""
         self._ask("whole")
 
     def sequence(self) -> PartialSequence | None:
-        """Return what was stored so far; None if nothing was, or the process failed. The process goes on."""
+        """Return the frames stored so far; None without any, or if the process failed. It continues."""
         answer = self._answer("sequence")
         return answer if isinstance(answer, PartialSequence) else None
 
     def odometry(self) -> PartialOdometry | None:
-        """Return what was registered so far; None if nothing was, or the process failed. The process ends."""
+        """Return the odometry so far; None without any, or if the process failed. The process ends."""
         answer = self._answer("odometry")
         return answer if isinstance(answer, PartialOdometry) else None
 
@@ -110,7 +110,7 @@ class GrowingBuild:
         self._digests: list[bytes] = []
 
     def read_again(self) -> None:
-        """Read the lists of the folder again."""
+        """Read the folder's lists of images again, because they may have grown."""
         try:
             recording = open_recording(self.folder)
         except KinectBenchError:
@@ -153,16 +153,16 @@ class GrowingBuild:
         self._follower.take(len(self._follower.frames))
 
     def sequence(self) -> PartialSequence | None:
-        """Return what was stored so far."""
+        """Return the frames stored so far; None before the folder exists."""
         return PartialSequence(self._writer, tuple(self._marks)) if self._writer else None
 
     def odometry(self) -> PartialOdometry | None:
-        """Return what was registered so far."""
+        """Return the odometry of the stored frames; None without any."""
         return PartialOdometry(self._follower, tuple(self._digests)) if self._follower else None
 
 
 def _run(connection: Connection, folder: Path) -> None:
-    """Run in the process: take frames until the other end asks for them, or closes."""
+    """The process: take frames until the other end asks for the odometry, or closes."""
     for each in IGNORED:
         signal.signal(each, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the recorder owns the terminal

@@ -81,7 +81,7 @@ class FolderWriter:
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="record")
 
     def add(self, frame: Frame) -> int | None:
-        """Queue a frame for writing; return its number, or None if it is dropped: too many wait."""
+        """Queue a frame for writing; return its number, or None if it is dropped as the queue is full."""
         with self._lock:
             if self._waiting_bytes + frame.nbytes > BACKLOG_BYTES and self._waiting_bytes:
                 self.dropped += 1
@@ -99,7 +99,7 @@ class FolderWriter:
         self._lists = {}
 
     def _write(self, number: int, frame: Frame) -> None:
-        """Write a frame's images, then the rows of all frames up to the first incomplete one.
+        """Write a frame's images, then the rows of all frames before the first that is still incomplete.
 
         After an error no further frame is started; earlier frames are completed.
         """
@@ -117,7 +117,7 @@ class FolderWriter:
                 self._waiting_bytes -= frame.nbytes
 
     def _images(self, number: int, frame: Frame) -> tuple[tuple[str, str], ...]:
-        """Write a frame's files; return (list, row) for each, depth last."""
+        """Write a frame's images; return a pair (name of list, row) for each row to add, depth last."""
         rows = [
             ("accelerometer", f"{format_stamp(s)} {x!r} {y!r} {z!r}") for s, (x, y, z) in frame.accelerations
         ]
@@ -149,7 +149,7 @@ class FolderWriter:
 
 
 def _append(handle: int, row: str) -> None:
-    """Append a complete row without buffering, or nothing."""
+    """Append a whole row to a file without buffering; after an error, nothing of it stays."""
     data = f"{row}\n".encode()
     before = os.fstat(handle).st_size
     try:

@@ -82,8 +82,8 @@ class Device(Protocol):
     Attributes:
         name: the device's name for `--device`.
         cameras: the cameras that it supports.
-        extra: the extra of kinectbench with the packages that it needs; "" = none.
-        system: what it needs that pip does not install, with a command; "" = nothing.
+        extra: the optional dependencies of kinectbench that it needs, as in `kinectbench[extra]`; "" = none.
+        system: what it needs that pip does not install, with a command to install it; "" = nothing.
         missed: number of frames lost since it was opened, as far as the device reports.
     """
 
@@ -121,12 +121,12 @@ class Device(Protocol):
 def polled(
     ask: Callable[[], Item | None], device: str, has_depth: Callable[[Item], bool] = lambda item: True
 ) -> Iterator[Item]:
-    """Yield a device's items one after another.
+    """Yield the items that `ask` returns, until no depth arrives.
 
     Args:
         ask: waits at most `POLL_MS` for an item; returns None if none arrived.
         device: the device's name, for the message.
-        has_depth: whether an item shows that depth still comes; other streams may go on alone.
+        has_depth: whether an item contains depth; items of other streams do not reset the time limit.
 
     Raises:
         CaptureError: no depth arrived for `SILENT_S`.

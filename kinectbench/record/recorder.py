@@ -55,7 +55,7 @@ class Clock:
     this machine's monotonic clock. Later stamps keep that offset.
 
     Attributes:
-        set_back: number of times that was needed.
+        set_back: number of times that the device's clock went back.
     """
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class Clock:
         self._last: tuple[int, int] | None = None
 
     def put_right(self, frame: Frame, now_ns: int) -> Frame:
-        """Return the frame, its stamps shifted where necessary, so that it is later than the previous one.
+        """Return the frame, with its stamps shifted if necessary, so that it is later than the one before.
 
         Args:
             frame: the frame from the device.
@@ -98,7 +98,7 @@ def record(
         folder: a missing or empty folder; it is created with the first frame.
         seconds: time limit from the first frame, by the clock of this machine; None: no limit.
         observers: get frames while recording, each on a separate thread.
-        progress: called after each frame.
+        progress: called with (frames, seconds since the first frame) after each frame.
 
     Raises:
         SettingsError: the folder is not empty.

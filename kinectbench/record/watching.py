@@ -12,8 +12,8 @@ class Observer(Protocol):
     def see(self, number: int, frame: Frame, setup: Setup) -> None:
         """Process a frame; this may take any time.
 
-        It is called on a separate thread. Of the frames that arrive meanwhile, only the newest is kept. An
-        error ends the observation, but not the recording.
+        It is called on a separate thread. If several frames arrive while it runs, only the newest of them is
+        kept. An error ends the observation, but not the recording.
 
         Args:
             number: the frame's number in the recording, from 0, as in its file names.

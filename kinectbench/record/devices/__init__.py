@@ -37,7 +37,7 @@ class ListedDevice(NamedTuple):
 
 
 def device_of(name: str) -> Device:
-    """Return the device of that name in DEVICES.
+    """Create the device with a name in DEVICES.
 
     Raises:
         SettingsError: there is no such device.
@@ -50,7 +50,7 @@ def device_of(name: str) -> Device:
 
 
 def listed_devices() -> Iterator[ListedDevice]:
-    """Yield each device, with the cameras that are plugged in, or what is not installed."""
+    """Yield what is known about each device: the cameras that are plugged in, or what is not installed."""
     for name in DEVICES:
         device = device_of(name)
         absent, found = missing_extra(device.extra) or "", tuple[str, ...]()
@@ -65,7 +65,7 @@ def listed_devices() -> Iterator[ListedDevice]:
 
 
 def device_to_use(name: str | None) -> Device:
-    """Return the device of that name, or the first that is plugged in; all that it needs must be installed.
+    """Create the device with this name, or, without a name, the first that has a camera plugged in.
 
     Raises:
         SettingsError: there is no device of that name, or what it needs is not installed.

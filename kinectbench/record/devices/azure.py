@@ -1,4 +1,4 @@
-"""Azure Kinect by Microsoft's SDK: depth in its narrow mode; colour stays the JPEG that it encodes."""
+"""Azure Kinect by Microsoft's SDK: depth in its narrow mode; colour stays the JPEG from the camera."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -28,7 +28,7 @@ class AzureKinect(Device):
     system = "its depth engine, which is closed and needs a display (DISPLAY) on Linux"
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Return the numbers of the cameras."""
+        """Return the name of each camera: "Azure Kinect" and its index."""
         import pyk4a
 
         return tuple(f"Azure Kinect {number}" for number in range(pyk4a.connected_device_count()))
@@ -60,7 +60,7 @@ class AzureKinect(Device):
         return Setup(camera, MM_PER_M, False, calibration)
 
     def frames(self) -> Iterator[Frame]:
-        """Yield depth as pinhole images: each pixel has the nearest depth that was measured in it."""
+        """Yield frames; depth is undistorted to pinhole images, each pixel from the nearest measured one."""
         for capture in polled(self._next, self.name, lambda capture: capture.depth is not None):
             depth, color = capture.depth, capture.color
             if depth is None:

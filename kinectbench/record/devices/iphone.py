@@ -58,7 +58,7 @@ class IPhone(Device):
         return Setup(camera, FLOAT_SCALE, False, ColorCalibration(color, (), np.eye(4)))
 
     def frames(self) -> Iterator[Frame]:
-        """Yield each frame; its stamp is its time of arrival, as the library gives none."""
+        """Yield each frame; its stamp is its time of arrival, because the library gives no stamps."""
         yield self._first
         yield from polled(self._next, self.name)
 

@@ -25,7 +25,7 @@ class Kinect(Device):
     system = "libfreenect itself: `apt install libfreenect-dev`"
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Return the numbers of the cameras."""
+        """Return the name of each camera: "Kinect" and its index."""
         import freenect
 
         context = freenect.init()
@@ -35,13 +35,13 @@ class Kinect(Device):
         return tuple(f"Kinect {number}" for number in range(count))
 
     def open(self) -> Setup:
-        """Start depth in mm, registered to colour."""
+        """Return the setup: depth in mm, registered to colour. The streams start with the first frame."""
         if not self.plugged_in():
             raise CaptureError(f"{self.name}: no camera is plugged in")
         return Setup(CAMERA, MM_PER_M, True)
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the newest depth with the newest colour."""
+        """Yield each new depth image with the newest colour image."""
         import freenect
 
         ticks, clock = None, 0

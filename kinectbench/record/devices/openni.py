@@ -1,4 +1,4 @@
-"""PrimeSense, Xtion and Astra by OpenNI 2; the camera itself registers depth to colour."""
+"""PrimeSense, Xtion and Astra by OpenNI 2; the camera itself registers depth to colour, if it can."""
 
 import sysconfig
 from collections.abc import Iterator
@@ -30,11 +30,11 @@ class OpenNI(Device):
     )
 
     def plugged_in(self) -> tuple[str, ...]:
-        """Return the addresses of the cameras."""
+        """Return the addresses (URIs) of the cameras."""
         return tuple(map(_text, _library().Device.enumerate_uris()))
 
     def open(self) -> Setup:
-        """Start depth in mm and colour, both 640x480."""
+        """Start depth in mm and colour, both 640x480, registered if the camera supports it."""
         openni2 = _library()
         if not openni2.Device.enumerate_uris():
             raise CaptureError(f"{self.name}: no camera is plugged in")

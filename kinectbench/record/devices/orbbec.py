@@ -83,7 +83,7 @@ class Orbbec(Device):
             self._pipeline.stop()
 
     def _next(self) -> "FrameSet | None":
-        """Return the next pair of frames; None if none arrived."""
+        """Return the next pair of depth and colour; None if none arrived."""
         found = self._pipeline.wait_for_frames(POLL_MS)
         if found is None or found.get_depth_frame() is None or found.get_color_frame() is None:
             return None
@@ -100,7 +100,7 @@ class Orbbec(Device):
 
 
 def _sdk() -> Any:
-    """Return Orbbec's SDK; without this setting it would write a folder Log/ into the working folder."""
+    """Import Orbbec's SDK, and stop it from writing a folder Log/ into the working folder."""
     import pyorbbecsdk as ob
 
     ob.Context.set_logger_to_file(ob.OBLogLevel.NONE, "")

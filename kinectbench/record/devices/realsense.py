@@ -1,4 +1,4 @@
-"""RealSense cameras by librealsense, sensor by sensor: its pipeline would drop frames at the start."""
+"""RealSense cameras by librealsense, read by sensor, because its pipeline would drop frames at the start."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ QUEUE = 90
 
 
 class RealSense(Device):
-    """The first RealSense; or a file recorded by librealsense, which librealsense plays back."""
+    """The first RealSense that is plugged in; or a recording by librealsense, which it plays back."""
 
     name = "realsense"
     cameras = "RealSense D400 and L500"
@@ -88,7 +88,7 @@ class RealSense(Device):
         return Setup(camera, scale, False, _calibration(depth, profiles.get(rs.stream.color)))
 
     def frames(self) -> Iterator[Frame]:
-        """Yield each depth image, after the next has arrived, with the colour nearest in time."""
+        """Yield each depth image with the colour nearest in time, once the next depth image has arrived."""
         import pyrealsense2 as rs
 
         held: rs.frame | None = None
@@ -131,7 +131,7 @@ class RealSense(Device):
         return None
 
     def _frame(self, depth: "rs.frame", colors: list["rs.frame"], felt: tuple[Acceleration, ...]) -> Frame:
-        """Return a depth image with the nearest colour; older colours are dropped."""
+        """Return a depth image with the colour nearest in time; drop that and older ones from `colors`."""
         number, stamp_ns = depth.get_frame_number(), _stamp_ns(depth)
         if self._last is not None:
             self.missed += max(number - self._last - 1, 0)
@@ -146,7 +146,7 @@ class RealSense(Device):
         return Frame(stamp_ns, image, rgb, _stamp_ns(color), felt)
 
     def _felt(self, frame: "rs.frame") -> Acceleration:
-        """Return an acceleration in the axes of depth; librealsense measures m/s^2."""
+        """Return a measurement of the accelerometer, m/s^2, in the depth camera's axes."""
         said = frame.as_motion_frame().get_motion_data()
         x, y, z = (self._R_depth_accel @ [said.x, said.y, said.z]).tolist()
         return Acceleration(_stamp_ns(frame), (x, y, z))
@@ -161,7 +161,7 @@ def _stamp_ns(frame: "rs.frame") -> int:
 def _usual(
     profiles: Sequence["rs.stream_profile"], stream: "rs.stream", form: "rs.format"
 ) -> "rs.stream_profile | None":
-    """Return the usual profile of a stream in a format, else its first; None if there is none."""
+    """Return a stream's profile of the usual size and rate in a format, else its first; None without any."""
     found = [each for each in profiles if each.stream_type() == stream and each.format() == form]
     for each in found:
         if each.is_video_stream_profile():

@@ -53,7 +53,8 @@ class Replay(Device):
     def frames(self) -> Iterator[Frame]:
         """Yield each frame at its time; a frame that is requested too late counts as missed.
 
-        A jump of the clock, which `stamps` tells from a pause, takes no longer than the longest pause.
+        A jump of the clock is replayed as the longest step that still counts as a pause
+        (`core.trajectory.stamps`).
         """
         stamps_ns = np.asarray(self._recording.stamps_ns)
         longest_ns = max(JUMP_NS, JUMP_PERIODS * typical_period_ns(stamps_ns))

@@ -1,1 +1,1 @@
-"""The guide: tells whoever records what is still unseen, and shows it on a page."""
+"""The guide: shows the person who records, on a web page, what is still unseen."""

@@ -1,4 +1,4 @@
-"""The guide: tracks each frame, looks at what was seen of the object, and chooses a sentence."""
+"""The guide: tracks each frame, reconstructs what was seen of the object, and chooses the advice."""
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -52,13 +52,13 @@ class Snapshot:
 
     Attributes:
         number: the frame's number in the recording.
-        advice: the sentence, with what it asks for.
+        advice: the sentence, and the motion that it asks for.
         lost: whether the camera has no pose.
-        distance_m: from the camera to the middle of the object, metres; None: not known yet.
+        distance_m: distance from the camera to the middle of the object, metres; None: not known yet.
         speed_mps: speed of the camera, metres a second.
         T_world_camera: (4, 4), the first frame defines the world; None: the camera is lost.
-        T_floor_camera: (4, 4); None: the floor is not known, or the camera is lost.
-        looks: number of looks at the object so far; each look brings a new mesh.
+        T_floor_camera: (4, 4), camera to floor frame; None: the floor is not known, or the camera is lost.
+        looks: number of reconstructions of the object so far (`look`); each has a new mesh.
     """
 
     number: int
@@ -72,11 +72,11 @@ class Snapshot:
 
 
 class Guide:
-    """Guides whoever records with one camera.
+    """Guides the person who records with one camera.
 
     Attributes:
         tracker: tracks the camera and keeps the keyframes.
-        seen: the last look at the object; None before the first.
+        seen: the last reconstruction of the object (`look`); None before the first.
         ring: directions from which the object was seen.
     """
 
@@ -85,7 +85,7 @@ class Guide:
 
         Args:
             setup: the device's cameras.
-            beside: whether looks run on a separate thread while frames arrive.
+            beside: whether `look` runs on a separate thread while frames arrive.
         """
         self._setup = setup
         self.tracker, self.ring = LiveTracker(setup), Ring()
@@ -99,7 +99,7 @@ class Guide:
         self._shift_mps = self._turn_radps = 0.0
 
     def take(self, number: int, frame: Frame) -> Snapshot:
-        """Track a frame, and return what the page shows then."""
+        """Track a frame, and return what the page shows after it."""
         self._look_again(frame.stamp_ns / NS_PER_S)
         T_world_camera = self.tracker.take(frame)
         T_floor_camera: Float64 | None = None
@@ -115,7 +115,7 @@ class Guide:
         return Snapshot(number, said, now.lost, distance_m, self._shift_mps, *poses, self._looks)
 
     def pick(self, frame: Frame, pixel: tuple[int, int], keep: Callable[[], None] = lambda: None) -> str:
-        """Choose the object at a pixel of a frame's depth; return "", or a sentence why it is not accepted.
+        """Choose the object at a pixel of a frame's depth; return "", or a sentence why that is not accepted.
 
         Args:
             frame: a frame that was given to `take`.
@@ -146,7 +146,7 @@ class Guide:
         return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= self.seen.floor_cut_m)
 
     def shown(self) -> dict[str, object]:
-        """Return path, ring and box for the page: metres, floor frame."""
+        """Return the camera's path, the seen part of the ring, and the box: metres, floor frame."""
         if self.seen is None:
             return {"path": [], "ring": [], "box": None}
         _, T_world = self.tracker.poses()
@@ -160,12 +160,12 @@ class Guide:
         }
 
     def close(self) -> None:
-        """Wait for the last look to end."""
+        """Wait until the last `look` has ended."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _look_again(self, now_s: float) -> None:
-        """Take the result of a finished look; start another if it is time."""
+        """Take over the result of `look` if it has ended; start it again if it is time."""
         if self._look is not None and self._look.done():
             with self._moving:
                 self._take_look(*self._look.result())
@@ -194,7 +194,7 @@ class Guide:
         self._count(self.seen.T_floor_world @ self.tracker.poses()[1])
 
     def _count(self, T_floor_camera: Float64) -> None:
-        """Count poses (n, 4, 4) whose cameras look at the object."""
+        """Count in the ring those camera poses (n, 4, 4), floor frame, that look at the object."""
         assert self.seen is not None
         center = np.array(self.seen.box.center_m)
         ways = center - T_floor_camera[:, :3, 3]
@@ -231,7 +231,7 @@ class Guide:
         return float(min(np.arctan(camera.width / 2 / camera.fx), np.arctan(camera.height / 2 / camera.fy)))
 
     def _measure_speed(self) -> None:
-        """Measure the speed over at least the last half second, so that the hand's shake does not count."""
+        """Measure the mean speed over at least the last half second, to average out the hand's shake."""
         stamps_ns, T_world = self.tracker.poses(self.tracker.newest(SPEED_FRAMES))
         before = np.flatnonzero(stamps_ns[-1] - stamps_ns >= SPEED_S * NS_PER_S)
         if not len(before):
@@ -244,7 +244,7 @@ class Guide:
 
 
 def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph, ObjectLook | None]:
-    """Return the graph of the keyframes, and the object as they saw it; None: too little was seen."""
+    """Build the keyframe graph and `look` with it; return the graph, and the result or None if it fails."""
     graph = known.graph()
     T_world_camera = None if picked is None else known.placed(graph, picked[0])
     at = None if picked is None or T_world_camera is None else transform_points(T_world_camera, picked[1])

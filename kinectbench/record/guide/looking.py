@@ -1,7 +1,7 @@
-"""What has been seen of the object so far, by the package's own stages, coarsely, on the guide's keyframes.
+"""Reconstruct coarsely what was seen of the object so far, from the guide's keyframes.
 
-`fuse`, `find_floor_and_object`, `classify_voxels`, `make_solid` and `find_frontiers` are the functions of a
-build. Here they get fewer and smaller frames, and larger voxels.
+It uses the functions of a build: `fuse`, `find_floor_and_object`, `classify_voxels`, `make_solid` and
+`find_frontiers`. Here they get fewer and smaller frames, and larger voxels.
 """
 
 from dataclasses import dataclass, replace
@@ -42,13 +42,13 @@ FUSION, CUTS = FusionSettings(scene_voxel_size_m=0.015), FloorCuts()
 
 @dataclass(frozen=True)
 class ObjectLook:
-    """The object as seen so far.
+    """What was seen of the object so far.
 
     Attributes:
-        T_floor_world: (4, 4); frame `floor`: z up, floor at z = 0.
-        box: around the object, floor frame.
+        T_floor_world: (4, 4), world to frame `floor`: z up, floor at z = 0.
+        box: box around the object, floor frame.
         mesh: the object and its surroundings, floor frame.
-        frontiers: openings that no keyframe looked into, the largest first.
+        frontiers: openings to unseen space, which no keyframe looked into, the largest first.
         floor_cut_m: surface nearer to the floor than this counts as floor, metres; smaller for near cameras.
     """
 
@@ -59,14 +59,14 @@ class ObjectLook:
     floor_cut_m: float
 
     def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
-        """Return the look in a new world, given the old world's pose (4, 4) in it; None if that is None."""
+        """Return the look in a new world; `T_world_before` (4, 4) maps the old world to it; None: unknown."""
         if T_world_before is None:
             return None
         return replace(self, T_floor_world=on_so3(self.T_floor_world @ invert_rigid(T_world_before)))
 
 
 class _Depths:
-    """A store of depth that is made of the keyframes."""
+    """The depth images of the keyframes, as the frames of a `Sequence`."""
 
     def __init__(self, maps: MapCache, keyframes: Int64) -> None:
         self._maps, self._keyframes = maps, keyframes
@@ -79,7 +79,7 @@ class _Depths:
 
 
 def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = None) -> ObjectLook:
-    """Find the object in the keyframes, and the openings that they did not look into.
+    """Reconstruct the object from the keyframes, and find the openings that they did not look into.
 
     Args:
         maps: calibrated depth maps of the keyframes.
@@ -112,7 +112,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:
-    """Return the faces within half the object's size of its box, floor frame, at most `SHOWN_TRIANGLES`."""
+    """Return the faces up to half the object's size from its box, floor frame, at most `SHOWN_TRIANGLES`."""
     mesh = scene.transformed(T_floor_world)
     near = box.grown(0.5 * max(box.size_m)).contains(mesh.vertices)
     return decimated(mesh.keep_faces(np.asarray(near[mesh.faces].all(axis=1))), SHOWN_TRIANGLES)

@@ -55,12 +55,12 @@ class Said(NamedTuple):
 
 
 class GuideProcess:
-    """An observer of a recording: it hands frames to the guide's process, and keeps the guide's sentences.
+    """An observer of a recording: sends frames to the guide's process, and keeps the guide's sentences.
 
     Attributes:
         url: URL of the page.
         sentence: the current advice; "" before the first frame.
-        said: what the guide said after each of the newest frames.
+        said: what the guide said after each frame, for the newest frames.
     """
 
     def __init__(self, port: int = 0, folder: Path | None = None) -> None:
@@ -120,7 +120,7 @@ class GuideProcess:
 
 
 def _run(connection: Connection, port: int, folder: Path | None) -> None:
-    """Run in the process: serve the page, and process frames until the other end closes."""
+    """The guide's process: serve the page, and process frames until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder
     warnings.simplefilter("ignore")  # the recorder owns the terminal
     with suppress(OSError):
@@ -147,7 +147,7 @@ def _run(connection: Connection, port: int, folder: Path | None) -> None:
 
 
 class _Shown:
-    """Answers to the page's requests, computed when requested."""
+    """Answers the page's requests from the current state of the guide."""
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
@@ -159,7 +159,7 @@ class _Shown:
         self._picked: tuple[PickSettings, Frame] | None = None
 
     def take(self, number: int, frame: Frame, setup: Setup) -> Snapshot:
-        """Give a frame to the guide, and return what the page shows then."""
+        """Give a frame to the guide, and return what the page shows after it."""
         if self._guide is None:
             self._guide = Guide(setup)
         self._last = self._guide.take(number, frame)
@@ -168,7 +168,7 @@ class _Shown:
         return self._last
 
     def state(self, query: str) -> tuple[str, bytes] | None:
-        """Return the figures of the last frame."""
+        """Return, as JSON, what the page shows after the last frame, except for mesh and picture."""
         last, guide, picture = self._last, self._guide, self._picture
         if last is None or guide is None or picture is None:
             return None
@@ -183,7 +183,7 @@ class _Shown:
         return "application/json", json.dumps(value).encode()
 
     def mesh(self, query: str) -> tuple[str, bytes] | None:
-        """Return the mesh of the last look at the object."""
+        """Return the mesh of the last reconstruction of the object (`mesh_bytes`)."""
         seen = self._guide.seen if self._guide is not None else None
         return None if seen is None else ("application/octet-stream", mesh_bytes(seen.mesh))
 
@@ -217,17 +217,17 @@ class _Shown:
             return f"it is not kept: {error}"
 
     def picture(self, query: str) -> tuple[str, bytes] | None:
-        """Return the picture of that number, one of the newest with a pose."""
+        """Return the picture whose number is the query, if it is among the newest announced to the page."""
         frame = self._asked.get(int(query)) if query.isdecimal() and len(query) < 10 else None
         return None if frame is None else _jpeg(frame)
 
     def picked(self, query: str) -> tuple[str, bytes] | None:
-        """Return the clicked picture, with a ring around the pixel."""
+        """Return the clicked picture, with a ring around the clicked pixel."""
         return None if self._picked is None else _jpeg(self._picked[1], self._picked[0].pixel)
 
 
 def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, bytes] | None:
-    """Return a frame as a small picture, colour or grey depth; `marked`, a depth pixel, gets a ring."""
+    """Encode a frame as a small JPEG, colour or grey depth; with a ring around `marked`, a depth pixel."""
     import cv2
 
     if isinstance(frame.color, tuple):

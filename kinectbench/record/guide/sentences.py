@@ -1,8 +1,9 @@
 """The guide's sentences: one at a time, chosen by a fixed rule from what was seen so far.
 
 The first condition that holds decides: the camera is lost; it moves too fast; it is too near, or too far
-away; a side of the ring is unseen; an opening is unseen; openings are left, and a height of the ring is
-unseen; enough was seen. A sentence stays for at least five seconds, unless the camera is lost.
+away; a sector of the ring around the object is unseen from every height; an opening was not looked into;
+openings are left, and a sector is unseen from low or from high; enough was seen. A sentence stays for at
+least five seconds, unless the camera is lost.
 """
 
 from collections.abc import Sequence
@@ -49,15 +50,17 @@ STAYS_S, HOLDS_S = 5.0, 0.5
 
 
 class Advice(NamedTuple):
-    """A sentence, and what it asks the person to do.
+    """A sentence, and the motion that it asks for.
 
     Attributes:
         kind: the kind of request.
         sentence: one line.
         distance_m: distance from the middle of the object at which `nearer` and `farther` should end, metres.
             The page needs it because a sentence stays for five seconds.
-        turn_rad: how far to go `left` or `right` around the object to look into the opening; None: go on.
-        rise_rad: how far to go up or down around the object for `higher`, `top` and `lower`; None: go on.
+        turn_rad: angle to go `left` or `right` around the object to look into the opening; None: go on until
+            the advice changes.
+        rise_rad: angle to go up or down around the object for `higher`, `top`, `lower`; None: go on until the
+            advice changes.
     """
 
     kind: Kind
@@ -68,11 +71,11 @@ class Advice(NamedTuple):
 
 
 class Ring:
-    """The directions from which the object was seen.
+    """Counts the frames that saw the object, by their direction.
 
     Attributes:
         frames: (12, 3) number of frames from each sector (counterclockwise from the floor's x axis) and
-            height.
+            height (low, middle, high).
     """
 
     def __init__(self) -> None:
@@ -99,14 +102,14 @@ class Situation:
 
     Attributes:
         lost: whether the camera has no pose.
-        shift_per_s: speed of the camera, in distances to the object per second.
+        shift_per_s: speed of the camera relative to its distance from the object, 1/s.
         turn_rad_per_s: angular speed of the camera.
         position: (3,) position of the camera; None: the object is not known yet.
         center: (3,) centre of the object.
         fits_m: distance at which a ball around the object just fits into the picture.
         first_rad: azimuth from the object to the start of the recording.
         ring: directions from which the object was seen.
-        frontiers: openings that no keyframe looked into, the largest first.
+        frontiers: openings to unseen space, which no keyframe looked into, the largest first.
         positions: (n, 3) positions of the keyframes.
     """
 
@@ -123,7 +126,7 @@ class Situation:
 
 
 def advice(now: Situation) -> Advice:
-    """Return the advice for a situation."""
+    """Choose the advice for a situation: the first condition that holds decides."""
     if now.lost:
         return Advice("lost", "lost: go back to where the picture shows")
     if now.shift_per_s > FASTEST_SHIFT_PER_S or now.turn_rad_per_s > FASTEST_TURN_RAD_PER_S:
@@ -150,12 +153,12 @@ def directions_of(points: Float64, center: Float64) -> tuple[Float64, Float64]:
 
 
 def sector_of(towards_rad: float) -> int:
-    """Return the sector of the ring that a direction lies in."""
+    """Return the sector of the ring, 0 to 11, in which an azimuth (radians) lies."""
     return int(np.floor(towards_rad / (2 * np.pi) * SECTORS)) % SECTORS
 
 
 def height_of(rise_rad: float) -> int:
-    """Return the height of the ring that a direction lies in."""
+    """Return the height of the ring, 0 to 2, in which an elevation (radians) lies."""
     return int(np.searchsorted(HEIGHT_EDGES_RAD, rise_rad))
 
 
@@ -164,7 +167,7 @@ def _middles_rad(sectors: Bools) -> Float64:
 
 
 def _around(now: Situation, position: Float64) -> Advice | None:
-    """Return the way to the nearest unseen side; None if every side was seen."""
+    """Return advice to go to the nearest unseen sector; None if every sector was seen."""
     unseen_rad = now.ring.unseen_rad
     if not len(unseen_rad):
         return None
@@ -173,7 +176,7 @@ def _around(now: Situation, position: Float64) -> Advice | None:
 
 
 def _into_openings(now: Situation, position: Float64) -> Advice | None:
-    """Return the way to the largest opening that nobody has tried to look into; None if there is none."""
+    """Return advice to look into the largest opening that no keyframe looked into; None if there is none."""
     for each in now.frontiers:
         center, rise_rad = np.array(each.center_m), _rise_rad(each, now.fits_m)
         if each.obstructed or rise_rad is None or _was_looked_into(each, rise_rad, now.positions):
@@ -202,7 +205,7 @@ def _into_openings(now: Situation, position: Float64) -> Advice | None:
 
 
 def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
-    """Ask for another round from low, then from high, if openings stay unseen although looked into."""
+    """Return advice to go around again, low, then high, if openings are still unseen; else None."""
     if all(each.obstructed or _rise_rad(each, now.fits_m) is None for each in now.frontiers):
         return None
     towards_rad, at_rad = (float(values[0]) for values in directions_of(position[None], now.center))
@@ -220,7 +223,7 @@ def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
 
 
 def _rise_rad(each: Frontier, fits_m: float) -> float | None:
-    """Return the elevation from which to look into an opening; None if a camera cannot be that low.
+    """Return the elevation from which to look into an opening; None if it is too low for a camera.
 
     A camera low above the floor can look up into a higher opening, though less steeply than would be best.
     """
@@ -244,14 +247,14 @@ def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> boo
 
 
 def _to_nearest(unseen_rad: Float64, towards_rad: float, first_rad: float, why: str) -> Advice:
-    """Return the shorter way to the nearest of some directions."""
+    """Return advice to go to the nearest of some azimuths (n,), by the shorter way."""
     turns_rad = _wrapped(unseen_rad - towards_rad)
     nearest = int(np.argmin(np.abs(turns_rad)))
     return _sideways(float(turns_rad[nearest]), f"{_side(float(unseen_rad[nearest]), first_rad)} {why}")
 
 
 def _sideways(turn_rad: float, why: str, to_go_rad: float | None = None) -> Advice:
-    """Return advice to go sideways: facing the object, counterclockwise around it is to the right."""
+    """Return advice to go left or right; a positive turn, counterclockwise from above, is to the right."""
     kind: Kind = "right" if turn_rad > 0 else "left"
     return Advice(kind, f"go {kind}: {why}", turn_rad=to_go_rad)
 
@@ -276,7 +279,7 @@ class Speaker:
         self._other: tuple[str, float] | None = None
 
     def hear(self, heard: Advice, now_s: float) -> Advice:
-        """Return the sentence to show at a time (increasing, seconds), given what the rule advises now."""
+        """Return the sentence to show at `now_s` (increasing, seconds), given the current advice `heard`."""
         if self.said is None:
             self.said, self._since_s = heard, now_s
         if heard.sentence == self.said.sentence:
@@ -288,5 +291,5 @@ class Speaker:
         return self.said
 
     def _stays_s(self, heard: Advice) -> float:
-        """Return how long the shown sentence stays before another one."""
+        """Return how long the shown sentence stays before `heard` may replace it, seconds."""
         return 0.0 if self.said is not None and "lost" in (self.said.kind, heard.kind) else STAYS_S

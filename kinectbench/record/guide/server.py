@@ -93,7 +93,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        """Answer with a file of the page, or with the result of a repeated request."""
+        """Answer with a file of the page, or with data that the page requests again and again."""
         name = self._allowed()
         if name is None:
             return self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"")
@@ -110,7 +110,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._answer(HTTPStatus.OK, *answer)
 
     def do_POST(self) -> None:
-        """Take a post of the page; it must have the page's origin."""
+        """Handle a post by the page; the request must state the page's origin."""
         name, length = self._allowed(), self.headers.get("Content-Length", "")
         self.close_connection = True  # a refused body is not read
         if name is None or self.headers.get("Origin") is None:
@@ -122,7 +122,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._answer(status, "text/plain; charset=utf-8", why.encode())
 
     def _allowed(self) -> str | None:
-        """Return the name below the token; None if the request is not the page's."""
+        """Return the path below the token; None if host, origin or token are not the page's."""
         host = self.headers.get("Host", "")
         origin = self.headers.get("Origin")
         if _name_of(host) not in HOSTS or origin not in (None, f"http://{host}"):

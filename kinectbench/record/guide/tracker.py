@@ -1,4 +1,4 @@
-"""Tracking while recording: the build's odometry frame by frame, and from time to time its keyframe graph.
+"""Track the camera while recording: the build's odometry for each frame, now and then its keyframe graph.
 
 The graph closes loops, joins lost segments, and calibrates depth. The odometry then continues from the
 graph's keyframes.
@@ -27,13 +27,13 @@ NEWEST = FRAMES_BEFORE + 2
 
 
 class LiveFrames:
-    """The newest frames, by their index in the tracker."""
+    """The newest frames, by their index in the tracker, as the frames of a `Sequence`."""
 
     def __init__(self) -> None:
         self._frames: dict[int, Frame] = {}
 
     def add(self, index: int, frame: Frame) -> None:
-        """Keep a frame, and drop the one that is no longer among the newest."""
+        """Keep a frame, and drop the frame that is no longer among the `NEWEST`."""
         self._frames[index] = frame
         self._frames.pop(index - NEWEST, None)
 
@@ -42,7 +42,7 @@ class LiveFrames:
         return self._frames[index].depth
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Return a frame's colour; pixels are returned as an uncompressed file, which copies them."""
+        """Return a frame's encoded colour; raw pixels are encoded without compression (.bmp)."""
         color = self._frames[index].color
         if color is None or isinstance(color, tuple):
             return color
@@ -63,7 +63,7 @@ class KeyframesSoFar(NamedTuple):
     odometry: Odometry
 
     def placed(self, graph: KeyframeGraph, index: int) -> Float64 | None:
-        """Return a frame's pose (4, 4) by the keyframe it was registered to; None if the graph lacks that."""
+        """Return a frame's pose (4, 4) in the graph's world, by its keyframe's; None if it has no pose."""
         frame = self.odometry.frames[index]
         if frame is None:
             return None
@@ -113,7 +113,7 @@ class LiveTracker:
         return None if taken is None or self.lost else taken.T_segment_camera
 
     def poses(self, frames: Rows[int] | None = None) -> tuple[Int64, Float64]:
-        """Return stamps (n,) and present poses (n, 4, 4) in the world, of the frames that have a pose.
+        """Return stamps (n,) and current poses (n, 4, 4) in the world, of the frames that have a pose.
 
         Args:
             frames: indices of the requested frames; None: all.
@@ -143,7 +143,8 @@ class LiveTracker:
         """Move the keyframes to their poses in a graph; newer frames move with their segment's last keyframe.
 
         Returns:
-            The pose (4, 4) of the old world in the graph's world; None: the graph did not join them.
+            The transform (4, 4) from the old world to the graph's; None: the graph did not join the old
+                world.
         """
         frames, placed = self._follower.frames, dict(zip(graph.keyframes, graph.T_world, strict=True))
         T_moved: dict[int, Float64] = {}  # by keyframe

@@ -1,4 +1,4 @@
-"""From frames and poses to a TSDF, visibility votes and a mesh."""
+"""Fuse frames and poses into a TSDF with visibility votes, and extract a mesh."""
 
 from kinectbench.stages.fuse.reconstruction import Reconstruction, fuse, observe
 

@@ -21,17 +21,17 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass(frozen=True)
 class BlockVolume:
-    """TSDF and visibility votes in blocks. Block b covers voxels `8 b ... 8 b + 7` of frame `grid`.
+    """TSDF and visibility votes in blocks: block b covers voxels 8 b to 8 b + 7 on each axis of frame `grid`.
 
     Attributes:
         blocks: (n, 3) int32, block coordinates, unique.
         voxel_size_m: edge of a voxel; the centre of voxel i is `(i + 0.5) * voxel_size_m`.
         T_world_grid: (4, 4), maps the volume's own frame to the world.
-        tsdf: (n, 8, 8, 8) float32, signed distance in metres along the viewing ray's z, weighted
-            mean, positive in front of the surface, clipped to the truncation; 0 where weight is 0.
+        tsdf: (n, 8, 8, 8) float32, weighted mean of signed distances along the cameras' z axes, metres,
+            positive in front of the surface, clipped to the truncation; 0 where weight is 0.
         weight: (n, 8, 8, 8) float32, sum of 1 / sigma(z)^2 in 1/mm^2; 0 = never observed.
-        votes: (n, 8, 8, 8) uint32, `free` in the lower 16 bits and `surface` in the upper ones;
-            65,535 stands for as many or more.
+        votes: (n, 8, 8, 8) uint32, number of `free` votes in the lower 16 bits and of `surface` votes in the
+            upper ones; each saturates at 65,535.
     """
 
     blocks: Int32
@@ -43,12 +43,12 @@ class BlockVolume:
 
     @property
     def free(self) -> NDArray[np.uint16]:
-        """(n, 8, 8, 8) uint16, frames that saw through the voxel."""
+        """Number of frames that saw through each voxel: (n, 8, 8, 8) uint16."""
         return (self.votes & 0xFFFF).astype(np.uint16)
 
     @property
     def surface(self) -> NDArray[np.uint16]:
-        """(n, 8, 8, 8) uint16, frames that measured a surface in the voxel or just before it."""
+        """Number of frames that measured a surface in each voxel or just before it: (n, 8, 8, 8) uint16."""
         return (self.votes >> 16).astype(np.uint16)
 
     def dense(self, values: NDArray[Scalar], first_block: Int32, blocks: int) -> NDArray[Scalar]:
@@ -66,7 +66,7 @@ class BlockVolume:
 
 
 def empty_volume(blocks: Int32, voxel_size_m: float, T_world_grid: Float64) -> BlockVolume:
-    """A volume of these blocks, nothing observed yet."""
+    """A volume of the given blocks in which nothing has been observed yet."""
     shape = (len(blocks), BLOCK_VOXELS, BLOCK_VOXELS, BLOCK_VOXELS)
     return BlockVolume(
         blocks,
@@ -79,10 +79,11 @@ def empty_volume(blocks: Int32, voxel_size_m: float, T_world_grid: Float64) -> B
 
 
 def in_cubes(blocks: Int32, values: NDArray[Scalar]) -> tuple[Int32, NDArray[Scalar]]:
-    """Per-block values (n, 8, 8, 8) cube by cube.
+    """Join the values (n, 8, 8, 8) of blocks into cubes of 2x2x2 blocks.
 
     Returns:
-        Coordinates (m, 3) of the cubes, sorted, and their values (m, 16, 16, 16); 0 in blocks there are not.
+        Coordinates (m, 3) of the cubes, sorted; and their values (m, 16, 16, 16), 0 where a block does not
+            exist.
     """
     of_blocks = blocks // CUBE_BLOCKS
     _, first, row = np.unique(cell_numbers(of_blocks), return_index=True, return_inverse=True)
@@ -94,13 +95,13 @@ def in_cubes(blocks: Int32, values: NDArray[Scalar]) -> tuple[Int32, NDArray[Sca
 
 
 def blocks_of_grid(grid: Grid) -> Int32:
-    """All blocks that cover a dense grid whose sides are multiples of 8: (n, 3), sorted."""
+    """The blocks that cover a dense grid, whose sides must be multiples of 8: coordinates (n, 3), sorted."""
     counts = [n // BLOCK_VOXELS for n in grid.shape]
     return np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
 
 
 def dense_grid(values: NDArray[Scalar], shape: tuple[int, int, int]) -> NDArray[Scalar]:
-    """Per-block values of all blocks of a dense grid, in `blocks_of_grid` order, as one array of `shape`."""
+    """Join the values of all blocks of a dense grid, in `blocks_of_grid` order, into one array of `shape`."""
     bx, by, bz = (n // BLOCK_VOXELS for n in shape)
     cells = values.reshape(bx, by, bz, BLOCK_VOXELS, BLOCK_VOXELS, BLOCK_VOXELS)
     return np.ascontiguousarray(cells.transpose(0, 3, 1, 4, 2, 5)).reshape(shape)

@@ -1,9 +1,9 @@
-"""The largest depth that is fused: enough for what the cameras look at, unless a person sets it.
+"""Choose the largest depth to fuse: enough for what the cameras look at, unless the settings give it.
 
-What is looked at lies where the optical axes meet, and no nearer than the nearest tenth of the depth in the
-middle of the images: where axes do not meet, as along a shelf, that depth alone tells. It may reach as far
-behind that as a ball that fills the wider side of the image. Chosen here; what is nearer than 3 m is fused in
-any case.
+The distance to what the cameras look at is taken as the larger of two: the distance to where the optical axes
+meet, and the 10th percentile of the depth in the middle of the images. The latter alone is meaningful where
+the axes do not meet, as along a shelf. What the cameras look at may extend farther back by the radius of a
+ball that fills the wider side of the image. This rule was chosen here. Depth up to 3 m is fused in any case.
 """
 
 from collections.abc import Iterable
@@ -33,12 +33,12 @@ MAX_MISSED_SHARE = 0.05
 
 @dataclass(frozen=True)
 class SampledDepth:
-    """Measured depth of some frames, thinned out.
+    """Measured depth of some frames, sampled.
 
     Attributes:
-        whole_m: (n,) float32, metres, all of it.
-        middle_m: (m,) the part of it in the middle third of rows and of columns.
-        nearest_m: (k,) for each frame with depth there: a tenth of that depth is nearer.
+        whole_m: (n,) float32, depth of all sampled pixels, metres.
+        middle_m: (m,) depth of the pixels in the middle third of rows and of columns, metres.
+        nearest_m: (k,) 10th percentile of that middle depth, for each frame that has any, metres.
     """
 
     whole_m: Float32
@@ -47,7 +47,7 @@ class SampledDepth:
 
 
 def sample_depth(depths_m: Iterable[Float32]) -> SampledDepth:
-    """Sample depth images (height, width), metres, 0 = none."""
+    """Collect the measured depth of images (height, width) that are sampled already, metres, 0 = none."""
     whole, middle = [np.zeros(0, np.float32)], [np.zeros(0, np.float32)]
     nearest = []
     for depth_m in depths_m:
@@ -61,14 +61,14 @@ def sample_depth(depths_m: Iterable[Float32]) -> SampledDepth:
 
 
 def some_frames(frames: Int64, most: int = SAMPLE_FRAMES) -> Int64:
-    """At most so many of the frames (n,), evenly spread."""
+    """At most `most` of the frames (n,), evenly spread."""
     return frames[evenly(len(frames), most)]
 
 
 def depth_range_of(
     sequence: Sequence, frames: Int64, T_world_camera: Float64, settings: FusionSettings
 ) -> DepthRangePart:
-    """`depth_range` of a sequence's frames (n,), n > 0, with their poses (n, 4, 4)."""
+    """Choose the depth range (`depth_range`) for frames (n,) of a sequence, n > 0, with poses (n, 4, 4)."""
     thin = slice(None, None, SAMPLE_STEP_PX)
     sampled = sample_depth(sequence.depth_m(int(index))[thin, thin] for index in some_frames(frames))
     return depth_range(sequence.camera, T_world_camera, sampled, settings)
@@ -77,13 +77,13 @@ def depth_range_of(
 def depth_range(
     camera: Camera, T_world_camera: Float64, sampled: SampledDepth, settings: FusionSettings
 ) -> DepthRangePart:
-    """Choose the largest depth to fuse into the scene, and count the depth beyond.
+    """Choose the largest depth to fuse into the scene, and find the share of the depth beyond it.
 
     Args:
-        camera: of the depth images.
-        T_world_camera: (n, 4, 4), finite; none (n = 0) if no poses are known.
+        camera: intrinsics of the depth images.
+        T_world_camera: (n, 4, 4), finite; n = 0 if no poses are known.
         sampled: depth of some frames.
-        settings: the range that a person gives, or none.
+        settings: may give the largest depth, which then is not chosen.
     """
     looked_at_m = _looked_at_m(T_world_camera, sampled)
     reach_m = None if looked_at_m is None else (1 + _ball_share(camera)) * looked_at_m
@@ -115,15 +115,15 @@ def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
 
 
 def grid_range_m(T_world_camera: Float64, grid: Grid, settings: FusionSettings) -> float:
-    """The largest depth to fuse into a grid, metres: the grid's farthest point, 3 to 8 m.
+    """The largest depth to fuse into a grid, metres: the farthest point of the grid, within 3 to 8 m.
 
-    All depth that falls into the grid counts, with its weight: depth that hits the far wall of a cavity
-    carves the cavity. The grid bounds what it costs. A person's `fusion.max_depth_m` holds, though.
+    All depth inside the grid is useful: depth measured on the far wall of a cavity carves the cavity. The
+    size of the grid limits the cost. If the settings give `fusion.max_depth_m`, that is returned instead.
 
     Args:
         T_world_camera: (n, 4, 4) of the frames, finite.
         grid: the grid.
-        settings: the range that a person gives, or none.
+        settings: may give the largest depth.
     """
     if settings.max_depth_m is not None:
         return settings.max_depth_m
@@ -140,7 +140,7 @@ def _range_m(reach_m: float) -> float:
 
 
 def _looked_at_m(T_world_camera: Float64, sampled: SampledDepth) -> float | None:
-    """Typical distance along the axis to what the cameras look at, metres; None without data."""
+    """Typical distance along the optical axis to what the cameras look at, metres; None without data."""
     distances_m = []
     if len(T_world_camera):
         towards = convergence_point(T_world_camera) - T_world_camera[:, :3, 3]
@@ -152,6 +152,6 @@ def _looked_at_m(T_world_camera: Float64, sampled: SampledDepth) -> float | None
 
 
 def _ball_share(camera: Camera) -> float:
-    """Radius of a ball that fills the wider side of the image, as a share of its middle's distance."""
+    """Radius of a ball that fills the wider side of the image, relative to the distance of its centre."""
     half_view = np.arctan(max(camera.width / camera.fx, camera.height / camera.fy) / 2)
     return float(np.sin(half_view))

@@ -1,4 +1,4 @@
-"""The fusion kernel: depth frames, each pixel with its weight, into the blocks of a volume."""
+"""The fusion kernel: integrates depth frames, with a weight for each pixel, into the blocks of a volume."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -66,9 +66,9 @@ class DepthFrame:
     Attributes:
         depth_m: (height, width) float32, metres along z, 0 = none.
         T_world_camera: (4, 4).
-        pose_sigma_m: by how much the pose may be off, metres: it lowers the frame's weight.
-        vote_sigma_m: the pose's part in the width of the `surface` vote, metres.
-        closely: the recording's poses are good enough to cut noise closely around its surface.
+        pose_sigma_m: standard deviation of the pose for the frame's weight, metres.
+        vote_sigma_m: standard deviation of the pose for the range of `surface` votes, metres.
+        closely: whether poses are accurate enough to reduce the weight close to the surface, on both sides.
     """
 
     depth_m: Float32
@@ -87,21 +87,25 @@ def integrate(
 ) -> None:
     """Fuse frames into the volume's arrays (in place: this is the one hot loop of fusion).
 
-    A voxel at camera depth z whose nearest pixel measures d has the projective signed distance
-    s = d - z (Curless & Levoy 1996). It is averaged with weight 1 / sigma^2 where s >= -truncation,
-    clipped at +-truncation; sigma holds the noise of the depth and of the pose. There it votes, too: `free`
-    where s > max(2 sigma, half a voxel's diagonal), else `surface`. What lies farther behind the surface than
-    max(1.5 sigma, half a voxel's diagonal), along its normal, is hidden: it may be solid or air, and the
-    frame's weight on it fades within half a voxel to a thousandth, so that any frame that looks at it from
-    elsewhere decides. So it does as far before the surface, up to 2.5 sigma: if noise were cut on one side
-    only, its mean would move. (Frames not `closely`: behind 2 sigma only.) Voxels farther behind get nothing:
-    where two standard deviations of the depth are more than the truncation, from there on, or the mean of
-    what is left would lie too deep. Of a pixel beyond `farthest_m` only voxels a quarter of a metre in front
-    of it hear: they are free.
+    A voxel at camera depth z whose nearest pixel measures d has the projective signed distance s = d - z
+    (Curless & Levoy 1996). sigma is the standard deviation of s from the noise of depth and pose. s is
+    clipped to +-truncation and averaged with weight 1 / sigma^2. Voxels behind the surface by more than the
+    truncation, or two standard deviations of the depth if these are more, are not updated; with less than
+    these, the mean would lie too deep. Each updated voxel gets a vote: `free` if s > max(2 sigma, half a
+    voxel's diagonal), else `surface`.
+
+    A voxel that lies behind the surface, along its normal, by more than max(1.5 sigma, half a voxel's
+    diagonal) is hidden: it may be solid or empty. There the frame's weight falls within half a voxel to a
+    thousandth, so that frames from other directions decide. The weight falls in the same way in front of the
+    surface, up to 2.5 sigma, because cutting noise on one side only would shift the mean. (For frames that
+    are not `closely`, it falls only behind the surface, beyond 2 sigma.)
+
+    A pixel with depth beyond `farthest_m` only makes voxels free, at least a quarter of a metre in front of
+    it.
 
     Args:
         volume: blocks to fuse into.
-        frames: depth images; some at a time are held in memory.
+        frames: depth images; a few at a time are held in memory.
         camera: pinhole intrinsics of all; pixel centres are integers, so the lookup rounds to nearest.
         truncation_m: TSDF truncation, metres.
         farthest_m: depth beyond it is not fused as a surface, metres.
@@ -163,7 +167,7 @@ def _integrate_batch(
 
 
 def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
-    """Depth noise (3), the pose (2), half a diagonal, 1 / fading, and the window (2) of a frame."""
+    """Noise parameters (9,) for the kernels: depth (3), pose (2), half diagonal, 1 / fading, window (2)."""
     depth = (SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M)
     poses = (frame.pose_sigma_m, frame.vote_sigma_m)
     fading_per_m = 1 / (FADING_VOXELS * voxel_size_m)
@@ -174,7 +178,7 @@ def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
 def _clear_m(
     frame: DepthFrame, voxel_size_m: float, truncation_m: float, farthest_m: float
 ) -> Callable[[Float32], Float32]:
-    """How far in front of a depth `_add` comes to what `_add_clear` does, however slanted the surface is."""
+    """Make a function of depth: how far in front of it `_add` starts to equal `_add_clear`, at any slant."""
     least_m = max(truncation_m, HALF_DIAGONAL * voxel_size_m)
     sigmas = MAX_SLANT * CLEAR_SIGMAS if frame.closely else SURFACE_SIGMAS
 
@@ -190,9 +194,10 @@ def _clear_m(
 def _integrate(  # type: ignore[no-untyped-def]
     start, stop, seen, blocks, tsdf, weight, votes, pixels, to_pixels, middle, voxel, truncation, noise
 ):
-    """Each block from start to stop: for each frame project, fetch and add up, then merge once for all.
+    """Update blocks start to stop: for each frame project, fetch and add up; then merge once for all frames.
 
-    Apart, the compiler can vectorise all but the second. Blocks pass through memory once for all frames.
+    As separate loops, all but the fetching can be vectorised by the compiler. Each block passes through
+    memory once for all frames.
     """
     index = np.empty(BLOCK_CELLS, np.uint32)
     fetched = np.empty(BLOCK_CELLS, np.uint64)
@@ -228,7 +233,7 @@ def _integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
-    """Set (3, 512): the projected offsets from a block's corner to the centre of each voxel."""
+    """Set `inside` (3, 512): the projected offsets from a block's corner to the centres of its voxels."""
     for axis in range(3):
         for n in range(BLOCK_CELLS):
             i, j, k = n // SLAB_CELLS, n // BLOCK_VOXELS % BLOCK_VOXELS, n % BLOCK_VOXELS
@@ -238,7 +243,7 @@ def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _project(index, z, corner, inside, middle, width, height):  # type: ignore[no-untyped-def]
-    """Depth and pixel of each voxel of a block; beside the image, a pixel of its border, which is empty."""
+    """Set depth and pixel index of each voxel of a block; outside the image, a pixel of the empty border."""
     f32 = np.float32
     right, bottom, row_length = f32(width - 1), f32(height - 1), np.int32(width)
     across, down, along = inside[0], inside[1], inside[2]
@@ -255,7 +260,7 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # type: ignore[no-untyped-def]
-    """Add a frame's weighted distances, weights and votes; returns whether there were any."""
+    """Add a frame's weighted distances, weights and votes to a block's sums; return whether it has any."""
     f32 = np.float32
     near, growth, near_depth, pose, vote_pose = noise[0], noise[1], noise[2], noise[3], noise[4]
     half_diagonal, fading_per_m, window, clear = noise[5], noise[6], noise[7], noise[8]
@@ -287,7 +292,7 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add_clear(new_total, new_weight, new_votes, fetched, truncation):  # type: ignore[no-untyped-def]
-    """What `_add` does where all voxels lie far in front of what was measured: all votes are `free`."""
+    """Do what `_add` does if all voxels are far in front of the measured depth: all votes are `free`."""
     any_added = np.float32(0)
     for n in range(BLOCK_CELLS):
         added = abs(np.uint32(fetched[n] >> HALF_BITS).view(np.float32))
@@ -300,7 +305,7 @@ def _add_clear(new_total, new_weight, new_votes, fetched, truncation):  # type: 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _merge(tsdf, weight, new_total, new_weight):  # type: ignore[no-untyped-def]
-    """Average the sums into a block, and reset them to zero."""
+    """Merge the sums of a batch into a block's means and weights, and reset the sums to zero."""
     for n in range(BLOCK_CELLS):
         total = weight[n] + new_weight[n]
         tsdf[n] = (tsdf[n] * weight[n] + new_total[n]) / max(total, np.float32(1e-20))
@@ -310,7 +315,7 @@ def _merge(tsdf, weight, new_total, new_weight):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _count(votes, new_votes):  # type: ignore[no-untyped-def]
-    """Add the votes of a batch to a block's; each of the two counts stops at 65,535. Leaves zeros."""
+    """Add the votes of a batch to a block's, each count up to 65,535, and reset the batch's to zero."""
     u32 = np.uint32
     for n in range(BLOCK_CELLS):
         old, new = votes[n], u32(new_votes[n])
@@ -322,15 +327,15 @@ def _count(votes, new_votes):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"}, nogil=True)
 def _set_pixels(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-untyped-def]
-    """Set depth and weight of every pixel but the border's.
+    """Set depth and weight of every pixel inside the border.
 
-    The weight is 1 / (sigma / cos)^2 in 1/mm^2, and 0 where nothing was measured. sigma holds the noise of
-    the depth and of the pose; what is an error of x along the surface's normal is x / cos along the viewing
-    axis. 1 / cos is taken from pixels two to either side and is at most 10: its limit next to a depth edge,
-    where pixels mix two surfaces. Beyond `farthest` the weight is negative: voxels well in front of it are
-    free, and others are not updated.
+    The weight is 1 / (sigma / cos)^2 in 1/mm^2, and 0 where nothing was measured. sigma is the noise of depth
+    and pose. cos is that of the angle between the surface's normal and the viewing axis: an error of x along
+    the normal is x / cos along the axis. 1 / cos is computed from pixels two to either side, and is at most
+    10, because it has no bound at depth edges, where pixels mix two surfaces. Beyond `farthest` the weight is
+    negative, which means that the pixel only makes voxels well in front of it free.
 
-    Row by row; slices, because indices that may be negative stop the compiler from vectorising.
+    It works row by row on slices, because indices that may be negative stop the compiler from vectorising.
     """
     f32 = np.float32
     height, width = depth_m.shape

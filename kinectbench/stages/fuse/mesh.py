@@ -1,4 +1,4 @@
-"""A triangle mesh of a TSDF, with colours: marching cubes where all eight corners were observed."""
+"""Extract a coloured triangle mesh from a TSDF: marching cubes where all eight corners were observed."""
 
 import numba
 import numpy as np
@@ -24,14 +24,14 @@ NEAREST_M = 0.1
 
 
 def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> TriangleMesh:
-    """The zero surface of a block volume in the world, brick by brick, joined without seams.
+    """Extract the zero surface of a block volume, in the world frame, brick by brick without seams.
 
-    It is that of the TSDF `without_fringe`.
+    First, edge artefacts are removed from the TSDF by `without_fringe`.
 
     Args:
         volume: fused blocks.
         min_weight: voxels of less weight (`evident_weight`, 1/mm^2) count as not observed.
-        trust: the share of the votes that counts, `trust_in_votes`.
+        trust: confidence in `free` votes, in [0, 1], from `trust_in_votes`.
     """
     of_blocks = volume.blocks // BRICK_BLOCKS
     bricks = of_blocks[np.unique(cell_numbers(of_blocks), return_index=True)[1]]
@@ -40,7 +40,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
     free_votes, surface_votes = volume.free, volume.surface
 
     def surface_of(brick: Int32) -> tuple[Int32, TriangleMesh]:
-        """A brick's first voxel (3,), and its surface in voxels from there."""
+        """A brick's first block (3,), and its surface in voxels from the corner of that block."""
         first = (brick * BRICK_BLOCKS).astype(np.int32)
         # One block more than the brick on the far sides: cells across the border belong to this brick.
         side = BRICK_BLOCKS * BLOCK_VOXELS + 1
@@ -67,7 +67,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
 
 
 def _edge_keys(vertices: Float64, first: Int64) -> Int64:
-    """One integer per grid edge (or corner) of a marching-cubes vertex, equal across bricks."""
+    """An integer for each marching-cubes vertex that identifies its grid edge (or corner) across bricks."""
     low = np.floor(vertices)
     axis = np.argmax(vertices - low, axis=1)
     axis[np.all(vertices == low, axis=1)] = 3
@@ -80,7 +80,7 @@ def _edge_keys(vertices: Float64, first: Int64) -> Int64:
 def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajectory) -> TriangleMesh:
     """Give each vertex the mean colour of up to 24 frames whose depth agrees with it within 30 mm.
 
-    Without colour registered to depth the mesh comes back as it is; vertices that no frame sees are grey.
+    Without colour registered to depth the mesh is returned unchanged; vertices that no frame sees are grey.
     """
     if not sequence.color_registered or len(mesh.vertices) == 0:
         return mesh

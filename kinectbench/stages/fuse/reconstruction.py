@@ -1,4 +1,4 @@
-"""The stage `fuse`: good frames, evenly spread, into one surface of the whole scene."""
+"""The stage `fuse`: fuses good frames, evenly spread, into one surface of the whole scene."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ class Reconstruction:
     Attributes:
         volume: TSDF, weights and votes near the surfaces; its frame is the world.
         mesh: the surface, world frame, metres, coloured where colour is registered to depth.
-        depth_range: how far depth made surface, and how much lay beyond.
+        depth_range: the largest depth that was fused, and the share of the depth beyond it.
     """
 
     volume: BlockVolume
@@ -84,8 +84,8 @@ def fuse(
 ) -> Reconstruction:
     """Fuse good frames (Curless & Levoy 1996, block-sparse) and extract the surface.
 
-    Of more than 300 frames, some are fused, evenly spread (`SCENE_FRAMES`). Without a range of depth in the
-    settings, the recording decides (`depth_range`).
+    Of more than 300 frames, only some are fused, evenly spread (`SCENE_FRAMES`). Unless the settings give the
+    largest depth, it is chosen from the recording (`depth_range`).
 
     Raises:
         TrackingError: no frame has a pose.
@@ -116,7 +116,7 @@ def fuse(
 
 
 def scene_voxel_size_m(ray_width_m: float) -> float:
-    """Edge of the scene's voxels, metres, for rays of a width in metres."""
+    """Edge of the scene's voxels, metres, for rays of this width, metres (`ray_width_m`)."""
     return FINE_VOXEL_M if ray_width_m < FINE_VOXEL_M else COARSE_VOXEL_M
 
 
@@ -157,14 +157,14 @@ def observe(
 ) -> Observation:
     """Fuse frames into a dense grid, including votes for empty space.
 
-    Depth makes surface as far as the grid reaches (`grid_range_m`), unless the settings say how far. What
-    lies beyond says that all before it is free: under a table's top the cameras look at a floor farther away
-    than the table.
+    Depth is fused as a surface up to the farthest point of the grid (`grid_range_m`), unless the settings
+    give the largest depth. Depth beyond that only marks the space in front of it as free. An example is the
+    space under a table's top, through which the cameras see a floor that is farther away than the table.
 
     Args:
         sequence: the recording.
         trajectory: poses.
-        frames: which frames.
+        frames: indices of the frames to fuse.
         grid: sides must be multiples of 8 cells.
         settings: depth range, truncation (in voxels of this grid).
         progress: called with (done, total).
@@ -193,7 +193,7 @@ def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: F
 
 
 def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far: bool = False) -> Float32:
-    """Depth of a frame in metres, 0 outside the fused range; `far`: with depth beyond it."""
+    """Depth of a frame, metres, 0 outside the fused range; `far` keeps depth beyond it, for free space."""
     depth_m, farthest_m = sequence.depth_m(index), _max_depth_m(settings)
     if far:
         farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))
@@ -206,21 +206,21 @@ def _max_depth_m(settings: FusionSettings) -> float:
 
 
 def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionSettings) -> float:
-    """Truncation of the TSDF: some voxels, but no less than three times the poses' uncertainty.
+    """Truncation of the TSDF, metres: some voxels, but at least three standard deviations of the poses.
 
-    Frames that are off by more than the truncation would not be averaged: they would leave a second surface.
-    Unchecked poses do not widen it: see `pose_reach_m`.
+    If poses were off by more than the truncation, their surfaces would not be averaged but remain as double
+    surfaces. Poses that were not checked do not widen it: see `pose_reach_m`.
     """
     return max(settings.truncation_voxels * voxel_size_m, pose_reach_m(trajectory.median_pose_sigma_m))
 
 
 def _pose_sigmas_m(trajectory: Trajectory, frame: int) -> tuple[float, float]:
-    """Uncertainty of a frame's pose, for its weight and for the width of its `surface` votes, metres.
+    """Standard deviations of a frame's pose, metres: for its weight, and for the range of `surface` votes.
 
-    An unchecked pose weighs as the largest plausible error, which would cancel the votes near
-    the surface: these are as wide as those of a usual checked pose. Where no pose was checked, no frame is
-    better than another, and depth alone weighs: next to 20 mm for all, near pixels would count no more than
-    far ones; the box around a simulated object of half a metre would be 4 to 11 mm larger on each axis.
+    For the weight, an unchecked pose gets the largest plausible error. For the votes that would cancel `free`
+    votes near the surface, so it gets that of a usual checked pose. If no pose was checked, both are 0 and
+    only the noise of depth counts: with 20 mm for all poses, near pixels would count no more than far ones,
+    and the box around a simulated object of half a metre would be 4 to 11 mm larger on each axis.
     """
     usual_m = trajectory.median_pose_sigma_m
     if trajectory.pose_sigma_m is None or usual_m is None:

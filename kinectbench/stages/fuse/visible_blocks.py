@@ -1,4 +1,4 @@
-"""The blocks that a frame can update."""
+"""Find the blocks of a volume that a frame can update."""
 
 from collections.abc import Callable
 from typing import Final
@@ -41,8 +41,8 @@ def blocks_near_surface(
 ) -> Int32:
     """World-aligned blocks within `margin_m` of a frame's depth, along the viewing rays.
 
-    Not every pixel is looked at, but every fourth at least: at the depth that nine of ten pixels do not
-    exceed, those that are lie at most 0.4 blocks apart.
+    Pixels are sampled, at least every fourth. At the 90th percentile of depth, neighbouring samples are at
+    most 0.4 blocks apart, unless every pixel is sampled already.
 
     Returns:
         (n, 3) int32, unique, sorted.
@@ -59,7 +59,7 @@ def blocks_near_surface(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _blocks_on_rays(depth, step, intrinsics, T, offsets):  # type: ignore[no-untyped-def]
-    """The blocks that sampled pixels lie in, without those that repeat the one before: (n, 3) int64."""
+    """Blocks around the points of sampled pixels, (n, 3) int64, in their order; repeats in a row left out."""
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape
     samples = ((height - 1) // step + 1) * ((width - 1) // step + 1)
@@ -92,10 +92,11 @@ def visible_blocks(
     truncation_m: float,
     clear_m: Callable[[Float32], Float32],
 ) -> NDArray[np.uint8]:
-    """The blocks that a frame may update: (n,) uint8, 0, `SEEN`, or `CLEAR` if it only sees them free.
+    """How a frame sees each block: (n,) uint8; 0, `SEEN`, or `CLEAR` if all voxels in it can only be free.
 
-    Left out are blocks that project beside the image, or lie behind all that was measured where they project.
-    Clear are blocks that lie in front of all that, by `clear_m` of its depth (metres; a convex function).
+    0 is for blocks that project outside the image, or lie behind all depth measured where they project.
+    `CLEAR` is for blocks that lie in front of all this depth by at least `clear_m(depth)`, metres, a convex
+    function.
     """
     block_m = BLOCK_VOXELS * volume.voxel_size_m
     nearest_m, farthest_m = _of_tiles(depth_m)
@@ -114,7 +115,7 @@ def visible_blocks(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _of_tiles(depth):  # type: ignore[no-untyped-def]
-    """The least and the greatest depth in each tile of pixels; infinite and 0 without depth."""
+    """The smallest and the largest depth in each tile of pixels; infinity and 0 in tiles without depth."""
     height, width = depth.shape
     shape = (height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1
     nearest, farthest = np.full(shape, np.float32(np.inf)), np.zeros(shape, np.float32)
@@ -138,7 +139,7 @@ def _of_tiles(depth):  # type: ignore[no-untyped-def]
 def _visible(  # type: ignore[no-untyped-def]
     blocks, block_m, clear_to, farthest, T, intrinsics, width, height, truncation_m
 ):
-    """How each block is seen, by the box around it in camera axes."""
+    """Compute `visible_blocks` from an axis-aligned box around each block in the camera frame."""
     seen = np.zeros(len(blocks), np.uint8)
     fx, fy, cx, cy = intrinsics
     half = np.empty(3)
@@ -168,7 +169,7 @@ def _visible(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-untyped-def]
-    """First and last tile that coordinates from low to high project to, by one over nearest and farthest."""
+    """First and last tile that coordinates from low to high project to, by 1 / nearest and 1 / farthest z."""
     first = focal * min(low * by_near, low * by_far) + middle - 0.5
     last = focal * max(high * by_near, high * by_far) + middle + 1
     return int(max(first, 0.0)) // TILE_PX, int(np.floor(min(last, count - 1.0) / TILE_PX))
@@ -176,7 +177,7 @@ def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _any_beyond(farthest, left, right, top, bottom, depth_m):  # type: ignore[no-untyped-def]
-    """Whether something was measured at this depth or beyond in these tiles."""
+    """Whether any of these tiles has measured depth at or beyond `depth_m`."""
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):
             if farthest[row, column] > 0 and farthest[row, column] >= depth_m:
@@ -186,7 +187,7 @@ def _any_beyond(farthest, left, right, top, bottom, depth_m):  # type: ignore[no
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _all_beyond(clear_to, left, right, top, bottom, depth_m):  # type: ignore[no-untyped-def]
-    """Whether these tiles are clear up to this depth."""
+    """Whether the space in front of all these tiles is clear up to `depth_m`."""
     least = np.float32(np.inf)
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):

@@ -36,12 +36,13 @@ def read_by_code(code: DepthCode, depth: UInt16, camera: Camera) -> UInt16:
     """Decode stored depth into depth along the optical axis.
 
     Args:
-        code: the code of the stored values.
+        code: how the stored values encode depth.
         depth: (height, width) uint16 as stored, 0 = none.
         camera: intrinsics, to convert distances along the ray.
 
     Returns:
-        (height, width) uint16, 0 = none, in the recording's unit; float16 in steps of 1 / FLOAT_SCALE m.
+        (height, width) uint16, 0 = none, in the recording's unit; for "float16" in units of 1 / FLOAT_SCALE
+            m.
     """
     if code == "rotated":
         return unrotated(depth)
@@ -64,12 +65,13 @@ def ray_lengths(camera: Camera) -> NDArray[np.float64]:
 
 
 class Pattern(NamedTuple):
-    """How far depth images show the pattern of rotated bits.
+    """Whether the values of depth images look as if their bits were rotated.
 
     Attributes:
-        possible: nearly all values are multiples of eight; enough in a layout that usually has rotated bits.
-        found: the values have all properties of rotated depth, which depth in steps of 8 mm has, too.
-        likely: the values, taken as plain depth, would also be farther than a room is deep.
+        possible: nearly all values are multiples of eight; sufficient in a layout that usually has rotated
+            bits.
+        found: the values have all properties of rotated depth; plain depth in steps of 8 mm has them, too.
+        likely: `found`, and the values, read as plain depth, would be farther than a room is deep.
     """
 
     possible: bool
@@ -85,10 +87,10 @@ def unrotated(depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
 def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
     """Check whether depth images (height, width) uint16, 0 = none, have rotated bits.
 
-    Then at least 95 % of the values are multiples of eight, one of them an odd multiple; all others have 1 in
-    their low bits (8.2 to 16.4 m); and the values are too many and too large for an 8-bit picture. Depth in
-    steps of 8 mm looks the same. The median decides: read as plain depth it is beyond 4.24 m if the bits are
-    rotated.
+    In rotated depth, at least 95 % of the values are multiples of eight, and one of them is an odd multiple.
+    All others have the low three bits 001 (8.2 to 16.4 m). The values are too many and too large for an 8-bit
+    picture. Plain depth in steps of 8 mm has these properties, too, so the median decides: read as plain
+    depth, it is beyond 4.24 m if the bits are rotated.
     """
     values = _sampled(images)
     if not len(values):

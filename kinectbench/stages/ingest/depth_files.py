@@ -62,7 +62,7 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
 
     Raises:
         DamagedImageError: the image is damaged.
-        OddImageError: the image is intact, but no depth image.
+        OddImageError: the image is intact, but not a depth image.
     """
     if _is_array(data, name):
         return _as_depth(_array(data, name), name)
@@ -97,7 +97,7 @@ def kind_of(depth: UInt16 | Float32) -> str:
 def units_a_metre(depth: UInt16 | Float32) -> float | None:
     """Units per metre of a float image: 1 for metres, 1000 for millimetres; None for whole numbers.
 
-    An empty image tells nothing, and counts as one in metres.
+    An image without any measurement counts as one in metres.
     """
     if depth.dtype == np.uint16:
         return None
@@ -106,12 +106,12 @@ def units_a_metre(depth: UInt16 | Float32) -> float | None:
 
 
 def is_measured(depth: UInt16 | Float32) -> Bools:
-    """The pixels with a depth: (height, width) bool."""
+    """The pixels that have a depth: (height, width) bool, finite and above 0."""
     return np.asarray(np.isfinite(depth) & (depth > 0))
 
 
 def packed_channels(data: bytes, name: str) -> Channels | None:
-    """The channels (B, G, R) of a PNG that hold depth's high and low byte; None if it is not packed so."""
+    """The two channels (of B, G, R) of a PNG that hold depth's high and low byte; None if there are none."""
     if not data.startswith(PNG_MAGIC):
         return None
     try:
@@ -225,7 +225,7 @@ def _tiff_size_px(data: bytes, name: str) -> tuple[int, int]:
 def hdf5_arrays(
     data: bytes, name: str, keys: Iterable[str], most_values: int
 ) -> dict[str, NDArray[np.generic]]:
-    """Read existing arrays of an HDF5 file by key; arrays stored in other files are ignored.
+    """Read those of the given arrays that an HDF5 file has: {key: array}.
 
     Args:
         data: bytes of the file.
@@ -234,7 +234,8 @@ def hdf5_arrays(
         most_values: largest number of values in an array.
 
     Raises:
-        DamagedImageError: the file is damaged, or an array is too large or not numeric.
+        DamagedImageError: the file is damaged, or an array is too large, not numeric, or stored in another
+            file.
         RecordingError: h5py is not installed.
     """
     try:
@@ -257,7 +258,7 @@ def hdf5_arrays(
 
 
 def _hdf5_array(h5py: ModuleType, file: "File", key: str, most_values: int) -> NDArray[np.generic]:
-    """Read one array; ValueError if it is not an array that may be read."""
+    """Read one array; ValueError if it is a link, stored elsewhere, too large or not numeric."""
     if not isinstance(file.get(key, getlink=True), h5py.HardLink):
         raise ValueError(f"'{key}' is a link")
     entry = file[key]

@@ -1,4 +1,4 @@
-"""Up in the depth camera's axes, from an accelerometer, at frames where the camera was still.
+"""The up direction in the depth camera's axes, from an accelerometer, at frames where the camera was still.
 
 At rest an accelerometer measures the reaction to gravity, which points up (as in ROS REP 145 and
 librealsense).
@@ -30,11 +30,12 @@ def up_at_rest(
     stamps_ns: Sequence[int],
     R_depth_imu: Float64,
 ) -> Iterator[UpSample]:
-    """Yield the up direction at up to 100 frames where an accelerometer measures only gravity.
+    """Yield the up direction in the depth camera's axes, at up to 100 frames where the camera is still.
 
     Args:
         times_ns: times of the measurements, ascending, nanoseconds.
-        measured: reads a measurement, m/s^2, in the accelerometer's axes; DamagedImageError: it is damaged.
+        measured: returns the measurement of an index, m/s^2, in the accelerometer's axes; raises
+            DamagedImageError if it is damaged.
         stamps_ns: stamps of the depth frames, ascending, nanoseconds.
         R_depth_imu: (3, 3), from accelerometer to depth camera.
     """

@@ -44,13 +44,13 @@ STEPS_OF_UNITS = ((3e6, UNITS_NS[3]), (3e3, UNITS_NS[2]), (3.0, UNITS_NS[1]))
 
 
 def counting_key(stem: str) -> list[tuple[int, str]]:
-    """A key for sorting by numbers: 2 before 10."""
+    """A sort key for names that compares the numbers in them by value: 2 before 10."""
     # Names in an index may have any length, and Python refuses numbers of 4300 digits.
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", stem)]
 
 
 def frame_key(stem: str) -> str:
-    """The key that pairs depth and colour: the name without leading zeros of numbers."""
+    """The key by which depth and colour are paired: the frame number without leading zeros, else the name."""
     redwood = NUMBER_AND_STAMP.fullmatch(stem)
     if redwood:
         return str(int(redwood[1]))
@@ -60,8 +60,8 @@ def frame_key(stem: str) -> str:
 def frame_numbers(stems: Sequence[str]) -> list[int] | None:
     """The frame number in each name: the last number that differs between names.
 
-    None if there is no such number, or if it does not rise from name to name: a number that starts again, as
-    in each second or scene, is no frame number.
+    None if there is no such number, or if it does not rise from name to name. A number that restarts, as in
+    each second or scene, is not a frame number.
 
     Args:
         stems: names of one stream without suffix, such as depth_0001, depth_0002.
@@ -78,9 +78,9 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
     """Stamps in nanoseconds from the names of a stream; None if the names contain none.
 
     Supported are Redwood's NUMBER-MICROSECONDS; a date with the time of day, and optionally a fraction of a
-    second, such as 20240115_103045_160407; seconds since 1970 with their fraction, as a count or as decimals,
-    such as 1305031102_160407000; and one number that rises from name to name, in the unit that its size and
-    steps suggest. A number that starts again is a part of a time, not a time.
+    second, such as 20240115_103045_160407; seconds since 1970 with a fraction, which is a count of ms, us or
+    ns or the decimals, such as 1305031102_160407000; and one number that rises from name to name, in the unit
+    that its size and steps suggest. A number that restarts is only a part of a time.
 
     Args:
         stems: names of the images of one stream, without suffix.
@@ -106,7 +106,7 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
 
 
 def stamps_of_names(stems: Sequence[str]) -> list[int]:
-    """Stamps in nanoseconds from names, else from frame numbers as seconds, else from the order."""
+    """Stamps in ns from times in the names; else frame numbers, or else positions, count as seconds."""
     times_ns = times_of_names(stems)
     if times_ns is not None:
         return times_ns
@@ -116,7 +116,7 @@ def stamps_of_names(stems: Sequence[str]) -> list[int]:
 
 
 def _columns(stems: Sequence[str]) -> list[list[str]]:
-    """The numbers in names, by column; empty if the names have different forms."""
+    """The numbers in the names, one list for each position in a name; empty if the names differ in form."""
     if not stems or len({NUMBER.sub("#", stem) for stem in stems}) > 1:
         return []
     rows = [NUMBER.findall(stem) for stem in stems]
@@ -126,7 +126,7 @@ def _columns(stems: Sequence[str]) -> list[list[str]]:
 
 
 def _rises(values: Sequence[int], left: Sequence[Sequence[str]]) -> bool:
-    """Whether a column's values rise from name to name, in the order of the columns to its left."""
+    """Whether a column's values rise strictly once the names are sorted by the columns to its left."""
     names = zip(*([Decimal(text) for text in column] for column in left), values, strict=True)
     return all(first < second for (*_, first), (*_, second) in pairwise(sorted(names)))
 
@@ -148,11 +148,12 @@ def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
 
 
 def _with_parts(whole: Sequence[int], fractions: Sequence[str]) -> list[int]:
-    """Stamps in nanoseconds from whole seconds, each with a fraction that is a count or decimals.
+    """Stamps in nanoseconds from whole seconds and fractions, which are counts of a unit or decimals.
 
-    Fractions padded with zeros are both. Otherwise they are decimals if one starts with a zero; a count if
-    the longest are nanoseconds and the seconds count from 1970, because floats do not have as many decimals;
-    or else whatever makes the steps more regular.
+    Fractions are decimals if all have the same length, or one starts with a zero. Otherwise they are counts
+    if the longest are nanoseconds and the seconds count from 1970, because floats do not have as many
+    decimals, or if as decimals they could not be times. Otherwise they are whichever makes the steps more
+    regular.
 
     Args:
         whole: whole seconds.
@@ -190,20 +191,20 @@ def _of_one_number(column: Sequence[str]) -> list[int] | None:
 
 
 def _if_times(stamps_ns: list[int]) -> list[int] | None:
-    """The stamps if all differ and are times of frames, in whatever order the names are listed; else None."""
+    """The stamps, in any order, if all differ and can be times of frames; else None."""
     usable = 0 < len(set(stamps_ns)) == len(stamps_ns) and max(stamps_ns) < LIMIT_NS
     return stamps_ns if usable and not no_times(sorted(stamps_ns)) else None
 
 
 def _if_parts(stamps_ns: list[int]) -> list[int] | None:
-    """The stamps if they are times and far enough apart for fractions of a second; else None."""
+    """The stamps if they are times, typically at least `LEAST_PART_STEP_NS` apart; else None."""
     stamps = _if_times(stamps_ns)
     period_ns = typical_period_ns(np.array(sorted(stamps or []), np.int64))
     return stamps if not period_ns or period_ns >= LEAST_PART_STEP_NS else None
 
 
 def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
-    """The unit, in nanoseconds, of numbers that are times; None for other numbers."""
+    """The unit of times, in nanoseconds, by their size and steps; None if the numbers are no times."""
     step = _step(values)
     for unit_ns in UNITS_NS:
         today = min(values) * unit_ns >= TODAY_NS[0] and max(values) * unit_ns < TODAY_NS[1]
@@ -216,7 +217,7 @@ def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
 
 
 def _step(values: list[Decimal]) -> float:
-    """The typical increase between numbers; 0 for a single number."""
+    """The typical step between the sorted numbers; 0 for a single number."""
     # In thousandths and relative to the first, because numbers of 19 digits overflow 64-bit integers.
     first = min(values)
     thousandths = np.array(sorted(int((value - first) * 1000) for value in values), object)

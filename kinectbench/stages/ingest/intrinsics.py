@@ -40,9 +40,9 @@ HELD = "width, height, fx, fy, cx, cy"
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Known values of a depth camera, None = unknown. Pixels; depth_scale in native units per metre.
+    """Known values of a depth camera, pixels, and depth_scale, native units per metre; None = unknown.
 
-    `notes` are lines on values that were read differently from how the file states them.
+    `notes` are warnings on how the values were read, such as a converted unit.
     """
 
     width: int | None = None
@@ -57,7 +57,7 @@ class Intrinsics:
 
     @classmethod
     def of_matrix(cls, K: Float64, depth_scale: float | None = None) -> "Intrinsics":
-        """Intrinsics from a pinhole matrix (3, 3) or larger, pixels; with a depth scale if given."""
+        """Intrinsics from a pinhole matrix, at least (3, 3), in pixels; with a depth scale if given."""
         fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
         return cls(fx=fx, fy=fy, cx=cx, cy=cy, depth_scale=depth_scale)
 
@@ -121,7 +121,7 @@ def gives_intrinsics(settings: CameraSettings) -> bool:
 
 
 def said_warnings(path: Path, recorded: Intrinsics, settings: CameraSettings) -> list[str]:
-    """Warnings on how intrinsics were read, and those of `scale_warnings`."""
+    """The warnings on how the recording's intrinsics were read, and those of `scale_warnings`."""
     return [*recorded.notes, *scale_warnings(path, recorded.depth_scale, settings)]
 
 
@@ -178,7 +178,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 
 
 def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, object]:
-    """A file's depth scale in units per metre, and a note if the file states it in another way."""
+    """Convert a file's depth scale to units per metre: fields of `Intrinsics`, with a note if converted."""
     if of_bop and stated < MOST_MM_A_UNIT:
         scale, how = MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
     elif stated < 1:
@@ -251,7 +251,7 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
 
 
 def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: Path) -> None:
-    """Refuse focal lengths that no camera with images of this size has (own bounds: 136 and 6 degrees).
+    """Refuse a field of view that no camera has (own bounds: wider than 136 or narrower than 6 degrees).
 
     Args:
         intrinsics: intrinsics from the file.
@@ -275,10 +275,10 @@ def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: 
 def rig_calibration(
     color: Intrinsics, color_px: tuple[int, int], color_to_rig: Float64, depth_to_rig: Float64, path: Path
 ) -> ColorCalibration | None:
-    """Calibration of colour relative to depth from ScanNet's matrices, which place each camera in the rig.
+    """Calibration of colour relative to depth, from ScanNet's poses of both cameras in their rig.
 
-    Both extrinsics are (4, 4), camera to rig, metres. None if an extrinsic is no calibration, or is for
-    images of another size.
+    Both poses are (4, 4), camera to rig, metres. None if one of them is not rigid, or colour's intrinsics do
+    not fit the size of its images.
     """
     T_rig_color, T_rig_depth = rigid_or_none(color_to_rig), rigid_or_none(depth_to_rig)
     if T_rig_color is None or T_rig_depth is None or not all(color_px):
@@ -317,10 +317,10 @@ def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dic
 
 
 def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, object] | None:
-    """Read one frame's camera from a JSON object: its `keys`, and the file's name as "file"; None if missing.
+    """Read `keys` of one frame's camera from a JSON file, and its path as "file"; None if it does not exist.
 
-    Each value is a number, None, a text, or an array of numbers: nested lists would take many times the
-    memory of their text, and the values of all frames are kept.
+    A list or an object becomes an array of numbers: as nested Python lists, the values of all frames would
+    take many times the memory of their text.
 
     Raises:
         RecordingError: the file is too large, not valid JSON, or no object.
@@ -334,7 +334,7 @@ def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str
 
 
 def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
-    """Parse a JSON object; `where` is its place and `what` its expected content, for messages.
+    """Parse a JSON object; `where` (the file) and `what` (its expected content) are for error messages.
 
     Raises:
         RecordingError: not valid JSON, or no object.
@@ -352,7 +352,7 @@ def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
 
 
 def number_of(value: object, where: str) -> float:
-    """A number from a JSON file; `where` is its place, for the message.
+    """Check that a JSON value is a finite number; `where` (file and key) is for the error message.
 
     Raises:
         RecordingError: the value is not a finite number.
@@ -364,7 +364,7 @@ def number_of(value: object, where: str) -> float:
 
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
-    """Nine numbers by columns (by rows if only that gives a pinhole matrix), or three rows of three."""
+    """A JSON matrix (3, 3): three rows; or nine numbers by columns (by rows if the 7th and 8th are 0)."""
     numbers = json_numbers(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):
         return numbers

@@ -90,15 +90,15 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
 
 
 def named_like_intrinsics(path: Path) -> str:
-    """A part of a message on files that look like intrinsics; "" without such files."""
+    """The end of an error message that names files which may contain intrinsics; "" if there are none."""
     return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
-    """A part of a message on files of a folder whose names are `wanted`; "" without such files.
+    """The end of an error message with the names of files that `wanted` accepts; "" without such files.
 
     Args:
-        path: the recording; "" is returned if it is a file.
+        path: the recording's folder, searched with its subfolders; "" is returned for a file.
         wanted: predicate on names.
         how: words before the names.
     """
@@ -113,7 +113,7 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
-    """A line on files that were ignored because another was read; empty without such files."""
+    """A warning with those of `names` that exist beside the file that was read; empty if there are none."""
     others = [name for name in names if name != read.name and (read.parent / name).is_file()]
     if not others:
         return ()
@@ -121,7 +121,7 @@ def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
 
 
 def _of_yaml(files: list[Path]) -> Intrinsics:
-    """The camera that some YAML files share; only the first of very many are read."""
+    """The camera that all these YAML files agree on; only the first `MOST_YAML` files are read."""
     first: tuple[Path, Intrinsics] | None = None
     for file in files[:MOST_YAML]:
         intrinsics = _read_yaml(file)
@@ -175,7 +175,7 @@ def _read_yaml(file: Path) -> Intrinsics | None:
 
 
 def _number(word: str) -> float | None:
-    """The number that a word stands for; None if it is no number."""
+    """Parse a number; None if the word is not one."""
     try:
         return parse_floats([word], "")[0]
     except RecordingError:
@@ -190,7 +190,7 @@ def _two_cameras(file: Path, key: str) -> RecordingError:
 
 
 def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, list[float] | None]:
-    """The numbers under some keys, in lists of any form, or in `data` as in OpenCV; None: not numbers.
+    """The numbers under each wanted key of a YAML text, in any form of list or OpenCV's `data`; None: text.
 
     Raises:
         RecordingError: the key of a matrix repeats with other numbers.

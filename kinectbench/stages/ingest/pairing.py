@@ -18,7 +18,7 @@ class Partners:
 
     Attributes:
         of_depth: for each depth image the index of its colour image, or None; an index occurs at most once.
-        warnings: missing images, and the kind of pairing if neither by time nor by equal names.
+        warnings: on depth images without a colour image, and on pairing by mere order.
     """
 
     of_depth: tuple[int | None, ...]
@@ -47,8 +47,9 @@ def pair_images(
 ) -> tuple[Partners, tuple[int, ...]]:
     """Pair two streams of images by their names alone.
 
-    By time if the names of both streams contain stamps. Else by name, if any names agree; by number, if the
-    names contain one; or by order, if both streams have as many images.
+    They are paired by time if the names of both streams contain stamps. Otherwise they are paired by name if
+    any names agree, else by the frame numbers in the names, else by order if both streams have as many
+    images.
 
     Args:
         depth: names of the depth images without suffix, in any order.
@@ -69,7 +70,7 @@ def pair_images(
 
 
 def _lone(partners: Sequence[int | None], colors: int, how: str, where: str) -> tuple[str, ...]:
-    """A warning if depth frames have no partner; no warning without colour."""
+    """A warning with the number of depth frames without a partner; empty if that is 0, or without colour."""
     alone = sum(partner is None for partner in partners)
     line = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
     return (line,) if colors and alone else ()
@@ -114,13 +115,13 @@ def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partner
 
 
 def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None, ...]:
-    """For each depth image the colour image with the same key, used at most once; else None."""
+    """For each depth key the index of the colour image with the same key, used at most once; else None."""
     index = {key: place for place, key in enumerate(color)}
     return tuple(index.pop(key, None) for key in depth)
 
 
 def _apart(depth: Sequence[str], color: Sequence[str]) -> str:
-    """A note that the numbers of both streams differ; "" without images, or if the ranges are equal."""
+    """A hint, for a warning, that the two streams are numbered differently; "" if not, or without numbers."""
     depth_numbers, color_numbers = frame_numbers(depth), frame_numbers(color)
     if depth_numbers is None or color_numbers is None:
         return ""

@@ -1,6 +1,7 @@
-"""Continue a sequence in a build that was started during the recording.
+"""Let a build continue from the sequence that was stored while the recording was still being made.
 
-The stored frame depends only on the files of the frame. It is used only if these files are unchanged.
+A stored frame depends only on the files of that frame in the recording. It is used only if these files are
+unchanged.
 """
 
 import os
@@ -21,7 +22,7 @@ FrameMark: TypeAlias = tuple[int, tuple[tuple[str, int, int], ...]]
 
 @dataclass(frozen=True)
 class PartialSequence:
-    """The first frames of a recording, already stored as `ingest` does.
+    """The first frames of a recording, already stored in the way of the stage `ingest`.
 
     Attributes:
         writer: the writer that has taken these frames.
@@ -39,7 +40,7 @@ _ask: ContextVar[Ask | None] = ContextVar("partial_sequence", default=None)
 
 @contextmanager
 def using_partial_sequence(ask: Ask) -> Iterator[None]:
-    """Within the block, let the next stored recording continue the earlier sequence if the frames match."""
+    """Within the block, let the next recording that is stored reuse the sequence from `ask` if it matches."""
     token = _ask.set(ask)
     try:
         yield
@@ -48,14 +49,14 @@ def using_partial_sequence(ask: Ask) -> Iterator[None]:
 
 
 def partial_sequence() -> PartialSequence | None:
-    """The earlier sequence; None without one. It is returned only once."""
+    """The sequence of the enclosing `using_partial_sequence`, or None; after the first call always None."""
     ask = _ask.get()
     _ask.set(None)
     return ask() if ask else None
 
 
 def frame_mark(place: ListedFrame) -> FrameMark | None:
-    """Identify a frame's files by name, size and time; None if a file is missing or the frame has none."""
+    """Identify a frame's files by name, size and time; None if one is missing or the frame has no files."""
     if not isinstance(place, FrameFiles):
         return None
     files = [file for file in (place.depth, place.color, place.mask) if file is not None]
@@ -67,12 +68,12 @@ def frame_mark(place: ListedFrame) -> FrameMark | None:
 
 
 def go_on_from(partial: PartialSequence, writer: SequenceWriter, watch: Watch | None = None) -> None:
-    """Take over the earlier sequence if it belongs to the writer's recording.
+    """Copy the frames of an earlier sequence to a new writer, if they belong to the writer's recording.
 
     Args:
         partial: the earlier sequence.
         writer: a writer that has taken no frame yet.
-        watch: sees the frames that it wants.
+        watch: gets those of the copied frames that it wants to see.
     """
     before, recording = partial.writer, writer.checks.recording
     if not _is_of(partial, recording):
@@ -103,7 +104,7 @@ def _same_file(source: Path, target: Path) -> None:
 
 
 def _is_of(partial: PartialSequence, recording: Recording) -> bool:
-    """Whether the frames of the earlier sequence are the recording's first ones."""
+    """Whether an earlier sequence holds the first frames of this recording, from unchanged files."""
     if stored_by(partial.writer.checks.recording) != stored_by(recording):
         return False
     places, marks = recording.places[: partial.writer.taken], partial.marks
@@ -113,7 +114,7 @@ def _is_of(partial: PartialSequence, recording: Recording) -> bool:
 
 
 def stored_by(recording: Recording) -> tuple[object, ...]:
-    """Everything that the stored frames depend on besides their files."""
+    """Everything besides a frame's files that determines how the frame is stored, for comparison."""
     color = recording.color_calibration
     colors = color and (color.camera, color.distortion, color.T_color_depth.tolist())
     codes: tuple[object, ...] = ()

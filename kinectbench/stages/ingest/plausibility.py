@@ -28,7 +28,7 @@ class FrameChecks:
     Damaged frames are left out and counted.
 
     Attributes:
-        recording: recording of the frames; its facts may be completed later.
+        recording: the recording that the frames are from.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -63,7 +63,7 @@ class FrameChecks:
         self._left_out.append(why)
 
     def verdict(self) -> list[str]:
-        """Judge the recording after the last frame; return warnings, one for each frame left out.
+        """Judge the recording after the last frame; return warnings on frames left out and on empty depth.
 
         Raises:
             RecordingError: 5 % or more of the frames are left out, fewer than three frames are left, no frame
@@ -117,7 +117,7 @@ class FrameChecks:
 
 
 def scale_problem(median: float, depth_scale: float) -> str:
-    """A message if the median depth, native units, is implausible for a room at this scale; else ""."""
+    """An error message if the median depth (native units) is implausible for a room at this scale, or ""."""
     if NEAREST_M <= median / depth_scale <= FARTHEST_M:
         return ""
     return (

@@ -100,7 +100,7 @@ class ColorCalibration:
 
 
 class ListedFrame(Protocol):
-    """An entry of the list of frames, in a form private to the reader."""
+    """An entry in a recording's list of frames; every reader has a class of its own for it."""
 
     @property
     def stamp_ns(self) -> int:
@@ -116,16 +116,17 @@ class Recording(ABC):
         path: the folder or file.
         format: name of the format, as in FORMATS.
         looks_for: what a folder or file must contain to be recognised.
-        suffixes: suffixes of such files, which ids of recordings omit.
-        uses: the settings of only some formats (`OF_SOME_FORMATS`) that this reader applies.
+        suffixes: suffixes of such files; the id of a recording is its name without them.
+        uses: those settings that this reader applies, of those that only some formats have
+            (`OF_SOME_FORMATS`).
         evidence: the best kind of data that the reader was tested on.
-        verified: that data, including files of other programs; "" if only files made here.
+        verified: a description of that data, such as files of other programs; "" if it is only our own files.
         up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
             None: unknown.
         places: list of frames, damaged ones included; stamps are strictly increasing.
         camera: intrinsics of the depth images, pixels.
         depth_scale: native depth units per metre.
-        color_registered: colour pixels lie on depth pixels.
+        color_registered: whether colour pixels lie on depth pixels.
         color_calibration: calibration of unregistered colour relative to depth, or None if unknown.
         given_trajectory: the trajectory that came with the recording, or None.
         trajectory_error: why the trajectory that came with the recording cannot be used, or "".
@@ -133,8 +134,8 @@ class Recording(ABC):
         trajectory_delay_s: delay that was subtracted from the stamps of given poses, by the settings,
             seconds.
         warnings: lines for the user.
-        recorded: stamps of depth and of colour in the order of recording, if known.
-        up_cameras: up in the axes of some frames' cameras, by an accelerometer.
+        recorded: stamps of depth and of colour in the order of recording, nanoseconds; None: as in `places`.
+        up_cameras: the up direction in camera axes at some frames, measured by an accelerometer.
     """
 
     format: ClassVar[str]
@@ -231,7 +232,8 @@ class FileRecording(Recording):
         depth_code: how to read the values (`core.types.DepthCode`).
         float_scale: units per metre in the files, if depth is float; None: depth is in integers.
         channels: channels of the high and the low byte, if depth has two 8-bit channels; None: one channel.
-        kind: "floats" or "whole numbers", and an example file; None: files are not compared.
+        kind: the type of all depth values ("floats" or "whole numbers"), and an example file for the message
+            if another file differs; None: not checked.
     """
 
     often_rotated: ClassVar[bool] = False
@@ -282,7 +284,7 @@ class FileRecording(Recording):
         return depth
 
     def placed(self, image: NDArray[Pixel], index: int) -> NDArray[Pixel]:
-        """An image (height, width, ...) of a frame, on the pixels of the recording's camera."""
+        """Map an image (height, width, ...) of a frame to the pixels of the recording's camera."""
         return image
 
 
@@ -297,7 +299,7 @@ def read_image_file(path: Path) -> bytes:
     """Read a whole image file.
 
     Raises:
-        DamagedImageError: the file is missing, or no image file.
+        DamagedImageError: the file is missing, or is no plain file.
         RecordingError: the machine cannot read it now; the next run may.
     """
     try:
@@ -312,7 +314,7 @@ def read_image_file(path: Path) -> bytes:
 
 
 def mask_beside(depth: Path, recording: Path) -> Path | None:
-    """A person's mask of a depth image: the file of its name in masks/ beside the image's folder; or None.
+    """The mask that a person drew for a depth image: NAME.png in masks/ next to the image's folder; or None.
 
     Args:
         depth: path of the image.
@@ -324,7 +326,7 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
 
 
 def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A line with the number of masks in a recording's masks/ that belong to no frame; empty if none."""
+    """A warning with the number of masks in a recording's masks/ that belong to no frame; empty if none."""
     used = {frame.mask for frame in files}
     others = sorted(mask for mask in visible(path / MASKS_FOLDER, "*.png") if mask not in used)
     if not others:
@@ -349,7 +351,7 @@ def first_file(candidates: Iterable[Path]) -> Path | None:
 
 
 def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:
-    """The result of `read` for the first undamaged image or message; only the first of very many are tried.
+    """Return `read(item)` for the first undamaged item; at most `MOST_TRIED` items are tried.
 
     Raises:
         DamagedImageError: all of them are damaged; the message is about the first.
@@ -364,7 +366,7 @@ def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result
 
 
 def tried(count: int) -> str:
-    """The number of images that `first_whole` tries, as text."""
+    """The number of images that `first_whole` tries, as text for a message: all, or "first" and the limit."""
     return str(count) if count <= MOST_TRIED else f"first {MOST_TRIED}"
 
 

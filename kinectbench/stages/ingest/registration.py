@@ -16,7 +16,7 @@ SPLAT_PX = 1
 
 
 class ColorRegistration:
-    """Maps colour images of one camera, of size `color_px`, onto another camera's depth by a z-buffer."""
+    """Maps images of a colour camera, of size `color_px`, to a depth camera's pixels, with a z-buffer."""
 
     def __init__(self, depth: Camera, calibration: ColorCalibration) -> None:
         """Prepare for images of these two cameras.
@@ -86,7 +86,7 @@ def _filled(depth_m: Float32) -> Float32:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _splat(u: Float32, v: Float32, z: Float32, known: Bools, shrink: float, zbuffer: Float32) -> None:
-    """Enter depth into every z-buffer pixel that a depth pixel covers, keeping the nearest."""
+    """Write the depth `z` of each depth pixel to all z-buffer pixels that it covers, keeping the nearest."""
     height, width = zbuffer.shape
     for row in range(u.shape[0]):
         for column in range(u.shape[1]):
@@ -104,7 +104,7 @@ def _splat(u: Float32, v: Float32, z: Float32, known: Bools, shrink: float, zbuf
 def _find_seen(
     u: Float32, v: Float32, z: Float32, shrink: float, zbuffer: Float32, size: Float32, seen: Bools
 ) -> None:
-    """Set `seen` where a point is in the colour image and not occluded there."""
+    """Set `seen` where the projected point is inside the colour image and not occluded in the z-buffer."""
     for row in range(u.shape[0]):
         for column in range(u.shape[1]):
             x, y, depth = u[row, column], v[row, column], z[row, column]

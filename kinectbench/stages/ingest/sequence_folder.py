@@ -1,4 +1,4 @@
-"""A Sequence on disk: written from a recording frame by frame, and read at random.
+"""A Sequence on disk: written from a recording frame by frame, and read in any order.
 
 camera.json           `CameraFile`: the camera, and facts about the whole recording
 frames.json           `FramesFile`: the list of frames
@@ -42,15 +42,15 @@ def write_sequence(
     watch: Watch | None = None,
     partial: PartialSequence | None = None,
 ) -> list[str]:
-    """Write a recording into an empty folder, one frame at a time, and check it meanwhile.
+    """Write a recording into an empty folder, one frame at a time, and check each frame.
 
     Args:
         recording: the recording; damaged frames are left out if they are fewer than 5 %.
         folder: the folder; created if missing.
         progress: called with (finished frames, all frames) after each frame.
-        needs_trajectory: whether to refuse a recording whose given trajectory is broken or of another time;
-            otherwise the trajectory is dropped with a warning.
-        watch: sees each undamaged frame as recorded, and adds its warnings.
+        needs_trajectory: whether to refuse a recording whose given trajectory is broken or overlaps no frame
+            in time; otherwise the trajectory is dropped with a warning.
+        watch: gets each undamaged frame as recorded, and adds warnings.
         partial: an earlier sequence of the first frames; used if it is of this recording.
 
     Returns:

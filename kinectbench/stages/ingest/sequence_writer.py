@@ -27,7 +27,7 @@ class Watch(Protocol):
     """Observes frames while they are written, and collects warnings."""
 
     def wants(self, index: int) -> bool:
-        """Whether `see` wants the frame with this index."""
+        """Whether `see` needs to be called for the frame with this index."""
         ...
 
     def see(self, index: int, frame: RawFrame) -> None:
@@ -44,7 +44,7 @@ class Watch(Protocol):
 
 
 class SequenceWriter:
-    """Writes frames; a pickled copy continues elsewhere, with the same result.
+    """Writes the frames of a recording in order; a pickled copy may continue in another process.
 
     Attributes:
         folder: folder of the sequence.
@@ -89,7 +89,7 @@ class SequenceWriter:
 
 
 def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
-    """The registration of colour to depth; None if colour is already registered, or uncalibrated."""
+    """Make a function that registers a frame's colour to depth; None if it is registered or uncalibrated."""
     if recording.color_calibration is None or recording.color_registered:
         return None
     register = ColorRegistration(recording.camera, recording.color_calibration)
@@ -139,7 +139,7 @@ class _Checked:
 def _checked_frames(
     checks: FrameChecks, indices: Iterable[int], progress: Progress | None
 ) -> Iterator[_Checked | _Damaged]:
-    """Yield the frames in order, or their damage."""
+    """Yield each frame in order after its checks, or its damage."""
     recording = checks.recording
     for index in indices:
         try:
@@ -155,7 +155,7 @@ def _checked_frames(
 def _packed(
     register: Callable[[RawFrame], RawFrame] | None, checked: _Checked | _Damaged
 ) -> _Checked | _Damaged:
-    """Pack a frame's depth, and register its colour, or at least decode it once: a header tells no damage."""
+    """Encode depth, and register colour; without registration, decode colour once to detect damage."""
     if isinstance(checked, _Damaged):
         return checked
     frame = checked.frame
@@ -172,7 +172,7 @@ def _packed(
 
 
 def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
-    """Write one frame, and return its row."""
+    """Write the files of one frame; return its row of frames.json."""
     frame = checked.written
     depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
     color = None if frame.color is None else f"color/{index:06d}{checked.color_suffix}"

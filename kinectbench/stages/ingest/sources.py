@@ -104,7 +104,7 @@ def _entries(
         folder: the folder to list.
         above: the folders that contain it, by device and inode.
         follow_links: whether to follow links.
-        links: yields an item for each further link to a folder that may be followed.
+        links: has one item left for each link to a folder that may still be followed.
     """
     status = folder.stat()
     identity = status.st_dev, status.st_ino

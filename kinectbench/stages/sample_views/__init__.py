@@ -1,1 +1,1 @@
-"""The views, with the object's mask in each."""
+"""The stage that samples views of the object, and makes the object's mask in each."""

@@ -44,14 +44,14 @@ MAX_SIGMAS = 2.5
 
 @dataclass(frozen=True)
 class OrientedPoints:
-    """Points of a frame, in the camera frame: (m, 3) metres, normals (m, 3), depth sigma (m,) metres."""
+    """Points of a frame, camera frame: (m, 3) metres, unit normals (m, 3), sigma of depth (m,) metres."""
 
     points: Float64
     normals: Float64
     sigma_m: Float64
 
     def every_second(self, start: int) -> "OrientedPoints":
-        """Every second point, starting from the first (start 0) or the second (start 1)."""
+        """Every second point, from the first on (start 0) or from the second on (start 1)."""
         return OrientedPoints(self.points[start::2], self.normals[start::2], self.sigma_m[start::2])
 
 
@@ -90,11 +90,12 @@ def normal_equations(
     T_target_source: Float64,
     camera: Camera,
 ) -> tuple[Float64, Float64, Float64]:
-    """Gauss-Newton terms of the residuals n . (q - T p), Huber-weighted, in units of sigma.
+    """Gauss-Newton normal equations of the residuals n . (q - T p), Huber-weighted, in units of sigma.
 
     Args:
         surface: points p and normals n of the source frame.
-        depth_m: (height, width) float32, metres, depth of the target; q is measured at the pixel of T p.
+        depth_m: (height, width) float32, metres, depth of the target; q is the point measured at the pixel to
+            which T p projects.
         T_target_source: (4, 4), T.
         camera: intrinsics of the target.
 
@@ -139,9 +140,9 @@ def align_view(
     """Correct a view's pose by ICP of its depth against the object.
 
     Every second point on the object is used for the fit, with the trajectory's pose as a prior, so that
-    motions that the object does not constrain stay near zero. The pose is corrected only if the mean residual
-    of the remaining points falls below 90 %, and their median displacement is at most 2.5 times
-    `pose_sigma_m` (at least 1 mm).
+    motions that the object does not constrain stay near zero. The corrected pose is accepted only if the mean
+    residual of the other points falls below 90 % of that before, and the median displacement of all points is
+    at most 2.5 times `pose_sigma_m` (taken as at least 1 mm).
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
@@ -176,10 +177,10 @@ def align_view(
 def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, prior: Float64) -> Float64:
     """Find the motion (4, 4) of points that best fits a depth image, with a prior for no motion.
 
-    Gauss-Newton minimises the residuals of `normal_equations` and, weighted by the prior, the motion's twist.
+    Gauss-Newton minimises the residuals of `normal_equations` plus the motion's twist, weighted by `prior`.
 
     Args:
-        surface: points of a frame, near their final place.
+        surface: points of a frame, already close to the depth to fit.
         depth_m: (height, width) float32, metres, the depth to fit.
         camera: intrinsics of the depth.
         prior: (6, 6) information of the twist (rotation, translation), in 1 / rad^2 and 1 / m^2.
@@ -194,7 +195,7 @@ def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, pri
 
 
 def helps(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: Camera) -> bool:
-    """Whether a motion brings held-out points clearly nearer to the rendered object.
+    """Whether a motion lowers the mean residual of held-out points to the rendered object below 90 %.
 
     Args:
         points: points that the fit did not use, camera frame.

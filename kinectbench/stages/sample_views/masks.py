@@ -35,10 +35,10 @@ MOST_NAMED = 5
 
 
 def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float, beside_px: int = 0) -> Bools:
-    """Pixels whose depth agrees, within max(5 sigma, tolerance), with the rendered object at or near them.
+    """The pixels whose depth is within max(5 sigma, tolerance) of the rendered depth at or near them.
 
-    The tolerance is wide on purpose: a tight mask would remove the sensor's noise from the input and so leak
-    the truth into it.
+    The tolerance is wide on purpose: a tight mask would remove noisy pixels from the input, and so leak the
+    true shape into it.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
@@ -77,18 +77,19 @@ def object_mask(
     tolerance_m: float,
     clear_m: float,
 ) -> Bools:
-    """The object's mask in a view: pixels whose depth agrees with the rendering, and edge pixels.
+    """The object's mask in a view: pixels whose depth agrees with the rendered object at or near them.
 
     Depth at edges is off by a pixel or two, and a solid made from noisy depth is often a pixel too narrow. So
-    a pixel's depth may agree with the object up to two pixels away. Beside the silhouette it may agree one
-    pixel away, if it is certainly above the floor. A point at the floor's height belongs to the floor.
+    a pixel inside the rendered silhouette may agree with a rendered pixel up to two pixels away. A pixel
+    outside may agree with one up to one pixel away, if its point is clearly above the floor. A point at the
+    floor's height belongs to the floor.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
         rendered_m: (height, width) metres, 0 = not on the object.
         heights_m: (height, width) metres, height of the measured points above the floor.
         tolerance_m: least tolerance, metres.
-        clear_m: pixels lower than this may be the floor, metres.
+        clear_m: points outside the silhouette that are lower than this may be the floor, metres.
     """
     on_object = rendered_m > 0
     within = agreement_mask(measured_m, rendered_m, tolerance_m, WITHIN_PX) & on_object
@@ -106,13 +107,13 @@ def recorded_mask(
 ) -> Bools:
     """The object's mask in a view, from the mask that came with the recording.
 
-    It contains the recorded mask's pixels whose points are inside the object's box: at outlines a mask also
-    covers pixels with the background's depth.
+    It contains those pixels of the recorded mask whose points are inside the object's box, because at its
+    outline a recorded mask also covers pixels with the background's depth.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
         recorded: (height, width), the mask that came with the recording.
-        points_floor: (height, width, 3) metres, the measured points.
+        points_floor: (height, width, 3) metres, the measured points, floor frame.
         box: the object's box.
         margin_m: the box grows by this on every side, metres.
     """
@@ -121,7 +122,7 @@ def recorded_mask(
 
 
 def inner_silhouette(rendered_m: Float32) -> Bools:
-    """The rendered silhouette, eroded by 2 pixels; depth inside it should be the object's."""
+    """The rendered silhouette, eroded by 2 pixels, so that depth inside it should be the object's."""
     import cv2
 
     silhouette = (rendered_m > 0).astype(np.uint8)
@@ -130,12 +131,12 @@ def inner_silhouette(rendered_m: Float32) -> Bools:
 
 
 class MaskName(NamedTuple):
-    """The parts of the name of a person's mask.
+    """What the file name of a person's mask says.
 
     Attributes:
         number: index of the frame in the sequence, or number of the view.
-        of_frame: whether the number is a frame's. Older masks are named by views, whose numbers change.
-        kind: "" replaces the mask, ".include" adds to it, ".exclude" removes from it.
+        of_frame: whether the number is a frame's. Older masks are named by views, whose numbers may change.
+        kind: "" replaces the automatic mask, ".include" adds to it, ".exclude" removes from it.
     """
 
     number: int
@@ -148,7 +149,8 @@ def mask_name(file: str, *, plain_of_frame: bool = False) -> MaskName | None:
 
     Args:
         file: name of the file.
-        plain_of_frame: whether a plain number means a frame, as with `segment_by: masks`, and not a view.
+        plain_of_frame: whether a number without "frame_" is a frame's, as with `segment_by: masks`, or a
+            view's.
     """
     match = MASK_NAME.fullmatch(file)
     if match is None or not (match[1] or plain_of_frame or len(match[2]) >= VIEW_DIGITS):
@@ -158,7 +160,7 @@ def mask_name(file: str, *, plain_of_frame: bool = False) -> MaskName | None:
 
 @dataclass(frozen=True)
 class GivenMasks:
-    """A person's masks: `frame_<index>.png`, `.include.png`, `.exclude.png`; or by views, `<view>.png`, ….
+    """A person's masks, named by frame (`frame_<index>.png`, `.include.png`, `.exclude.png`) or by view.
 
     Attributes:
         folder: the folder, for messages.
@@ -208,7 +210,7 @@ def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bool
         frame: index of the view's frame in the sequence.
 
     Raises:
-        SegmentationError: a mask is unreadable or has another size than depth, or two masks are of one kind.
+        SegmentationError: a mask is unreadable or has another size than depth, or there are two of one kind.
     """
     result = mask
     for kind in KINDS:
@@ -227,11 +229,11 @@ def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bool
 
 
 def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
-    """Warnings about unused files: the name is no mask's, or the frame is no view.
+    """Warnings about unused files: the file's name is not that of a mask, or its frame is not a view.
 
     Args:
         given: a person's masks.
-        views: view -> its frame.
+        views: {name of the view: index of its frame}.
     """
     frames, lines, waiting = set(views.values()), [], []
     of_views = {f"{view}{kind}.png" for view in views for kind in KINDS}
@@ -250,6 +252,6 @@ def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
 
 
 def first_of(names: Sequence[str]) -> str:
-    """The first of some names in one line, and the number of the others."""
+    """A line with the first `MOST_NAMED` names, and how many more there are."""
     more = len(names) - MOST_NAMED
     return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

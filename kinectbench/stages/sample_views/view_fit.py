@@ -29,10 +29,11 @@ class ViewFit:
         visible_share: share of the rendered silhouette with valid depth of the object.
         border_share: share of the silhouette's pixels within 1 px of the image border.
         dropped_share: share of the valid depth inside the eroded silhouette that the mask leaves out.
-        containment: share of partial cells (64^3, unmasked depth inside the eroded silhouette) that lie in
-            the full shape, dilated once.
-        residual_m: median absolute difference of measured and rendered depth there, metres.
-        truncated_share: share of the object's outline outside the image.
+        containment: share of the occupied cells of the partial (64^3, from all depth inside the eroded
+            silhouette, without the mask) that lie in the full shape, dilated once.
+        residual_m: median absolute difference of measured and rendered depth inside the eroded silhouette,
+            metres.
+        truncated_share: share of the object's full silhouette that lies outside the image.
     """
 
     pixels: int
@@ -58,7 +59,7 @@ def fit_of_view(
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         rendered_m: (height, width) float32, depth of the rendered object, 0 = not on it.
-        mask: (height, width) bool, by depth or from the recording, without a person's PNGs.
+        mask: (height, width) bool, the object by depth or by the recording's mask, before a person's masks.
         sequence: the recording.
         T_world_camera: (4, 4), the view's pose.
         model: the object.
@@ -86,9 +87,9 @@ def fit_of_view(
 
 
 def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRenderer) -> float:
-    """The share of an object's outline that the image border cuts off.
+    """The share of an object's silhouette that lies outside the image.
 
-    The outline is sampled at every 8th pixel of an image three times as wide and high, centred on the
+    The silhouette is sampled at every 8th pixel of an image three times as wide and high, centred on the
     camera's.
 
     Args:

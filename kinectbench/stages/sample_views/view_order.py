@@ -32,12 +32,12 @@ def frame_order(
     settings: ViewSettings,
     segmentation: MaskCuts,
 ) -> list[tuple[int, str]]:
-    """All good frames in the order in which they are tried as views, each with the reason.
+    """Order all good frames for trying them as views; return each frame with the reason for its place.
 
-    `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: frames are divided into sectors of 30
-    degrees about the object, then into heights of 15 degrees, then into three classes of the visible share
-    (up to 50 %, up to 80 %, more). Sectors take turns; within a sector heights do, and within a height
-    classes. Frames of one class are in the order of `random`.
+    `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: frames are grouped by sectors of 30 degrees
+    around the object, within a sector by heights of 15 degrees, and within a height by three classes of the
+    visible share (up to 50 %, up to 80 %, more). Sectors take turns; within each sector its heights take
+    turns, and within each height its classes. Frames of one class are in the order of `random`.
     """
     order = np.random.default_rng(settings.seed).permutation(trajectory.good_frames).tolist()
     if settings.strategy == "random":
@@ -54,7 +54,7 @@ def frame_order(
 
 
 def direction(T_world_camera: Float64, model: ObjectModel) -> tuple[int, int]:
-    """A camera's 30-degree sector (0 to 11) and 15-degree height band (-6 to 5) around the object.
+    """The 30-degree sector (0 to 11) and 15-degree height band (-6 to 5) of a camera, around the object.
 
     Sectors count from the floor's x axis.
     """
@@ -96,7 +96,7 @@ def stratum_text(stratum: Stratum) -> str:
 
 
 def taking_turns(frames: Rows[int], strata: dict[int, Stratum], depth: int = 0) -> list[int]:
-    """Frames in an order in which sectors alternate, within sectors heights, and so on; else in order."""
+    """Order frames so that sectors take turns, within them heights, and within these visibility classes."""
     if depth == 3:
         return list(frames)
     groups: dict[int, list[int]] = {}

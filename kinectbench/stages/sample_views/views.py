@@ -1,4 +1,4 @@
-"""The stage `sample-views`: 50 frames with the object's mask in each; and how they are stored.
+"""The stage `sample-views`: samples 50 frames with the object's mask in each, and stores them.
 
 They are stored as views.json with depth, colour and mask images.
 """
@@ -55,12 +55,13 @@ class View:
         name: zero-padded number, from "000" on.
         frame: index of the frame in the sequence.
         stamp_ns: stamp of its depth.
-        reason: why the frame was chosen.
-        alignment: its pose, corrected by its own depth.
+        reason: why the frame was tried at this point of the order.
+        alignment: its pose, corrected by aligning its depth with the object.
         mask: (height, width) bool, the object, in depth pixels.
-        fit: figures of the mask before a person's PNGs are applied.
+        fit: how well depth fits the object, with the mask before a person's masks are applied.
         blur: blur of the colour relative to the recording, as in health.json; None if unknown.
-        pose_residual_m: distance to other frames under the trajectory's pose, metres; None if unknown.
+        pose_residual_m: residual of its depth to other frames' under the trajectory's poses, metres; None if
+            unknown.
         too_far_share: share of its depth pixels beyond the range of the depth image.
     """
 
@@ -78,7 +79,7 @@ class View:
 
 @dataclass(frozen=True)
 class Views:
-    """The views of one recording, the refused frames as (frame, reason), and warnings."""
+    """The views of one recording, the refused frames as (frame, why it is refused), and warnings."""
 
     views: list[View]
     refused: list[tuple[int, str]]
@@ -153,7 +154,7 @@ def _look(
     segmentation: MaskCuts,
     chosen: tuple[int, str],
 ) -> View:
-    """Make a view from a chosen frame (index, reason), without a name and without a person's mask."""
+    """Make a view from a frame and the reason for its place in the order; without name and person's mask."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
@@ -321,7 +322,7 @@ def read_masks(folder: Path) -> GivenMasks:
     """A person's masks in a folder: PNGs with nonzero pixels inside; each is read on request."""
 
     def read(name: str) -> Bools:
-        """A mask (height, width) by its file's name."""
+        """Read a mask (height, width) by the name of its file."""
         mask = _read_mask(folder / name)
         if mask is None:
             raise SegmentationError(

@@ -1,1 +1,1 @@
-"""ROS 1 and ROS 2 bags, and the content of their messages."""
+"""Read ROS 1 and ROS 2 bags, and decode their messages."""

@@ -1,7 +1,8 @@
-"""Decode the messages of ROS bags of all kinds: their place, stamp and content.
+"""Find and decode messages of ROS 1 and ROS 2 bags: where each is stored, its stamp and its content.
 
-rosbags generates code from a message's definition and unrolls arrays of fixed length and nested messages: a
-few bytes of a definition may generate any amount of code. So definitions are compiled within limits only.
+The package rosbags generates Python code from a message definition, with nested messages and arrays of fixed
+length unrolled. A definition of a few bytes could generate any amount of code, so definitions beyond the
+limits below are refused.
 """
 
 from collections.abc import Iterator, Mapping
@@ -59,12 +60,13 @@ class DamagedRecordError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class MessagePlace:
-    """The place of a message in a bag, and its stamp.
+    """Where a message is stored in a bag, and its stamp.
 
     Attributes:
         stamp_ns: stamp of its header, nanoseconds; without one, the time of recording.
         chunk: position of the chunk's record in the file; -1: the message is not in a chunk.
-        offset: position of the message in the unpacked chunk or in the file.
+        offset: byte position of the message in its unpacked chunk, or in the file without a chunk; in sqlite3
+            its row id.
         size: size of the message, bytes.
         file: index of the file, from 0, in a bag of several files.
     """
@@ -77,14 +79,14 @@ class MessagePlace:
 
 
 class BagTopic(NamedTuple):
-    """A topic, or one of its connections, which describes a series of messages in a bag.
+    """A topic and where its messages are stored; or one connection of a topic, as a bag describes it.
 
     Attributes:
         name: such as "/camera/depth/image_raw".
         type: type in ROS 1's spelling, such as "sensor_msgs/Image", also for ROS 2.
         encoding: serialisation of the messages.
-        definition: the type's definition in the bag, for types that are not standard.
-        messages: places of the messages, sorted by stamp; empty for a connection.
+        definition: the bag's own definition of a non-standard type; "": the standard definition is used.
+        messages: where the messages are stored, sorted by stamp; empty for a connection.
     """
 
     name: str
@@ -96,13 +98,13 @@ class BagTopic(NamedTuple):
 
 @dataclass(frozen=True)
 class RosBag:
-    """The messages found in a bag; they are decoded by the standard definitions of their types.
+    """The messages found in a bag, which are decoded on request.
 
     Attributes:
         path: path of the bag, for error messages.
         topics: topics of the wanted types that have messages, sorted by name.
-        read: reads the serialised message at a place.
-        trouble: the bag's faults and what could be read in spite of them, or "".
+        read: returns the serialised bytes of the message at a `MessagePlace`.
+        trouble: one line on the bag's faults and how much of it was readable, or "".
     """
 
     path: Path
@@ -130,19 +132,19 @@ class RosBag:
             raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
 
     def whole(self, topic: BagTopic, most: int | None = None) -> Iterator[Message]:
-        """Yield every message of a topic that decodes; at most `most` messages are tried."""
+        """Yield each message of a topic that decodes, of its first `most` messages (None: of all)."""
         for index in range(len(topic.messages[:most])):
             with suppress(DamagedImageError):
                 yield self.decode(topic, index)
 
     def first(self, topic: BagTopic) -> Message | None:
-        """The first message that decodes; None if none of the first thousand does."""
+        """The first message of a topic that decodes; None if none of its first thousand does."""
         return next(self.whole(topic, FIRST_TRIED), None)
 
 
 @cache
 def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Message]:
-    """Make a decoder for ROS 1's types, including those of tf, and for (type, definition) pairs of a bag."""
+    """Make a decoder for ROS 1's standard types, tf's types, and a bag's (type, definition) pairs."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -181,8 +183,8 @@ def header_stamp_ns(start: bytes, type_: str, encoding: Encoding) -> int:
     Args:
         start: at least the first 16 bytes of the message.
         type_: type in ROS 1's spelling.
-        encoding: "ros1": sequence number, seconds, nanoseconds; "cdr": four bytes for the byte order, then
-            seconds, nanoseconds.
+        encoding: layout of the Header; "ros1": sequence number, seconds, nanoseconds; "cdr": four bytes for
+            the byte order, then seconds, nanoseconds.
     """
     if type_ in HEADERLESS or len(start) < 12:
         return 0
@@ -194,13 +196,13 @@ def header_stamp_ns(start: bytes, type_: str, encoding: Encoding) -> int:
 
 
 def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
-    """Sort messages by stamp; equal stamps keep their order."""
+    """Sort the places of messages by stamp; equal stamps keep their order."""
     return tuple(sorted(places, key=lambda place: place.stamp_ns))
 
 
 @dataclass
 class FoundMessages:
-    """The messages of the wanted types that a walk through a file finds, by connection number."""
+    """Collects the messages of the wanted types that are found in a bag's file, by connection number."""
 
     types: frozenset[str]
     connections: dict[int, BagTopic] = field(default_factory=dict)
@@ -215,17 +217,17 @@ class FoundMessages:
         *,
         whole: bool = False,
     ) -> None:
-        """Record a message, unless its connection has another type.
+        """Note where a message is stored and its stamp, unless its type is known and not wanted.
 
         Args:
             connection: number of the message's connection.
             file: file positioned at the start of the message.
             recorded_ns: time of recording, nanoseconds.
-            place: chunk, offset and size, as in `MessagePlace`.
-            whole: whether to read the whole message, to check that it is complete, and not only its Header.
+            place: (chunk, offset, size), as in `MessagePlace`.
+            whole: whether to read the whole message, to check that it is complete; else only its Header.
 
         Raises:
-            DamagedRecordError: the stated size exceeds that of any message, or the time exceeds 64 bits.
+            DamagedRecordError: the message is larger than `UNPACKED_BYTES`, or its stamp exceeds 64 bits.
         """
         known = self.connections.get(connection)
         # The message's connection may be known only later: its chunk is lost, but the end of the file repeats
@@ -245,7 +247,7 @@ class FoundMessages:
         self.places.setdefault(connection, []).append(MessagePlace(stamp_ns, *place))
 
     def topics(self) -> tuple[BagTopic, ...]:
-        """The topics with messages, sorted; connections of the same name and type are joined."""
+        """The topics that have messages, sorted by name; connections of the same name and type are joined."""
         joined: dict[BagTopic, list[MessagePlace]] = {}
         for number, places in self.places.items():
             connection = self.connections.get(number)
@@ -298,7 +300,7 @@ def _unpacked(unpacker: "bz2.BZ2Decompressor | LZ4FrameDecompressor", data: byte
 
 
 def _start_of_packed(head: bytes) -> bytes:
-    """The first bytes of a message from the start of its compressed bytes; empty if damaged."""
+    """Decompress the first bytes of a message from the start of its zstd data; empty if damaged."""
     import zstandard
 
     with suppress(zstandard.ZstdError):
@@ -307,7 +309,7 @@ def _start_of_packed(head: bytes) -> bytes:
 
 
 def unpacked_message(data: bytes) -> bytes:
-    """Decompress a message; empty, as no message is, if it is damaged.
+    """Decompress a message if it is compressed by zstd; return empty bytes if it is damaged.
 
     `ros2 bag record --compression-mode message` compresses messages one by one with zstd.
     """
@@ -325,11 +327,11 @@ def unpacked_message(data: bytes) -> bytes:
 
 
 def known_types(name: str, definition: str, store: "Typestore") -> "Typesdict":
-    """The types in a definition that a store lacks, ready to register.
+    """Parse a definition: the types that the message uses and the store lacks, ready to register.
 
     Args:
-        name: name of the type, in ROS 2's spelling.
-        definition: definition of the type and of the types in it.
+        name: name of the message's type, in ROS 2's spelling.
+        definition: text that defines this type and its nested types.
         store: store of the known types.
 
     Raises:
@@ -357,7 +359,7 @@ def known_types(name: str, definition: str, store: "Typestore") -> "Typesdict":
 
 
 def _unrolled(name: str, fields: Mapping[str, Any], met: set[str], depth: int) -> Iterator[None]:
-    """Yield once for each field of a type, nested types and arrays unrolled; add its types to `met`."""
+    """Yield once for each field, with nested types and arrays unrolled; collect the type names in `met`."""
     from rosbags.interfaces import Nodetype
 
     if depth > MOST_DEPTH or name not in fields:

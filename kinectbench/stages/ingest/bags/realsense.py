@@ -1,7 +1,7 @@
 """RealSense bags recorded by librealsense: file versions 2 and 3, and version 1 of its predecessor.
 
 Layout: `ros_file_format.h` of librealsense and its description of the format. A stream's extrinsics map a
-reference to the stream; two streams with the same reference have a known transform between them.
+reference frame to the stream. Between two streams with the same reference frame the transform is known.
 """
 
 import re
@@ -50,7 +50,7 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the path is a bag that names librealsense's topics in its first or last part."""
+        """Whether the path is a ROS 1 bag whose first bytes or index contain librealsense's topics."""
         if not super().recognises(path):
             return False
         with open_plain(path) as file:
@@ -64,31 +64,31 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
-        """False: librealsense gives every stream the frame_id "0"."""
+        """False, because librealsense gives every stream the frame_id "0", registered or not."""
         return False
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """1 / Depth Units (metres) of the depth sensor."""
+        """Native depth units per metre: 1 / Depth Units (metres), an option of the depth sensor."""
         return depth_units_scale(bag, depth)
 
     @classmethod
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth`, if both streams have extrinsics with the same reference."""
+        """`T_color_depth` (4, 4); None unless the extrinsics of both streams have the same reference."""
         return between_streams(bag, color.name, depth.name)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu`, if both streams have extrinsics with the same reference."""
+        """`T_depth_imu` (4, 4); None unless the extrinsics of both streams have the same reference."""
         return between_streams(bag, depth.name, imu.name)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
-        """The CameraInfo messages of all topics; in version 1 also those in stream_info."""
+        """Pairs (topic's name, CameraInfo message); for version 1 also those inside stream_info messages."""
         infos = super().camera_infos(bag)
         for topic in bag.topics:
             if topic.type == STREAM_INFO:
@@ -100,7 +100,7 @@ class RealsenseRecording(Rosbag1Recording):
 
 
 def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
-    """Units per metre by the Depth Units of the depth sensor; None if the bag has no such option."""
+    """Native units per metre, by the depth sensor's option Depth Units; None if the bag lacks it."""
     found = STREAM.fullmatch(depth.name)
     prefix = found[1] if found else "/"
     for topic in bag.topics:
@@ -113,7 +113,7 @@ def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
 
 
 def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
-    """The value in metres of an option (versions 3 and 4) or property (version 2) if it is Depth Units."""
+    """The Depth Units (metres) in an option's topic (versions 3, 4) or a property's (version 2); or None."""
     for message in bag.whole(topic):
         if topic.type == FLOAT and message.data > 0:
             return float(message.data)
@@ -125,7 +125,7 @@ def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
 
 
 def _positive(text: str) -> float | None:
-    """The number that a text holds; None if it holds none, or none above 0."""
+    """Parse a number above 0; None if the text is anything else."""
     try:
         number = float(text)
     except ValueError:
@@ -134,7 +134,7 @@ def _positive(text: str) -> float | None:
 
 
 def between_streams(bag: RosBag, to: str, of: str) -> Float64 | None:
-    """`T_to_of` (4, 4) between two streams, by the names of their topics; None if unknown."""
+    """`T_to_of` (4, 4), from stream `of` to stream `to`, given by their topics' names; None if unknown."""
     T_to, T_of = _place_of_stream(bag, to), _place_of_stream(bag, of)
     if T_to is None or T_of is None or T_to[0] != T_of[0]:
         return None
@@ -142,7 +142,7 @@ def between_streams(bag: RosBag, to: str, of: str) -> Float64 | None:
 
 
 def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
-    """The reference of a stream's extrinsics, and `T_stream_reference`; None if unknown."""
+    """The name of the reference frame of a stream's extrinsics, and `T_stream_reference`; None if unknown."""
     stream = ANY_STREAM.match(name)
     places = f"{stream[0]}tf/" if stream else "/"
     for topic in bag.topics if stream else ():
@@ -160,7 +160,7 @@ def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
 
 
 def _matrix_of_text(message: Message) -> Float64 | None:
-    """The matrix (4, 4) of extrinsics that are stored as text; None if it holds none."""
+    """Parse extrinsics that are stored as text into a rigid transform (4, 4); None if the text holds none."""
     said = EXTRINSICS.fullmatch(message.data)
     try:
         rotation, translation_m = (
@@ -174,7 +174,7 @@ def _matrix_of_text(message: Message) -> Float64 | None:
 
 
 def _rigid_by_columns(rotation: ArrayLike, translation_m: ArrayLike) -> Float64 | None:
-    """The matrix (4, 4) of a rotation by columns, as librealsense stores it; None if it is no place."""
+    """The rigid transform (4, 4) from a rotation by columns, as librealsense stores it; None if invalid."""
     R, t_m = np.asarray(rotation, np.float64).reshape(3, 3).T, np.asarray(translation_m, np.float64)
     if not np.abs(R).max() <= 2 or abs(np.linalg.det(R) - 1) > 0.01:  # true for NaN, too
         return None

@@ -53,7 +53,7 @@ COMPRESSED_DEPTH_HEADER = 12
 
 
 def is_compressed(message: Message) -> bool:
-    """Whether a message is a CompressedImage, which has a format, and not an Image."""
+    """Whether a message is a CompressedImage, which has the field `format`, rather than an Image."""
     return hasattr(message, "format")
 
 
@@ -84,7 +84,7 @@ def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDA
     Args:
         message: a message with the fields of sensor_msgs.
         name: topic and message number, for errors.
-        float_units_per_m: value of 1 m in a 32FC1 image.
+        float_units_per_m: units per metre of a 32FC1 image.
 
     Returns:
         (height, width) uint16, 0 = none: integers unchanged, floats in 1 / FLOAT_SCALE m (NaN, infinity and

@@ -44,7 +44,7 @@ class TransformTree:
         return chain
 
     def fixed(self, to_frame: str, from_frame: str) -> Float64 | None:
-        """`T_to_from` between frames without relative motion; None if unknown, or without names."""
+        """`T_to_from` (4, 4) between two frames that do not move relative to each other; None if unknown."""
         if not (to_frame and from_frame):
             return None
         up, down = self.path(from_frame), self.path(to_frame)
@@ -60,8 +60,8 @@ class TransformTree:
     def moving(self, frame: str) -> GivenTrajectory | None:
         """The motion of a frame relative to the root of its tree, the world.
 
-        The result has the stamps of the most frequent transform that moves; the others are interpolated. None
-        if nothing on the way to the root moves.
+        The stamps are those of the most frequent transform that moves on the path to the root; the others are
+        interpolated. None if no transform on this path moves, or their times do not overlap.
         """
         links = [self.edges[name] for name in self.path(frame)[:-1]]
         moving = [own for _, own, transforms in links if _moves(transforms)]
@@ -107,20 +107,20 @@ def read_transforms(bag: RosBag) -> TransformTree:
 
 
 def _by_stamp(stamps_ns: "array[int]", rows: "array[float]") -> tuple[Int64, Float64]:
-    """Stamps, increasing, and the (n, 4, 4) matrices; of several with one stamp the last counts."""
+    """Sort by stamp: stamps (n,), and matrices (n, 4, 4); of several with the same stamp the last counts."""
     # In reverse, because unique takes the first of equal stamps.
     stamps, first = np.unique(np.array(stamps_ns, np.int64)[::-1], return_index=True)
     return stamps, _matrices(np.array(rows).reshape(-1, 7)[::-1][first])
 
 
 def matrix_of(transform: Message) -> Float64 | None:
-    """The (4, 4) matrix of a geometry_msgs/Transform; None if not finite, too far, or without rotation."""
+    """The (4, 4) matrix of a geometry_msgs/Transform; None if not finite, too far, or of zero quaternion."""
     numbers = _numbers_of(transform)
     return None if numbers is None else _matrices(np.array([numbers]))[0]
 
 
 def _numbers_of(transform: Message) -> tuple[float, ...] | None:
-    """Translation and quaternion, x y z x y z w; None if not finite, too far, or without rotation."""
+    """Translation x y z and quaternion x y z w; None if not finite, too far, or of zero quaternion."""
     t, q = transform.translation, transform.rotation
     numbers = (t.x, t.y, t.z, q.x, q.y, q.z, q.w)
     if not all(abs(number) <= FARTHEST_M for number in numbers):  # false for NaN, too
@@ -140,7 +140,7 @@ def _moves(transforms: Float64) -> bool:
 
 
 def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
-    """Interpolate transforms to (n, 4, 4): linear in position, along the shortest rotation."""
+    """Interpolate transforms of the stamps `own` at other stamps: (n, 4, 4), along the shortest rotation."""
     after = np.clip(np.searchsorted(own, stamps), 0, len(own) - 1)
     before = np.maximum(after - 1, 0)
     at_one = (own[after] == stamps) | (after == before)
@@ -150,11 +150,11 @@ def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
 
 
 def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:
-    """The trajectory of the depth camera, camera to world; warnings; and why it cannot be used, or "".
+    """Read the depth camera's trajectory: (camera to world or None, warnings, why it is unusable or "").
 
-    The source is the topic that the settings name ("tf" for the tree of frames), else the only topic of
-    PoseStamped or Odometry, else tf. If Odometry describes another frame than the camera's, and tf has the
-    transform between them, the poses are moved to the camera.
+    The source is the topic that the settings name ("tf" for the tree of frames); else the only topic of
+    PoseStamped or Odometry; else tf. If Odometry describes another frame than the camera's, and tf has the
+    transform between them, the poses are converted to the camera's.
 
     Raises:
         RecordingError: the named topic holds no poses.

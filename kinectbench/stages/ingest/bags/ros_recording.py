@@ -68,7 +68,7 @@ class RosRecording(Recording):
         depth: the depth topic.
         color_topic: the colour topic, or None.
         places: for each frame its stamp, and the indices of its depth and colour messages (colour or None).
-        float_units_per_m: value of 1 m in a 32FC1 image.
+        float_units_per_m: units per metre of 32FC1 images.
         undistortion: makes pinhole images from distorted ones; None if not needed.
         bag: reads and decodes the messages.
     """
@@ -96,7 +96,7 @@ class RosRecording(Recording):
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
-        """Whether images with the same frame_id have the same pixels."""
+        """Whether two image topics with the same frame_id are registered, pixel by pixel."""
         return True
 
     @classmethod
@@ -108,19 +108,19 @@ class RosRecording(Recording):
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth`; None if the bag does not have it."""
+        """`T_color_depth` (4, 4), depth camera to colour camera; None if the bag does not have it."""
         return tree.fixed(color.frame_id, depth.frame_id)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu`; None if the bag does not have it."""
+        """`T_depth_imu` (4, 4), accelerometer to depth camera; None if the bag does not have it."""
         return tree.fixed(depth.frame_id, frame_id)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[NamedInfo]:
-        """Every CameraInfo message with the name of its topic."""
+        """Pairs (topic's name, its first readable CameraInfo message)."""
         infos = ((t.name, bag.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
         return [(name, message) for name, message in infos if message is not None]
 
@@ -261,7 +261,7 @@ def _pair(
 def _is_registered(
     bag: RosBag, depth: ImageTopic, color: ImageTopic | None, size_px: tuple[int, int]
 ) -> tuple[bool, list[str]]:
-    """Whether colour is registered to depth, by name or frame_id, and the sizes agree; and warnings."""
+    """Whether names or frame_ids say that colour is registered, and the sizes agree; and warnings."""
     if color is None:
         return False, []
     if not (_same_frame(depth, color) or is_named_registered(depth)):
@@ -283,7 +283,7 @@ def _depth_info(
     infos: list[NamedInfo],
     settings: CameraSettings,
 ) -> tuple[CameraInfo | None, list[str]]:
-    """The CameraInfo of depth; and a warning if another contradicts it and the settings do not decide."""
+    """Choose depth's CameraInfo; warn if another contradicts it and the settings give no intrinsics."""
     on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
@@ -305,7 +305,7 @@ def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
 def _calibration(
     bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[NamedInfo]
 ) -> tuple[ColorCalibration | None, list[str]]:
-    """The calibration of colour, None if unknown or if it does not fit the images; and warnings."""
+    """The calibration of colour, or None if it is unknown or does not fit the images; and warnings."""
     size_px = _first_color_size(bag, color)
     info, info_warnings = choose_camera_info(color, COLOR_KIND, size_px, infos, every_image(bag))
     if T_color_depth is None or info is None:

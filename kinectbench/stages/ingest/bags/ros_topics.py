@@ -68,7 +68,8 @@ class ImageKind:
 
     Attributes:
         words: words in the names of topics for these images and their CameraInfo.
-        advice: what to do if another CameraInfo is right; {second} stands for its values.
+        advice: text for the warning: what to do if another CameraInfo is the right one; {second} stands for
+            its values.
     """
 
     words: tuple[str, ...]
@@ -82,7 +83,7 @@ COLOR_KIND = ImageKind(
 
 
 def image_topics(bag: RosBag, encoding_of: Callable[[Message], str | None]) -> list[ImageTopic]:
-    """The image topics whose first readable message has an encoding by `encoding_of`."""
+    """The image topics for whose first readable message `encoding_of` returns an encoding, not None."""
     topics = []
     for topic in bag.topics:
         message = bag.first(topic) if topic.type in (IMAGE, COMPRESSED_IMAGE) else None
@@ -98,7 +99,10 @@ def every_image(bag: RosBag) -> list[ImageTopic]:
 
 
 def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, list[str]]:
-    """Choose the depth topic: by name, registered, integer, raw, most images; warn if there was a choice.
+    """Choose the depth topic; return it, and a warning if there was a choice.
+
+    These decide, the most important first: "depth" in the name, a name that says registered, integer values,
+    no compression, and the number of images.
 
     Args:
         bag: the bag to search.
@@ -135,15 +139,15 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
 def choose_color(
     bag: RosBag, depth: ImageTopic, named: str | None = None
 ) -> tuple[ImageTopic | None, list[str]]:
-    """Choose the colour topic: by name, not infrared, of depth's camera, with colours, raw, most images.
+    """Choose the colour topic; return it or None, and warnings.
+
+    These decide, the most important first: a name that says neither infrared nor depth, a name that says
+    colour, the camera of the depth topic, colours instead of grey, no compression, and the number of images.
 
     Args:
         bag: the bag to search.
         depth: the depth topic; in a bag with two cameras, colour is of the same camera.
         named: the topic that the settings name, or None.
-
-    Returns:
-        The topic, or None; and warnings.
 
     Raises:
         RecordingError: the named topic contains no colour.
@@ -185,7 +189,7 @@ def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> Image
 
 
 def _first_folder(image: ImageTopic) -> str:
-    """The first part of a topic's name, which drivers use for the camera."""
+    """The first part of a topic's name, by which drivers name the camera."""
     return image.name.strip("/").split("/")[0]
 
 
@@ -210,20 +214,21 @@ def choose_camera_info(
     images: Sequence[ImageTopic],
     pixels_of: ImageTopic | None = None,
 ) -> tuple[CameraInfo | None, str]:
-    """Choose the CameraInfo of images: with their frame_id, beside them, or under a name of their kind.
+    """Choose the CameraInfo message that describes the images of a topic.
 
-    The order of preference is: with the images' size, beside the images (as image_transport puts it), with
-    their frame_id, nearest by name. If the images lie on the pixels of other images by name, the CameraInfo
-    of those images takes precedence.
+    A candidate has the images' frame_id, is in their namespace (as image_transport puts it), or has a name of
+    their kind. These decide, the most important first: the images' size, their namespace, their frame_id, and
+    the longest common start of the names. If the images are registered to those of `pixels_of` by name, the
+    CameraInfo of `pixels_of` takes precedence.
 
     Args:
         image: the topic of the images.
         kind: the kind of the images.
         size_px: width and height of the images, pixels.
         infos: every CameraInfo of the bag with the name of its topic.
-        images: every topic of images; a CameraInfo beside another topic belongs to that topic, so it
-            contradicts nothing.
-        pixels_of: the topic on whose pixels `image` lies, by name or frame_id; or None.
+        images: every topic of images; a CameraInfo in the namespace of another topic belongs to that topic,
+            so it contradicts nothing.
+        pixels_of: the topic to which `image` is registered, by name or frame_id; or None.
 
     Returns:
         The message, or None; and a warning that another CameraInfo contradicts it, or "".
@@ -260,12 +265,12 @@ def choose_camera_info(
 
 
 def _is_of_one_camera(rank: Rank, best: Rank) -> bool:
-    """Whether two ranks agree in the images' size and frame_id, whatever the topics' names."""
+    """Whether the ranks of two CameraInfo both have the images' size and frame_id, whatever their names."""
     return rank[0] and best[0] and rank[2] and best[2]
 
 
 def _is_beside(info: str, image: ImageTopic) -> bool:
-    """Whether a CameraInfo's topic is beside a topic of images, whose name may end in its transport."""
+    """Whether a CameraInfo is in the namespace of an image topic, whose name may end in its transport."""
     folder, _, last = image.name.rpartition("/")
     if image.topic.type == COMPRESSED_IMAGE and last.startswith("compressed"):
         folder = folder.rpartition("/")[0]
@@ -304,7 +309,7 @@ def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
 
 
 def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tuple[float, ...]:
-    """Brown's coefficients of images in OpenCV's order; empty without distortion.
+    """The coefficients of Brown's distortion model of images, in OpenCV's order; empty without distortion.
 
     Raises:
         RecordingError: the distortion model is not Brown's.

@@ -1,9 +1,9 @@
 """ROS 1 bags (format 2.0): raw and compressed images, lz4 and bz2 chunks, complete or truncated files.
 
 Messages are found by walking through the file's chunks. The walk needs no index, so it also reads the intact
-part of a bag that was truncated or never closed; and it gives random access to messages. In chunks without
-compression it reads only the headers of records. The package rosbags reads no bag without an index. Layout:
-http://wiki.ros.org/Bags/Format/2.0.
+part of a bag that was truncated or never closed. Afterwards messages can be read in any order. In chunks
+without compression it reads only the headers of records. The package rosbags reads no bag without an index.
+Layout: http://wiki.ros.org/Bags/Format/2.0.
 """
 
 import os
@@ -73,7 +73,7 @@ class Rosbag1Recording(RosRecording):
 
 @dataclass
 class _Walk:
-    """The state of a walk: messages found, and numbers of intact and damaged chunks."""
+    """The state of a walk: messages found, number of complete chunks, and how many of these are damaged."""
 
     found: FoundMessages
     own_types: frozenset[str]

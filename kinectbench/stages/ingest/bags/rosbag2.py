@@ -55,19 +55,19 @@ class Rosbag2Recording(RosRecording):
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
-        """Whether the bag is not by librealsense, whose ROS 1 bags, converted, have one frame_id for all."""
+        """False for a bag by librealsense: if converted from ROS 1, it has one frame_id for all streams."""
         return not STREAM.fullmatch(depth.name)
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """Units per metre in a bag by librealsense, which states them; None for other bags."""
+        """Native depth units per metre, which bags by librealsense state; None for other bags."""
         return depth_units_scale(bag, depth) if STREAM.fullmatch(depth.name) else None
 
     @classmethod
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth`, in a bag by librealsense from its extrinsics."""
+        """`T_color_depth` (4, 4), from the extrinsics in a bag by librealsense, else from tf; or None."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, color.name, depth.name)
         return super().color_place(bag, tree, depth, color)
@@ -76,7 +76,7 @@ class Rosbag2Recording(RosRecording):
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu`, in a bag by librealsense from its extrinsics."""
+        """`T_depth_imu` (4, 4), from the extrinsics in a bag by librealsense, else from tf; or None."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, depth.name, imu.name)
         return super().imu_place(bag, tree, depth, imu, frame_id)
@@ -130,7 +130,7 @@ def _walk_file(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
 
 
 def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Walk through a file that is compressed as a whole."""
+    """Walk through a file that is compressed as a whole, after unpacking it into a temporary folder."""
     import zstandard
 
     def read(place: MessagePlace) -> bytes:

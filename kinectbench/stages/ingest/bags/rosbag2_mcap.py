@@ -1,7 +1,7 @@
 """Find the messages of an mcap file by walking through its records; a truncated file gives its intact part.
 
 Layout: https://mcap.dev/spec. The summary at the end is not needed. The package mcap is not used: it unpacks
-lz4 chunks of any size, and gives no place from which to read a message again.
+lz4 chunks of any size, and does not say where a message is stored.
 """
 
 import struct
@@ -39,7 +39,7 @@ ENCODINGS: dict[str, Encoding] = {"cdr": "cdr", "ros1": "ros1"}
 
 
 def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Find the messages of the wanted types.
+    """Find the messages of the wanted types in an mcap file.
 
     Args:
         path: the file.
@@ -77,7 +77,7 @@ def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
 
 
 class _Walk:
-    """The state of a walk; `unknown` collects encodings of unreadable messages."""
+    """The state of a walk through an mcap file; `unknown` collects the encodings that cannot be read."""
 
     def __init__(self, types: frozenset[str], keep: Callable[[int, bytes], None], budget: WalkBudget) -> None:
         self.budget = budget
@@ -179,7 +179,7 @@ def _string(data: bytes, position: int) -> tuple[str, int]:
 
 
 def _name(data: bytes, position: int) -> tuple[str, int]:
-    """A string that stays in memory, with a limit on its length."""
+    """Read a string at a position, which stays in memory, so its length is limited; return it and its end."""
     name, end = _string(data, position)
     if len(name) > LONGEST_NAME:
         raise DamagedRecordError

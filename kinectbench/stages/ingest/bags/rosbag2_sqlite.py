@@ -37,7 +37,7 @@ LOST_TIMES = 4
 
 
 def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Find the messages of the wanted types, in the order of recording.
+    """Find the messages of the wanted types in an sqlite3 file, in the order of recording.
 
     Args:
         path: the file.
@@ -81,7 +81,7 @@ def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag
 
 
 def _unread_log(path: Path) -> str:
-    """What to do with a write-ahead log, which a recorder that was killed leaves behind; "" without one."""
+    """Advice on the write-ahead log that a killed recorder leaves beside the file; "" without one."""
     log = path.with_name(f"{path.name}-wal")
     if not log.is_file() or not log.stat().st_size:
         return ""
@@ -144,10 +144,10 @@ class _Reader:
 
 
 def _check_tables(database: sqlite3.Connection) -> None:
-    """Refuse views, virtual tables and generated columns, because reading them would compute something.
+    """Refuse views, virtual tables and generated columns, because reading them would run the file's SQL.
 
     Raises:
-        ValueError: the database has one; the message says which.
+        ValueError: a table is missing or of these kinds; the message says which.
         DatabaseError: the database is damaged.
     """
     for name in TABLES:
@@ -172,7 +172,7 @@ def _page_bytes_if_cut_off(path: Path) -> int:
 
 
 def _leave_out_torn(messages: FoundMessages, page_bytes: int) -> None:
-    """Drop the last message with overflow pages, because sqlite fills a torn page with zeros."""
+    """Drop the last of the messages longer than a page: sqlite would fill its torn page with zeros."""
     every = messages.places.values()
     long = (place for places in every for place in places if place.size > page_bytes - CELL_BYTES)
     last = max(long, key=lambda place: place.offset, default=None)
@@ -184,11 +184,11 @@ def _leave_out_torn(messages: FoundMessages, page_bytes: int) -> None:
 def _take_messages(
     database: sqlite3.Connection, messages: FoundMessages, file_bytes: int, all_of_them: bool
 ) -> None:
-    """Record the places of messages; read only their first bytes, or with `all_of_them` everything.
+    """Note where the messages are stored; with `all_of_them`, read each completely to check it.
 
     Raises:
-        DamagedRecordError: stated sizes exceed the file, alone or in sum: rows may share pages, so reading
-            each would take the number of rows times the file.
+        DamagedRecordError: one message, or the sum of all, is larger than the file. Rows may share pages, so
+            reading each would take the number of rows times the file.
     """
     query = (
         "SELECT rowid, topic_id, timestamp, length(data) FROM messages WHERE typeof(data) = 'blob' "

@@ -19,13 +19,13 @@ PASSES = 2
 
 
 class WalkBudget:
-    """Limits of a walk through a bag's files: its time grows with their size, its memory does not.
+    """Limits records, SQLite steps and unpacked bytes of a walk through a bag by the size of its files.
 
     Without limits, a few bytes of compressed chunks could hold any number of records.
     """
 
     def __init__(self, bag_bytes: int) -> None:
-        """Start before the first record of a bag with files of this total size."""
+        """Set the limits for a bag whose files have this size in all."""
         self._records = ALWAYS_RECORDS + bag_bytes // LEAST_RECORD_BYTES
         self._steps = ALWAYS_STEPS + bag_bytes * STEPS_A_BYTE
         self.bytes_left = unpacked_bound(bag_bytes)
@@ -41,7 +41,7 @@ class WalkBudget:
             raise DamagedRecordError
 
     def take_step(self) -> bool:
-        """Count steps of SQLite's virtual machine; return whether any are left."""
+        """Count `STEPS_AT_ONCE` steps of SQLite's virtual machine; return whether any are left."""
         self._steps -= STEPS_AT_ONCE
         return self._steps >= 0
 
@@ -60,11 +60,12 @@ class BagReader:
     """Reads single messages from a bag's file, and caches recently unpacked chunks.
 
     Messages are read in the order of their stamps, which is mostly that of their chunks. In another order
-    each message might cost a chunk, so the number of messages read limits the unpacked bytes.
+    each message might need another chunk, so the bytes that may be unpacked grow only with the number of
+    messages read.
     """
 
     def __init__(self, path: Path, unpack: Callable[[BinaryIO, int], bytes]) -> None:
-        """Read from this file; `unpack` returns the bytes of the chunk at a position in it."""
+        """Prepare to read the file; `unpack` returns the unpacked bytes of the chunk at a position in it."""
         self._path = path
         self._unpack = unpack
         self._chunks: dict[int, bytes] = {}
@@ -79,12 +80,12 @@ class BagReader:
             self._chunks[position] = data
 
     def start_reading(self, messages: int) -> None:
-        """Set the limit of unpacking: all chunks `PASSES` times, and again after as many messages."""
+        """Allow unpacking all chunks `PASSES` times, and once more after each `messages` messages read."""
         self._bytes_left = PASSES * self._whole_bytes
         self._bytes_a_read = self._whole_bytes / max(messages, 1)
 
     def __call__(self, place: MessagePlace) -> bytes:
-        """Read the serialised message at a place.
+        """Read a serialised message, given where it is stored.
 
         Raises:
             RecordingError: the same chunks would have to be unpacked again and again.

@@ -75,7 +75,7 @@ def format_of(path: Path) -> str | None:
 
 
 def says_intrinsics(path: Path) -> bool:
-    """Whether a recording's format stores intrinsics; if not, its reader uses the usual ones."""
+    """Whether a recording's format stores intrinsics; if not, its reader takes those usual for the format."""
     return format_of(path) not in (None, "klg", "redwood_zip")
 
 
@@ -172,11 +172,11 @@ def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str
 
 
 def recordings_inside(recording: Path, read: Collection[Path]) -> list[tuple[Path, str]]:
-    """Find the recordings in subfolders of a recording's folder, which its reader does not read.
+    """Find further recordings in subfolders of a recording's folder, which its own reader does not read.
 
     Args:
         recording: the folder or file of a recording; hidden subfolders and results are skipped.
-        read: folders below it whose files its reader reads; what holds one is part of the recording.
+        read: folders from which its reader reads; a subfolder that contains one is part of the recording.
 
     Returns:
         Pairs (path, format), sorted.
@@ -198,7 +198,7 @@ def recordings_inside(recording: Path, read: Collection[Path]) -> list[tuple[Pat
 
 
 def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Path, str]]:
-    """Search like `find_recordings`; each file or folder takes one of `numbers`."""
+    """Search like `find_recordings`; each visited file or folder takes a number, until none is left."""
     if next(numbers, None) is None:
         return
     try:
@@ -234,7 +234,7 @@ def _check_scale(path: Path, scale: float) -> None:
 
 
 def _with_unused(recording: Recording, camera: CameraSettings) -> Recording:
-    """The recording, with a warning of given settings that its format has no use for."""
+    """The recording, with a warning on settings that are given but do not apply to its format."""
     silent, given = CameraSettings(), (name for name in OF_SOME_FORMATS if name not in recording.uses)
     unused = [f"`{name}`" for name in given if getattr(camera, name) != getattr(silent, name)]
     if not unused:
@@ -246,7 +246,7 @@ def _with_unused(recording: Recording, camera: CameraSettings) -> Recording:
 
 
 def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
-    """Remove the delay of given poses; the recording's reader has corrected that of colour."""
+    """Subtract the settings' delay from the stamps of given poses; the reader has corrected colour itself."""
     given, delay_ns = recording.given_trajectory, round(camera.trajectory_delay_s * NS_PER_S)
     if given is not None:
         given = GivenTrajectory(given.stamps_ns - delay_ns, given.T_world_camera)
@@ -271,10 +271,11 @@ def _unknown(path: Path) -> str:
 
 
 def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
-    """The recording with a reader for its depth's code, given or detected.
+    """The recording with its depth code set: the code that the settings give, or the one that is detected.
 
     Rotated bits are searched for if depth is PNG in mm and the settings give no `depth_scale`. In a layout
-    that usually has rotated bits (`often_rotated`), multiples of eight are enough and there is no warning.
+    that usually has rotated bits (`often_rotated`), multiples of eight suffice as evidence, without a
+    warning.
 
     Raises:
         RecordingError: the settings name a code, but depth is not in PNG images.

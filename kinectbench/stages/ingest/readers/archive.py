@@ -30,14 +30,14 @@ class Archive:
     _zip: zipfile.ZipFile | None = field(default=None, repr=False)
 
     def __reduce__(self) -> tuple[type["Archive"], tuple[Path]]:
-        """Pickled by its path: another process opens the archive itself."""
+        """Pickle the path alone; another process opens the archive itself."""
         return Archive, (self.path,)
 
     def names(self) -> list[str]:
         """The names of all members.
 
         Raises:
-            RecordingError: the archive is damaged, truncated, or has members that no recording has.
+            RecordingError: the archive is damaged, truncated, or has members that lead out of it or overlap.
         """
         return self._opened().namelist()
 
@@ -96,7 +96,7 @@ def _check_members(archive: zipfile.ZipFile, size: int) -> None:
 
 
 def holds(path: Path, member: re.Pattern[bytes]) -> bool:
-    """Whether a file is a zip archive, perhaps truncated, whose first or last members have such a name."""
+    """Whether a file is a zip archive, perhaps truncated, with a first or last member whose name matches."""
     if not path.is_file():
         return False
     with open_plain(path) as file:

@@ -37,14 +37,14 @@ LEAST_RADIUS = 1e-4
 
 @dataclass(frozen=True)
 class AzureCamera:
-    """One camera in the file.
+    """One camera in the calibration file.
 
     Attributes:
         sensor_px: width and height of the sensor, pixels.
         focal: fx and fy as shares of the sensor's width and height.
         center: cx and cy as shares of the sensor's width and height; (0, 0) is the corner of the first pixel.
         distortion: k1 k2 p1 p2 k3 k4 k5 k6, in OpenCV's order.
-        T_camera_rig: (4, 4), metres.
+        T_camera_rig: (4, 4), rig to camera, metres.
         radius: largest distance from the axis, on the plane at depth 1, at which distortion is defined.
     """
 
@@ -109,7 +109,7 @@ class AzureCalibration:
         return ColorCalibration(used.camera(size_px, path), self.of_color.distortion if distorted else (), T)
 
     def beyond_radius(self, camera: Camera) -> Bools:
-        """(height, width) bool: pinhole pixels of depth for which the distortion model is undefined."""
+        """The pixels of undistorted depth where the distortion model is undefined: (height, width) bool."""
         rays = camera.rays()
         return np.asarray(np.hypot(rays[..., 0], rays[..., 1]) > self.of_depth.radius)
 
@@ -117,7 +117,7 @@ class AzureCalibration:
 def _in_pixels(
     camera: AzureCamera, image_px: tuple[float, float], crop_px: tuple[float, float]
 ) -> Intrinsics:
-    """Intrinsics of an image from those of the sensor, minus the cropped offset."""
+    """Intrinsics in pixels: the sensor is scaled to `image_px`, then `crop_px` are cut off left and above."""
     fx, fy = (share * px for share, px in zip(camera.focal, image_px, strict=True))
     cx, cy = (c * px - crop - 0.5 for c, px, crop in zip(camera.center, image_px, crop_px, strict=True))
     return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)

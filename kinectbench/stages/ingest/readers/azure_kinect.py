@@ -51,7 +51,7 @@ RAW_BYTES_A_PIXEL = {"NV12": 1.5, "YUY2": 2.0, "BGRA": 4.0}
 
 
 class Place(NamedTuple):
-    """The place of an image in the file."""
+    """An image in the file: its stamp, nanoseconds, and the position and length of its data, bytes."""
 
     stamp_ns: int
     start: int
@@ -59,7 +59,7 @@ class Place(NamedTuple):
 
 
 class AzureFrame(NamedTuple):
-    """A depth image and its colour image."""
+    """A frame: its stamp, nanoseconds, and the places of its depth image and its colour image (or None)."""
 
     stamp_ns: int
     depth: Place
@@ -175,7 +175,7 @@ class AzureKinectRecording(Recording):
             return file.read(place.length)
 
     def _color(self, place: Place | None) -> tuple[str, bytes] | None:
-        """Colour as encoded, or as PNG if it is raw; None if its length is wrong."""
+        """Colour as encoded, or as PNG if raw; None if it is missing, uncalibrated, or of wrong length."""
         if place is None or not (self.color_calibration or self.color_registered):
             return None
         data = self._bytes(place)
@@ -188,7 +188,7 @@ class AzureKinectRecording(Recording):
 
 @contextmanager
 def _opened(path: Path) -> Iterator["InputContainer"]:
-    """Open the container, and close it after the block; PyAV's errors become one line."""
+    """Open the container, and close it after the block; errors of PyAV become a RecordingError."""
     try:
         import av
     except ModuleNotFoundError as error:
@@ -223,7 +223,7 @@ def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
     """Width and height of a track's images, pixels.
 
     Raises:
-        RecordingError: no camera has such images; their size determines the memory.
+        RecordingError: the size is 0, or so large that the file must be damaged.
     """
     # A track with a codec that FFmpeg does not know has neither.
     width, height = (int(getattr(track, side, 0)) for side in ("width", "height"))
@@ -256,7 +256,7 @@ def _attached(container: "InputContainer", path: Path) -> dict[str, object]:
 def _find_images(
     container: "InputContainer", names: dict[int, str], path: Path
 ) -> tuple[dict[str, list[Place]], list[str]]:
-    """Find the places of all depth and colour images, in file order; and the file's faults.
+    """Find where all depth and colour images are stored, in file order; and the file's faults.
 
     Raises:
         RecordingError: there are more images than a recording may have.
@@ -319,7 +319,7 @@ def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
 
 
 def _in_order(places: list[Place], path: Path) -> tuple[list[Place], list[str]]:
-    """Sort images by stamp, each stamp once; and a warning about others."""
+    """Sort images by stamp, and drop those that repeat a stamp; return them, and warnings."""
     order, warnings = first_by_stamp([place.stamp_ns for place in places], str(path), "images")
     return [places[i] for i in order], warnings
 

@@ -39,13 +39,14 @@ MATRIX_TOLERANCE, PARTS_PX = 1e-6, 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class BopRecording(FileRecording):
-    """A BOP scene; colour is registered to depth, as the format requires; its frames count seconds.
+    """A BOP scene; colour is registered to depth, as the format requires; image numbers count as seconds.
 
-    Images that were cut from one camera's image, as T-LESS' training images, have principal points that
-    differ by whole pixels: the images are shifted to a common principal point.
+    If the images were cut out of larger images of one camera, as T-LESS' training images, their principal
+    points differ by whole pixels. Each image is then shifted on a larger canvas, so that all have the same
+    principal point.
 
     Attributes:
-        moved_px: shift of each image to the right and down, on a larger image; empty: no shifts.
+        moved_px: shift of each image to the right and down, pixels; empty: no shifts.
     """
 
     format: ClassVar[str] = "bop"
@@ -61,7 +62,7 @@ class BopRecording(FileRecording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """Read the cameras, which must be the same, and choose the object's masks."""
+        """Read the cameras, which must agree up to whole-pixel shifts, and choose the object's masks."""
         cameras = _read_by_image(path / "scene_camera.json")
         if not cameras or not all(isinstance(camera, dict) for camera in cameras.values()):
             raise IntrinsicsError(f"{path / 'scene_camera.json'}: must hold an object for each image")
@@ -109,7 +110,7 @@ class BopRecording(FileRecording):
         )
 
     def placed(self, image: NDArray[Pixel], index: int) -> NDArray[Pixel]:
-        """An image of a frame, shifted to the common principal point."""
+        """Shift an image of a frame to the common principal point."""
         return _moved(image, self.moved_px[index], self.camera) if self.moved_px else image
 
     def color(self, index: int) -> tuple[str, bytes] | None:
@@ -122,7 +123,7 @@ class BopRecording(FileRecording):
 
 
 def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDArray[Pixel]:
-    """Shift an image (height, width, ...) right and down on a canvas of the camera's size, 0 around it."""
+    """Shift an image (height, width, ...) right and down, onto zeros of the size of the camera's images."""
     (right, down), (height, width) = by_px, image.shape[:2]
     if height + down > camera.height or width + right > camera.width:
         return image  # another size than the first image's: refused later
@@ -143,7 +144,7 @@ def _read_by_image(file: Path) -> dict[int, Any]:
 def _shared(
     path: Path, cameras: dict[int, dict[str, Any]]
 ) -> tuple[Float64, float, tuple[tuple[int, int], ...]]:
-    """The common matrix and depth scale (mm per unit) of all images, and the shift of each image, pixels."""
+    """The camera matrix and depth scale (mm per unit) of all images, and the shift of each image, pixels."""
     file = path / "scene_camera.json"
     of_images = [_matrix_and_scale(file, number, camera) for number, camera in sorted(cameras.items())]
     K, scales = np.stack([matrix for matrix, _ in of_images]), np.array([scale for _, scale in of_images])
@@ -188,7 +189,8 @@ def _pose(camera: dict[str, object]) -> Float64 | None:
 def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str]]:
     """The file of the object's visible mask in each image; and warnings.
 
-    Without `object_id` the scene's only object is used; if an object is twice in an image, the first mask.
+    Without `object_id`, the scene's only object is used. If the object occurs twice in an image, the first
+    mask is used.
 
     Raises:
         RecordingError: the requested object is not in the scene.

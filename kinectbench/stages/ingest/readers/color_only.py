@@ -18,7 +18,7 @@ RECORD = "record with a camera that measures depth, such as a Kinect, a RealSens
 
 
 def without_depth(path: Path) -> str | None:
-    """A message on what a video or an unknown folder of images lacks; None if the path is neither.
+    """An error message on the depth that a video or a folder of images lacks; None if the path is neither.
 
     Raises:
         OSError: a file cannot be read.
@@ -51,7 +51,7 @@ def without_depth(path: Path) -> str | None:
 
 
 def _unread_kind(path: Path) -> str | None:
-    """A message on EXR depth images, which are not supported; None without such images."""
+    """An error message on EXR depth images, which are not supported; None without such images."""
     if not path.is_dir():
         return None
     children = [child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir()]
@@ -67,7 +67,7 @@ def _unread_kind(path: Path) -> str | None:
 
 
 def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:
-    """Yield the folder and the folders in it with their images; folders without images are skipped."""
+    """Yield (folder, its images) for the folder and its subfolders; folders without images are skipped."""
     children = sorted(child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir())
     for folder in [path, *children]:
         files = (file for file in islice(listed_paths(folder), LOOKED_AT) if file.is_file())

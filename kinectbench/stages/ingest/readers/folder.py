@@ -71,12 +71,12 @@ PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
 @dataclass(frozen=True)
 class DepthFormat:
-    """The format of a folder's depth files, if they are not 16-bit PNG.
+    """How the depth files of a folder are to be read; by default, they are 16-bit PNG.
 
     Attributes:
-        depth_scale: units per metre of float depth as it is read.
+        depth_scale: units per metre to which float depth is converted; None: depth is not float.
         float_scale: units per metre of the stored floats; None: depth is not float.
-        channels: the 8-bit channels with the high and the low byte.
+        channels: the 8-bit channels with the high and the low byte; None: one channel.
         kind: the type of the values and an example file, as in `FileRecording`.
         warnings: lines for the user.
     """
@@ -89,7 +89,7 @@ class DepthFormat:
 
     @classmethod
     def of(cls, files: Sequence[FrameFiles], settings: CameraSettings) -> "DepthFormat":
-        """Determine the format from the first undamaged depth image that measures something, if any does."""
+        """Determine the format from the first undamaged depth image, preferably one that is not empty."""
         for empty_too in (False, True):
             with suppress(DamagedImageError):
                 return first_whole(partial(cls._of, settings, empty_too), [frame.depth for frame in files])
@@ -124,8 +124,8 @@ class DepthFormat:
 class FolderRecording(FileRecording):
     """A folder with `depth/`, optionally `color/` (or rgb/, image/), intrinsics, and optionally a trajectory.
 
-    Stamps in file names are the frames' stamps, and pair colour with depth. Without stamps, the number in a
-    name, or else the order, counts seconds.
+    Stamps in file names are the frames' stamps, and by them colour is paired with depth. Without stamps, the
+    number in a name, or else the position in the list, counts as seconds.
     """
 
     format: ClassVar[str] = "folder"
@@ -138,7 +138,7 @@ class FolderRecording(FileRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has depth images, in depth/ or beside colour images."""
+        """Whether the folder has depth images, in its subfolder depth/ or next to colour images."""
         depth = path / "depth"
         if depth.is_dir():
             return any(listed_paths(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES))
@@ -188,7 +188,7 @@ class FolderRecording(FileRecording):
 def pair_files(
     depth: NamedImages, color: NamedImages, settings: CameraSettings, path: Path
 ) -> tuple[tuple[FrameFiles, ...], tuple[tuple[int, ...], tuple[int, ...]], tuple[str, ...]]:
-    """Pair two lists of images by their names into frames; masks are left to the reader.
+    """Pair two lists of images by their names into frames, which have no masks yet.
 
     Args:
         depth: depth images in numeric order.
@@ -214,7 +214,7 @@ def pair_files(
 
 
 def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]) -> Intrinsics:
-    """Intrinsics of Redwood's camera, if names and size are those of its scans; else unknown."""
+    """Intrinsics of Redwood's camera, if names and size are as in Redwood's scans; else without values."""
     if not (NUMBER_AND_STAMP.fullmatch(stems[0]) and size_px == (PRIMESENSE.width, PRIMESENSE.height)):
         return Intrinsics()
     note = f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"

@@ -32,7 +32,7 @@ class NamedImages:
 
 
 def depth_images(path: Path) -> NamedImages:
-    """The depth images in a recording's folder, of one kind; empty without any."""
+    """The depth images in a recording's folder, all of one file type; empty without any."""
     every = _every_depth(path)
     kinds = [file.suffix.lower() for file in every.files]
     raw = [kind for kind in kinds if kind != ".png"]
@@ -53,7 +53,7 @@ def _every_depth(path: Path) -> NamedImages:
 
 
 def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
-    """A line on depth images of another kind than those that are read."""
+    """A warning on depth images of other file types than those that are read; empty without such images."""
     read_kinds = {file.suffix.lower() for file in read.files}
     others: dict[str, list[str]] = {}
     for file in sorted(_every_depth(path).files):
@@ -76,7 +76,7 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder contains 16-bit depth and colour, each named by a word; reads headers of depth."""
+    """Whether a folder directly contains 16-bit depth and colour images, named as such by a word."""
     if not path.is_dir():
         return False
     depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))
@@ -92,7 +92,7 @@ def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
 
 
 def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
-    """The images in a folder whose names contain a word."""
+    """The images directly in a folder whose names contain a word, in numeric order."""
     suffixes = DEPTH_SUFFIXES if word is DEPTH_WORD else COLOR_SUFFIXES
     files = listed_paths(path, wanted=lambda name: _word(name, word, suffixes))
     named = sorted(
@@ -113,6 +113,6 @@ def _word(name: str, word: re.Pattern[str], suffixes: frozenset[str]) -> bool:
 
 
 def _without(word: re.Pattern[str], stem: str) -> str:
-    """A name without the word; the parts on both sides are joined by an underscore."""
+    """A name without the word in it; the parts before and after are joined by an underscore."""
     match = word.fullmatch(stem)
     return "_".join(part for part in match.groups() if part) if match else stem

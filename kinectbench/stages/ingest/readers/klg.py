@@ -34,7 +34,7 @@ ZLIB_STARTS = (b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")
 
 
 class PackedFrame(NamedTuple):
-    """Place of a frame's images: stamp in nanoseconds, offset and sizes in bytes."""
+    """A frame in the file: stamp in nanoseconds, position and sizes of its images' data in bytes."""
 
     stamp_ns: int
     position: int
@@ -44,7 +44,7 @@ class PackedFrame(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PackedRecording(Recording):
-    """A file of consecutive frames, with depth raw or by zlib."""
+    """A file of consecutive frames, with depth stored raw or compressed by zlib."""
 
     # Whether colour precedes depth within a frame.
     color_first: ClassVar[bool] = False
@@ -70,12 +70,12 @@ class PackedRecording(Recording):
         return RawFrame(name, place.stamp_ns, pixels, self.color(color, name))
 
     def is_raw(self, depth: bytes, size: int) -> bool:
-        """Whether depth that takes `size` bytes is stored raw."""
+        """Whether stored depth, which has `size` bytes when unpacked, is raw and not compressed."""
         return len(depth) == size
 
     @abstractmethod
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """Colour of a frame for output: (suffix, encoded), or None."""
+        """Convert a frame's stored colour to (suffix, encoded image); None without colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +137,7 @@ class KlgRecording(PackedRecording):
 
 
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
-    """Replace implausible stamps, sort the frames by stamp, and drop frames that repeat a stamp.
+    """Replace implausible stamps; find the order of frames by stamp, without those that repeat a stamp.
 
     Args:
         frames: in file order.

@@ -3,8 +3,9 @@
 By nerfstudio's page on data conventions: `fl_x, fl_y, cx, cy, w, h`, `k1, k2, p1, p2` are given for all
 frames or for each; `transform_matrix` is camera to world in OpenGL's axes; the centre of the first pixel is
 (0.5, 0.5). Depth is in mm, or in metres per unit of `depth_unit_scale_factor` (instant-ngp's
-`integer_depth_scale`). `mask_path` is ignored: it marks pixels to leave out of training, not an object. That
-page says that z is up, but poses by COLMAP are not, and the file does not say which: gravity is unknown.
+`integer_depth_scale`). `mask_path` is ignored: it marks pixels to leave out of training, not an object. The
+page says that z is up, but poses computed by COLMAP are not aligned so, and the file does not say which kind
+it has: the direction of gravity counts as unknown.
 """
 
 from dataclasses import dataclass, field
@@ -57,7 +58,7 @@ Frame = dict[str, object]
 
 @dataclass(frozen=True, kw_only=True)
 class NerfstudioRecording(PhoneRecording):
-    """A transforms.json with depth; frames count seconds, in the order of their depth's names.
+    """A transforms.json with depth; stamps are 0 s, 1 s, 2 s, ... in the order of the depth images' names.
 
     Attributes:
         undistortion: makes pinhole images; None if not needed.
@@ -70,7 +71,7 @@ class NerfstudioRecording(PhoneRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has a transforms.json that names depth, or that no other format explains."""
+        """Whether the folder has a transforms.json that names depth images, or has one without depth/."""
         if not (path / FILE).is_file():
             return False
         head = read_head(path / FILE)  # contains the first frame
@@ -123,7 +124,7 @@ class NerfstudioRecording(PhoneRecording):
 
 
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
-    """Read the values for all frames; the frames with depth, in the order of its names; and warnings."""
+    """Read the values of all frames; (name of depth, frame) for those with depth, by name; and warnings."""
     file = path / FILE
     content = read_json_object(file, "frames")
     frames = content.pop("frames", None)
@@ -147,7 +148,7 @@ def _first(shared: Frame, keys: tuple[str, ...], default: object = None) -> obje
 
 
 def _name(file: Path, name: object) -> str:
-    """Check that a name is that of a file in the folder, and return it."""
+    """Check that a name from the JSON file leads to a path inside the recording's folder; return it."""
     try:
         if not isinstance(name, str):
             raise ValueError("is no name")
@@ -208,7 +209,7 @@ def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
 def _trajectory(
     path: Path, shared: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Camera to world, metres, with nerfstudio's `applied_scale` undone."""
+    """The trajectory, camera to world, metres, with nerfstudio's `applied_scale` undone; and warnings."""
     scale = number_of(shared.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
     if scale <= 0:
         raise GivenPosesError(f"{path / FILE}: 'applied_scale' must be above 0")

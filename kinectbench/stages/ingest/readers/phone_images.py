@@ -72,12 +72,12 @@ class PhoneRecording(FileRecording):
         return self.shrunk(decode_color_bgr(data, str(file)), str(file))
 
     def shrunk(self, bgr: NDArray[np.uint8], name: str) -> tuple[str, bytes]:
-        """Average colour (height, width, 3) over the pixels of depth, and encode it as PNG."""
+        """Downsample colour (height, width, 3) to depth's size by averaging: (".png", encoded image)."""
         return shrunk_png(bgr, (self.camera.width, self.camera.height), name)
 
 
 def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int], name: str) -> tuple[str, bytes]:
-    """Average colour (height, width, 3) over the pixels of an image of this size, and encode it as PNG.
+    """Downsample colour (height, width, 3) to a size by averaging: (".png", encoded image).
 
     Raises:
         OddImageError: the aspect ratios differ.
@@ -125,9 +125,10 @@ def intrinsics_of_depth(
     path: Path,
     settings: CameraSettings,
 ) -> Intrinsics:
-    """Colour's intrinsics (3, 3) at depth's size, overridden by the settings.
+    """Scale colour's intrinsics (3, 3) to depth's size, and let the settings override them.
 
-    Without colour K is taken for images of the phone's usual size, and for none if the settings give all.
+    Without colour images, K is taken to be for images of the phone's usual size; it is not used if the
+    settings give all intrinsics.
 
     Raises:
         RecordingError: as `scaled_to_depth`.
@@ -144,11 +145,11 @@ def _same_shape(color_px: tuple[int, int], depth_px: tuple[int, int]) -> bool:
 
 
 def times_or_counted(times_s: Float64, counted_ns: Sequence[int], path: Path) -> tuple[list[int], list[str]]:
-    """The frames' times, nanoseconds, if each has one and they increase, else counted ones; and warnings.
+    """The frames' own stamps (nanoseconds) if all have one and they rise, else `counted_ns`; and warnings.
 
     Args:
-        times_s: (n,) seconds; of another shape where some are missing.
-        counted_ns: stamps of the n frames if they are counted.
+        times_s: (n,) own times of the frames, seconds; another shape if some are missing.
+        counted_ns: stamps of the n frames by counting, nanoseconds.
         path: the recording, for the warning.
     """
     if times_s.shape == (len(counted_ns),) and (np.abs(times_s) < LIMIT_NS / NS_PER_S).all():  # false for NaN

@@ -33,12 +33,12 @@ POSE_FOLDERS = ("pose", "poses")
 
 
 def named_like_poses(path: Path) -> str:
-    """A part of a message on files that look like poses; "" without such files."""
+    """The end of an error message that names files which look like poses; "" if there are none."""
     return names_like(path, LIKE_POSES.fullmatch, "not read, by name poses:")
 
 
 def unread_poses(path: Path) -> list[str]:
-    """A line on files that look like poses, for a folder without readable poses; empty without such files."""
+    """A warning on files that look like poses, for a folder without readable poses; empty without them."""
     beside = named_like_poses(path)
     return (
         [f"{path}: no trajectory is read{beside}; write it as `trajectory.txt`, {TUM_ROWS}"] if beside else []
@@ -46,7 +46,7 @@ def unread_poses(path: Path) -> list[str]:
 
 
 def pose_file(path: Path) -> Path | None:
-    """The recording's file with all poses; None without one."""
+    """The recording's one file with the poses of all frames; None without such a file."""
     return first_file(path / name for name in POSE_FILES)
 
 
@@ -55,10 +55,10 @@ def read_pose_file(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read a file with the poses of all frames, camera to world.
 
-    Rows of TUM belong to the frames with their stamps. If only the rows have stamps, and there are as many
-    rows as frames, rows and frames are in the same order. Rows of RTAB-Map with an id belong to the frames
-    with that number. Matrices (12 or 16 values in a row, or in rows of four) are in the order of frames; with
-    a number above each matrix, they belong to the frames with these indices, from 0.
+    A row of TUM belongs to the frame with its stamp. If the rows have stamps but the frames are only counted,
+    and there are as many rows as frames, they are matched in order. A row of RTAB-Map with an id belongs to
+    the frame with that number. Matrices (12 or 16 values in a row, or in rows of four) are in the order of
+    frames; with a number above each matrix, they belong to the frames with these indices, from 0.
 
     Args:
         file: text file with a pose in each row.
@@ -104,7 +104,7 @@ def read_pose_file(
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:
-    """Matrices for the frames whose number is the id of a row; None for the others."""
+    """The matrix of each frame, from the row whose id is the frame's number; None without such a row."""
     poses = {}
     for where, row in rows:
         words = row.replace(",", " ").split()
@@ -139,7 +139,7 @@ def _matrix(row: str, where: str) -> Float64:
 
 
 def read_log(file: Path, frames: int) -> list[Float64]:
-    """Read a Redwood log: `i j k`, then four matrix rows, camera to world; frame i's matrix, or NaN.
+    """Read a Redwood log: `i j k`, then a 4x4 camera to world; each frame's matrix, NaN if it has none.
 
     Args:
         file: blocks of five rows; of the first row only the frame's number is used.
@@ -170,7 +170,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
 
 
 def pose_folder(path: Path) -> Path | None:
-    """The recording's folder with a text file for each pose; None without one."""
+    """The recording's folder with one text file per pose; None without such a folder."""
     folders = (path / name for name in POSE_FOLDERS)
     return next((folder for folder in folders if folder.is_dir() and any(folder.glob("*.txt"))), None)
 
@@ -178,7 +178,7 @@ def pose_folder(path: Path) -> Path | None:
 def read_pose_folder(
     path: Path, files: Sequence[FrameFiles], T_camera_depth: Float64 | None = None
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read the poses of frames from a file each; a pose that is not finite means that the frame was lost.
+    """Read the pose of each frame from its own file; a pose that is not finite means that tracking was lost.
 
     Args:
         path: the recording.
@@ -202,14 +202,14 @@ def read_pose_folder(
 def finite_trajectory(
     stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """`trajectory_from_matrices`, but without trajectory and warning if every frame was lost."""
+    """Like `trajectory_from_matrices`, but (None, no warnings) if no frame has a finite matrix."""
     if not any(matrix is not None and np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     return trajectory_from_matrices(stamps_ns, matrices, name)
 
 
 def read_pose_matrix(file: Path, T_camera_depth: Float64) -> Float64 | None:
-    """The pose (4, 4) of the depth camera, from a file with that of the camera it lies to; None if missing.
+    """Read a camera's pose from a file, and convert it to the depth camera's (4, 4); None without the file.
 
     Raises:
         RecordingError: the file does not contain 16 numbers.

@@ -1,9 +1,9 @@
 """Scans of the Redwood 3dscan data set (redwood-data.org/3dscan), in their zip archives.
 
-depth/ and rgb/ have NUMBER-MICROSECONDS, depth in mm as PNG, colour as JPEG. By the data set's page its
-PrimeSense cameras have images of 640x480 with 525, 525, 319.5, 239.5; the archive does not state this. Depth
-comes every 33.369 ms and colour every 33.516 ms, each with its own numbers: equal numbers soon have different
-times.
+Files in depth/ and rgb/ are named NUMBER-MICROSECONDS; depth is PNG in mm, colour is JPEG. By the data set's
+page its PrimeSense cameras have images of 640x480 pixels and fx, fy, cx, cy of 525, 525, 319.5, 239.5; the
+archive does not state this. Depth comes every 33.369 ms and colour every 33.516 ms, each with its own
+numbers: equal numbers soon have different times.
 """
 
 import re
@@ -28,7 +28,7 @@ MEMBER = re.compile(r"(?:[^/]+/)?(depth|rgb)/(\d{1,9}-\d{12})\.(?:png|jpg)")
 
 
 class ZippedFrame(NamedTuple):
-    """The members of a frame: stamp of depth in nanoseconds, names of depth and of colour (or None)."""
+    """A frame in the archive: stamp of depth in nanoseconds, names of depth and colour (or None)."""
 
     stamp_ns: int
     depth: str

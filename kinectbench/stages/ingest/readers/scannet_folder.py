@@ -31,7 +31,7 @@ DEPTH_SCALE = 1000.0
 
 
 class ScannetFolderRecording(FileRecording):
-    """One exported scene of ScanNet; frame numbers count as seconds."""
+    """One exported scene of ScanNet; the stamp of a frame is its number in seconds."""
 
     format: ClassVar[str] = "scannet"
     uses: ClassVar[frozenset[str]] = COLOR_DELAY
@@ -83,11 +83,11 @@ class ScannetFolderRecording(FileRecording):
 
 
 def _matrix_file(path: Path, camera: str) -> Path | None:
-    """The file with the intrinsics of "depth" or "color"."""
+    """The file with the intrinsics of the camera "depth" or "color"; None without it."""
     return first_file([path / "intrinsic" / f"intrinsic_{camera}.txt", path / f"intrinsics_{camera}.txt"])
 
 
 def _read_extrinsic(path: Path, camera: str) -> Float64:
-    """The transform (4, 4) from "depth" or "color" to the rig, metres; the identity if missing."""
+    """The transform (4, 4) from the camera "depth" or "color" to the rig, metres; the identity if missing."""
     file = path / "intrinsic" / f"extrinsic_{camera}.txt"
     return read_matrix(file, 4) if file.is_file() else np.eye(4)

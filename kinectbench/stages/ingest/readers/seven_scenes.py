@@ -69,7 +69,7 @@ class ScannetRig:
         file: the file; the recording if no file states the calibration.
         depth: intrinsics of the depth camera.
         color: calibration of colour relative to depth, or None if missing.
-        registered: whether colour is registered to depth, whatever the file states.
+        registered: whether colour is known to be registered to depth, whatever calibration the file states.
         T_rig_depth: (4, 4), depth camera to the rig, whose poses are recorded, metres.
     """
 
@@ -81,10 +81,10 @@ class ScannetRig:
 
 
 class SevenScenesRecording(FileRecording):
-    """One sequence of Microsoft 7-Scenes, or in its layout.
+    """One sequence of Microsoft 7-Scenes, or of another data set in its layout.
 
-    The layout has no stamps: a frame's number counts seconds. Poses are 4x4, camera to world, and are
-    projected onto the rigid transforms.
+    The layout has no stamps: a frame's stamp is its number in seconds. Poses are 4x4 matrices, camera to
+    world, and are replaced by the nearest rigid transforms.
     """
 
     format: ClassVar[str] = "7scenes"
@@ -143,7 +143,7 @@ class SevenScenesRecording(FileRecording):
 
     @classmethod
     def files_beside(cls, path: Path) -> tuple[Path, ...]:
-        """The file of intrinsics in the folder above, if that is the one to read."""
+        """The file of intrinsics in the parent folder, if the folder itself has none; else empty."""
         file = _camera_file(path)
         return () if file is None or file.parent == path else (file,)
 
@@ -153,12 +153,12 @@ class SevenScenesRecording(FileRecording):
 
 
 def names_beside(names: Iterable[str]) -> tuple[str, ...]:
-    """Files in the parent folder that may belong to a folder with these names; empty if it is no sequence."""
+    """Names of files that may belong to a sequence with these file names, but lie in its parent folder."""
     return FILES_ABOVE if any(map(DEPTH_NAME.fullmatch, names)) else ()
 
 
 def _camera_file(path: Path) -> Path | None:
-    """The file of intrinsics: in the folder, or in the folder above, as in 3DMatch and tsdf-fusion."""
+    """The file of intrinsics: in the folder, or in its parent, as in 3DMatch and tsdf-fusion; or None."""
     own = first_file(path / name for name in MATRIX_FILES)
     info = (file for file in (path / name for name in INFO_FILES) if is_info(file))
     return own or next(info, None) or first_file(path.parent / name for name in FILES_ABOVE)
@@ -179,7 +179,7 @@ def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, 
 def _default_rig(
     path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int], settings: CameraSettings
 ) -> tuple[ScannetRig, list[str]]:
-    """The data set's Kinect; with a warning, unless the settings give a camera or it is 7-Scenes itself."""
+    """7-Scenes' Kinect if the size fits; warn unless the settings give a camera or it is 7-Scenes itself."""
     if size_px != (KINECT.width, KINECT.height):
         return ScannetRig(path, Intrinsics()), []
     if gives_intrinsics(settings) or _marks_holes(files):
@@ -191,7 +191,7 @@ def _default_rig(
 
 
 def _marks_holes(files: Sequence[FrameFiles]) -> bool:
-    """Whether 65535 marks missing depth, as in 7-Scenes itself, but not in other data sets of its layout."""
+    """Whether 65535 marks missing depth, which is so in 7-Scenes itself but not in others with its layout."""
 
     def marked(frame: FrameFiles) -> bool:
         return bool((decode_depth_png(read_image_file(frame.depth), str(frame.depth)) == INVALID).any())

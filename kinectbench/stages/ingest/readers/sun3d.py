@@ -103,12 +103,12 @@ class Sun3dRecording(FileRecording):
 
 
 class _Stream(NamedTuple):
-    """The images of a folder sorted by stamp; stamps, nanoseconds, a few of which may repeat.
+    """The images of a folder, sorted by stamp.
 
     Attributes:
         files: the images.
-        stamps_ns: their stamps.
-        timed: whether the stamps are times in the names, and not counted.
+        stamps_ns: their stamps, nanoseconds; a few may repeat.
+        timed: whether the stamps are times in the names; else they are counted.
     """
 
     files: tuple[Path, ...]
@@ -143,10 +143,10 @@ def _stamp_text(stem: str) -> str:
 def _read_poses(
     path: Path, color_ns: Sequence[int], depth_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The poses in the newest file: one per colour image, or per depth image if their numbers match.
+    """Read the trajectory in the newest file: a pose per colour image, or else per depth image; and warnings.
 
     Raises:
-        RecordingError: the number of poses matches neither.
+        RecordingError: the number of poses is that of neither.
     """
     files = sorted(visible(path / "extrinsics", "*.txt"))
     if not files:

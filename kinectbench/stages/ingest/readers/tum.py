@@ -117,9 +117,9 @@ class TumRecording(FileRecording):
 
 
 def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> tuple[UpSample, ...]:
-    """Up at some frames from accelerometer.txt, if the camera's file says that it has depth's axes.
+    """Up at some frames from accelerometer.txt, if camera.json says that its axes are the depth camera's.
 
-    Recordings of the benchmark itself have such a file in the axes of the Kinect's sensor.
+    Recordings of the benchmark itself have this file, too, but in the axes of the Kinect's sensor.
     """
     file = path / "accelerometer.txt"
     if camera_file is None or camera_file.suffix != ".json" or not file.is_file():
@@ -138,7 +138,7 @@ def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> 
 
 
 def _read_rows(path: Path) -> list[tuple[int, Path]]:
-    """Read rows `stamp file` as (ns, path), in their order."""
+    """Read rows `stamp file` as (nanoseconds, path), in the order of the file."""
     rows = []
     for where, row in text_rows(path):
         words = row.split(maxsplit=1)
@@ -153,14 +153,14 @@ def _read_rows(path: Path) -> list[tuple[int, Path]]:
 
 
 def _counted(rows: list[tuple[int, Path]]) -> list[tuple[int, Path]]:
-    """The rows with stamps that count seconds."""
+    """The rows, with stamps of 0 s, 1 s, 2 s and so on instead of their own."""
     return [(stamp_ns, file) for stamp_ns, (_, file) in zip(counted_ns(len(rows)), rows, strict=True)]
 
 
 def _in_order(
     rows: list[tuple[int, Path]], path: Path
 ) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
-    """Rows sorted by stamp, each stamp once; the stamps as listed; and warnings."""
+    """The rows sorted by stamp, without repeated stamps; all stamps in the file's order; and warnings."""
     stamps_ns = [stamp for stamp, _ in rows]
     order, warnings = first_by_stamp(stamps_ns, str(path), "rows")
     return [rows[i] for i in order], stamps_ns, [*warnings, *check_unit(stamps_ns, str(path))]

@@ -32,7 +32,7 @@ DEPTH_SCALE = 1000.0
 
 
 class WildRgbdRecording(FileRecording):
-    """One scene of WildRGB-D, with masks of its object; frame numbers count seconds."""
+    """One scene of WildRGB-D, with masks of its object; the stamp of a frame is its number in seconds."""
 
     format: ClassVar[str] = "wildrgbd"
     looks_for: ClassVar[str] = "a folder with depth/, metadata and cam_poses.txt or masks/ (rgb/)"

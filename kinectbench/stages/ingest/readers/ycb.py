@@ -60,7 +60,7 @@ POSE = "H_table_from_reference_camera"
 
 
 class YcbRecording(FileRecording):
-    """The images of an object by one camera; the world turns with the table; angles count seconds."""
+    """An object seen by one camera; the world turns with the table; a stamp is the angle, 1 s per degree."""
 
     format: ClassVar[str] = "ycb"
     uses: ClassVar[frozenset[str]] = frozenset({"sensor"})
@@ -122,7 +122,7 @@ class YcbRecording(FileRecording):
         )
 
     def mask(self, file: Path, depth: NDArray[np.uint16]) -> Bools:
-        """The mask in a file, on depth's pixels; a mask on colour's pixels is registered to depth."""
+        """Read a mask; map it from colour's to depth's pixels if colour is calibrated: (height, width)."""
         pixels = _bitmap(read_image_file(file), str(file))
         if self.color_calibration is None:
             return np.asarray(pixels == 0)
@@ -154,7 +154,7 @@ def _bitmap(data: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]]:
-    """The values in calibration.h5 for a camera, by the keys of SHAPES; and the missing keys."""
+    """The arrays of calibration.h5 for a camera, by the keys of SHAPES; and a warning on missing arrays."""
     names = {key: key.format(sensor) for key in SHAPES}
     if not (path / CALIBRATION).is_file():
         return {}, [
@@ -167,7 +167,7 @@ def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]
 
 
 def _arrays(file: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Float64]:
-    """Read the arrays that an HDF5 file has, float64.
+    """Read those of the arrays named in `shapes` that an HDF5 file has, as float64.
 
     Raises:
         RecordingError: an array is not finite or has another shape.
@@ -214,7 +214,7 @@ def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -
 def _poses(
     path: Path, said: Mapping[str, Float64], angles: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Poses of the depth camera relative to the turntable, by angle; and what is missing for them."""
+    """The depth camera's trajectory in the turntable's frame, stamped by angle, or None; and warnings."""
     files = [path / "poses" / f"NP5_{angle}_pose.h5" for angle in angles]
     if not any(file.is_file() for file in files):
         return None, [f"{path}: has no poses/NP5_0_pose.h5; the object is tracked by its depth alone"]
