@@ -81,7 +81,7 @@ def upright(sequence: Sequence, shutter: RollingShutter | None) -> Sequence:
 
 
 def upright_masks(sequence: Sequence, masks: Callable[[int], Bools | None]) -> Callable[[int], Bools | None]:
-    """Adapt masks of recorded frames to a sequence, whose rolling shutter may have been undone."""
+    """Adapt masks of recorded frames to a sequence whose rolling shutter may have been undone."""
     frames = sequence.frames
     if not isinstance(frames, UprightFrames):
         return masks
