@@ -121,7 +121,7 @@ KILLED = "run.process-killed"
 
 
 def error_code(error: BaseException) -> str:
-    """The code of an error; `run.no-memory` or `run.internal-error` for one outside `KinectBenchError`."""
+    """The code of an error; for other exceptions `run.no-memory` or `run.internal-error`."""
     if isinstance(error, KinectBenchError):
         return error.code
     return "run.no-memory" if isinstance(error, MemoryError) else "run.internal-error"
@@ -141,5 +141,5 @@ def internal_error(error: BaseException) -> str:
 
 
 def pydantic_message(error: Mapping[str, object]) -> str:
-    """The message of a pydantic error, without the prefix of those that this project's own checks raise."""
+    """The message of a pydantic error, without the prefix "Value error, " of this project's own checks."""
     return str(error["msg"]).removeprefix("Value error, ")

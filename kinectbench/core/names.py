@@ -58,7 +58,7 @@ class Clash(NamedTuple):
     """Two conflicting names.
 
     Attributes:
-        problem: a sentence.
+        problem: the error message.
         row: index of the row with the second name.
         earlier: index of the row with the first name.
     """

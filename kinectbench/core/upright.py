@@ -22,7 +22,7 @@ PNG_LEVEL = 1
 
 @dataclass(frozen=True)
 class UprightFrames:
-    """The frames of a recording, with depth and registered colour moved to the middle of each readout.
+    """Frames with depth and registered colour as if taken at one instant, in the middle of the readout.
 
     Attributes:
         frames: the frames as recorded.

@@ -175,9 +175,9 @@ def name_there(store: Store, job: Job, key: str) -> str | None:
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """The current stages of a recording in its store, and why its last run failed; downloads no recording.
+    """Stages of a recording that are up to date in its store, and why its last run failed, or None.
 
-    If the recording's files have not been hashed, no stage is known to be current.
+    Downloads no recording; if its files have not been hashed, no stage is known to be up to date.
     """
     try:
         listing = _listing(job)

@@ -52,7 +52,7 @@ def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> It
 
 @contextmanager
 def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
-    """Within the block, run a thread that calls `unanswered` for signals that Python does not handle."""
+    """Within the block, run a thread that calls `unanswered` for signals not handled in time."""
     if unanswered is None:
         yield
         return

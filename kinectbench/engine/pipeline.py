@@ -165,7 +165,7 @@ def error_line(failure: Exception) -> str:
 
 
 def is_current(job: Job, upto: str) -> bool:
-    """Whether all stages up to the named one are current."""
+    """Whether the artefacts of all stages up to the named one are up to date."""
     return all(artefact.is_current() for artefact in artefacts_upto(job, upto).values())
 
 
@@ -266,7 +266,7 @@ def _checked_masks(job: Job) -> Callable[[Path], object] | None:
     """Refuse masks of frames whose images have changed; return the check of masks of views, to call later.
 
     The check takes the folder of the new views; None without masks. Checks can only refuse masks, and never
-    change a stage's result. So masks.json is in no fingerprint, and a refusal is not stored as a failure.
+    change a stage's result. So masks.json is in no fingerprint, and after a refusal the stage is tried again.
     """
     from kinectbench.engine.drawn_masks import DrawnMasks
     from kinectbench.stages.ingest.sequence_folder import read_sequence

@@ -100,7 +100,7 @@ class Stage:
         name: name of the stage and of its command.
         folder: folder of its artefact, below `build/<recording>/`.
         inputs: names of the stages that it reads.
-        needs: makes the settings that it depends on, from a job; it gets no others.
+        needs: makes the settings that the stage depends on, from a job; the stage gets no others.
         outside: returns the names of its inputs from outside `build/`, which are keys of SOURCES.
     """
 
@@ -343,7 +343,7 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
 
 
 def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
-    """Whether an input from outside `build/` still has a hash, by names and sizes; True if it is gone."""
+    """Whether an input from outside `build/` matches a hash, by names and sizes; True if it is gone."""
     path = {RECORDING: job.source, MASKS: job.masks, REFERENCE: job.reference}[name]
     if path is None or not os.path.exists(path):  # noqa: PTH110 - of any name
         return True

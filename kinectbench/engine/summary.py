@@ -56,7 +56,7 @@ class BuiltRecording:
 
 
 def summary(job: Job, outcome: Outcome) -> RecordingSummary:
-    """The figures of the stages that a run made or found current; other stages are left out."""
+    """The figures of the stages that a run made or found up to date; other stages are left out."""
     if outcome.row is not None:
         return outcome.row
     stages = (*outcome.made, *outcome.current)

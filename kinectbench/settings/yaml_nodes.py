@@ -75,7 +75,7 @@ class _Counting(Composer):
     allowance: Allowance
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Compose the next node; refuse a file with more than `MOST_VALUES` keys and values."""
+        """Compose the next node; raise an error once the allowance of keys and values is used up."""
         self.allowance.values -= 1
         if self.allowance.values < 0:
             mark = self.peek_event().start_mark  # type: ignore[attr-defined] # the parser's

@@ -195,7 +195,7 @@ class ReleaseInfo(ReleaseFile):
         return info is None or info.split not in self.inputs_only
 
     def isolates(self, recording: str) -> bool:
-        """Whether the release holds one view of a recording and no truth; False in the part for scoring."""
+        """Whether the release holds one view of a recording and no truth; False in the private part."""
         return self.hides(recording) and recording in self.isolated
 
 

@@ -59,12 +59,12 @@ class PairResult:
 
 
 class CountedPair(StoredPart):
-    """One line of the journal: a pair's name, a key that identifies the inputs, and the exact result."""
+    """One line of .counted.jsonl: a pair's name, a key that identifies the inputs, and the exact result."""
 
     pair: str
     key: str
     result: PairResult
 
     def line(self) -> str:
-        """The journal line: JSON with a line break."""
+        """The line of .counted.jsonl: JSON with a line break."""
         return canonical_json(self.json_value()) + "\n"

@@ -90,7 +90,7 @@ class Sources(Stored):
 
     @classmethod
     def unchecked(cls, path: Path) -> Any:
-        """Read the JSON of such a file without validation, which would take longer for thousands of rows.
+        """Read the JSON of a sources.json without validation, which is slow for thousands of rows.
 
         Raises:
             OSError, ValueError, RecursionError: the file cannot be read, or is no JSON of bounded size.

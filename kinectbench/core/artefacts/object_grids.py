@@ -121,7 +121,8 @@ def unmeasured_faces(mesh_world: TriangleMesh, grid: Grid, labels: NDArray[np.ui
     Near: one of the 27 voxels around the face's middle has the label SURFACE. In front: the voxel 1.5 voxel
     edges outward from the middle has the label UNKNOWN. Without the second condition, the far side of a wall
     as thin as the shell of a measurement would count as measured (chosen here: for a bin open at the top it
-    raises the unmeasured share from 11 % to 35 %; at 1 to 2.5 voxels, .333 to .336 have unknown in front).
+    raises the unmeasured share from 11 % to 35 %; the share of faces with unknown space in front is .333 to
+    .336 for distances of 1 to 2.5 voxels).
 
     Args:
         mesh_world: closed surface of the object, world frame, metres.

@@ -36,7 +36,7 @@ class DirectionPart(StoredPart):
 
 
 class DirectionsPart(StoredPart):
-    """These distances for faces that point up or down (within 45 degrees) or sideways."""
+    """Distances to the reference mesh for faces that point up or down (within 45 degrees) or sideways."""
 
     up: DirectionPart = Field(description="of faces that look up")
     down: DirectionPart = Field(description="of faces that look down")

@@ -156,7 +156,7 @@ class Stored(StoredPart):
 
     @classmethod
     def parse(cls, text: str, where: str) -> Self:
-        """Parse the text of such a file; types are strict: a number written as text is refused.
+        """Parse the text of a file of this kind; types are strict: a number written as text is refused.
 
         Args:
             text: JSON.

@@ -96,7 +96,7 @@ class GivenFigures(ScaledPart):
 
 
 class Covisibility(StoredPart):
-    """Which share of their points pairs of keyframes see in common."""
+    """For pairs of keyframes, the share of the first one's points that the second one sees."""
 
     keyframes: tuple[int, ...] = Field((), description="up to 60 keyframes with a pose")
     share: list[list[float]] = Field([], description="[i][j]: share of the points of keyframe i that j sees")

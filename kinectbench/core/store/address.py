@@ -101,10 +101,10 @@ def require_usable(url: str, place: str) -> None:
 
     Args:
         url: URL of the store.
-        place: the URL that the error names.
+        place: the URL as messages show it.
 
     Raises:
-        SettingsError: one of these problems; the message names `place`.
+        SettingsError: one of these problems.
     """
     try:
         import obstore  # noqa: F401

@@ -76,8 +76,8 @@ def download(
 ) -> Content:
     """Download a file; it appears at `path` when it is complete and verified.
 
-    A partial download lies beside `path`, and the next call resumes it. The addresses are
-    tried in turn, over and over until `attempts.patience_s` has passed without progress.
+    A partial download lies beside `path`, and the next call resumes it. The addresses are tried in turn, over
+    and over until `attempts.patience_s` has passed without progress.
 
     Args:
         urls: addresses of the same file.
