@@ -1,1 +1,1 @@
-"""The ground: arrays, values and files, without any policy."""
+"""Foundation of all other packages: geometry, values and files, without decisions about a benchmark."""

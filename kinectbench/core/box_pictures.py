@@ -38,12 +38,12 @@ EDGES = ((0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4),
 
 @dataclass(frozen=True)
 class ShownBox:
-    """An upright box, and the surface inside it, in the frame `floor`.
+    """An upright box with the surface points inside it, to be drawn into a frame.
 
     Attributes:
         box: the box, in the frame `floor`.
         points_floor: (n, 3) points of the surface, metres.
-        T_world_floor: (4, 4).
+        T_world_floor: (4, 4), from the floor frame to the world frame.
     """
 
     box: OrientedBox
@@ -142,7 +142,7 @@ def _sampled_world(shown: ShownBox) -> Float64:
 def _seen(
     points_world: Float64, frame: int, sequence: Sequence, trajectory: Trajectory
 ) -> tuple[Int64, float]:
-    """Pixels (k, 2) of the points that agree with the frame's depth, and their mean distance, metres."""
+    """Pixels (k, 2) of the points that agree with the depth of a frame, and their mean depth, metres."""
     points_camera = transform_points(invert_rigid(trajectory.T_world_camera[frame]), points_world)
     points_camera = points_camera[_inside(points_world, frame, sequence, trajectory)]
     pixels = np.rint(sequence.camera.project(points_camera)).astype(np.int64)
@@ -153,7 +153,7 @@ def _seen(
 
 
 def _inside(points_world: Float64, frame: int, sequence: Sequence, trajectory: Trajectory) -> Bools:
-    """Whether each point lies in front of the camera and in the image: (n,)."""
+    """Whether each point (n, 3) lies in front of the camera and projects into the image: (n,) bool."""
     points_camera = transform_points(invert_rigid(trajectory.T_world_camera[frame]), points_world)
     ahead = points_camera[:, 2] > NEAR_M
     pixels = np.rint(sequence.camera.project(np.where(ahead[:, None], points_camera, 1.0)))
@@ -162,7 +162,7 @@ def _inside(points_world: Float64, frame: int, sequence: Sequence, trajectory: T
 
 
 def _background(sequence: Sequence, frame: int) -> Rgb:
-    """The frame in colour, or its depth in grey, darker farther away: (height, width, 3) uint8."""
+    """A frame in colour, or its depth in grey, darker farther away: (height, width, 3) uint8 RGB."""
     shape = (sequence.camera.height, sequence.camera.width)
     color_rgb = sequence.color_rgb(frame)
     if color_rgb is not None and color_rgb.shape[:2] == shape:
@@ -175,7 +175,7 @@ def _background(sequence: Sequence, frame: int) -> Rgb:
 def _edges_px(
     box: OrientedBox, T_camera_floor: Float64, sequence: Sequence
 ) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """The box's edges in the image, clipped at the camera's plane."""
+    """Project the parts of a box's edges in front of the camera: their end pixels, ((u, v), (u, v)) each."""
     corners = transform_points(T_camera_floor, box.corners_floor())
     lines = []
     for a, b in ((corners[i], corners[j]) for i, j in EDGES):
@@ -191,7 +191,7 @@ def _edges_px(
 
 
 def _heights(points_floor: Float64) -> tuple[Float64, tuple[float, float, float, float]]:
-    """The greatest height of the surface in each ground cell, NaN without surface; and the cells' extent."""
+    """Greatest height of the surface in each ground cell (nx, ny), NaN if empty; extent (x0, x1, y0, y1)."""
     cell_m = max(PLAN_CELL_M, float(np.ptp(points_floor[:, :2], axis=0).max()) / MOST_PLAN_CELLS)
     cells = np.floor(points_floor[:, :2] / cell_m).astype(int)
     first = cells.min(axis=0)

@@ -1,7 +1,7 @@
 """Read and check the headers of untrusted PNG and JPEG images, so that decoding them has bounded cost.
 
 OpenCV decodes anything: a PNG of a few kilobytes may claim a billion pixels, and each scan of a progressive
-JPEG goes over the whole image again. So every room reads the header here first.
+JPEG goes over the whole image again. So the whole package reads the header here first.
 """
 
 import struct
@@ -34,7 +34,7 @@ class ImageHead(NamedTuple):
         suffix: the file suffix of its format.
         width: pixels.
         height: pixels.
-        bits: bits of a sample.
+        bits: bits per channel.
         color_type: as in a PNG: 0 is grey, 3 a palette, 2 colour; every JPEG has 2.
     """
 
@@ -67,7 +67,7 @@ def image_head(data: bytes) -> ImageHead:
 
 
 def decoded_image(data: bytes, mode: int) -> NDArray[np.generic]:
-    """Decode an image whose header was checked, in a mode of `cv2.imdecode`.
+    """Decode an image whose header the caller has checked; `mode` is a flag of `cv2.imdecode`.
 
     Raises:
         ValueError: the image is damaged.
@@ -85,9 +85,9 @@ def decoded_image(data: bytes, mode: int) -> NDArray[np.generic]:
 
 
 def decoded_mask(data: bytes) -> Bools:
-    """The pixels (height, width) of a mask of any bit depth that are not 0 in a channel other than alpha.
+    """Decode a mask of any bit depth: (height, width) bool, True where a channel other than alpha is not 0.
 
-    The image's header was checked.
+    The caller has checked the image's header.
 
     Raises:
         ValueError: the image is damaged.
@@ -100,7 +100,7 @@ def decoded_mask(data: bytes) -> Bools:
 
 
 def _png_head(data: bytes) -> ImageHead:
-    """The header of a PNG; checks that the PNG is complete."""
+    """Read the header of a PNG; check that the file is complete and each checksum is right."""
     position, view = len(PNG_MAGIC), memoryview(data)
     for _ in range(MOST_PARTS):
         if position + 12 > len(data):
@@ -132,7 +132,7 @@ def _check_size(width: int, height: int) -> None:
 
 
 def _jpeg_head(data: bytes) -> ImageHead:
-    """The header of a JPEG; checks the end marker and the number of scans."""
+    """Read the header of a JPEG; check the end marker and the number of scans."""
     position, size = 2, None
     for _ in range(MOST_PARTS):
         if position + 4 > len(data) or data[position] != 0xFF:

@@ -1,8 +1,8 @@
-"""The codes of all errors: what went wrong and what to do, one sentence each.
+"""The codes of all errors, each with one sentence on what went wrong and one on what to do.
 
 A code is `<kind>.<what>` (`kinectbench.core.errors.KinectBenchError.code`). The text of an error may change;
 its code is a contract for programs. Two errors share a code if a program would react to both in the same way.
-`scripts/docs_errors.py` makes docs/errors.md of this list.
+`scripts/docs_errors.py` makes docs/errors.md from this list.
 """
 
 from collections.abc import Mapping

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 class KinectBenchError(Exception):
     """Base of all errors with a one-line message: what, where, what to do.
 
-    Several arguments become several lines.
+    Each argument becomes a line of the message.
 
     Attributes:
         kind: first half of the code; each class has one.
@@ -65,17 +65,17 @@ class GivenPosesError(RecordingError):
 
 
 class CaptureError(KinectBenchError):
-    """A camera is not there, or gives no more frames."""
+    """A camera is not connected, or delivers no more frames."""
 
 
 class TrackingError(KinectBenchError):
-    """No usable trajectory."""
+    """No usable trajectory could be found."""
 
     kind, what = "tracking", "no-trajectory"
 
 
 class SegmentationError(KinectBenchError):
-    """No floor, no object, or an impossible box or mask."""
+    """No floor or no object was found, or a box or mask is impossible."""
 
     kind, what = "segmentation", "no-object"
 
@@ -121,14 +121,14 @@ KILLED = "run.process-killed"
 
 
 def error_code(error: BaseException) -> str:
-    """The code of an error; `run.no-memory` or `run.internal-error` if it is no `KinectBenchError`."""
+    """The code of an error; for other exceptions `run.no-memory` or `run.internal-error`."""
     if isinstance(error, KinectBenchError):
         return error.code
     return "run.no-memory" if isinstance(error, MemoryError) else "run.internal-error"
 
 
 def internal_error(error: BaseException) -> str:
-    """One line about an unforeseen error, with advice for errors of encoding."""
+    """Describe an unforeseen error in one line, with advice if an encoding caused it."""
     text = " ".join(str(error).split())
     if isinstance(error, UnicodeEncodeError) and error.encoding.startswith("utf"):
         return f"{error.object[:80]!a}: a name that is not UTF-8; rename the file or folder"
@@ -141,5 +141,5 @@ def internal_error(error: BaseException) -> str:
 
 
 def pydantic_message(error: Mapping[str, object]) -> str:
-    """The message of a pydantic error, without pydantic's prefix if a check of this project wrote it."""
+    """The message of a pydantic error, without the prefix "Value error, " of this project's own checks."""
     return str(error["msg"]).removeprefix("Value error, ")

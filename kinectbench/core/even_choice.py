@@ -1,4 +1,4 @@
-"""Some of many, evenly spread."""
+"""Choose evenly spaced indices."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from kinectbench.core.types import Int64
 
 
 def evenly(count: int, most: int) -> Int64:
-    """At most so many of the indices 0 to `count` - 1, evenly spread: the first, the last, and some between.
+    """Return at most `most` of the indices 0 to `count` - 1, evenly spaced from the first to the last.
 
     Returns:
         (min(most, count),) int64, ascending.

@@ -27,7 +27,7 @@ SAME_MODULES: Mapping[str, str] = {"open3d": "open3d-cpu"}
 
 
 def package_version(package: str) -> str | None:
-    """Version of an installed package, whichever distribution brought it; None if none did."""
+    """Version of an installed package, under any of its distribution names; None if it is not installed."""
     for name in (package, SAME_MODULES.get(package, package)):
         try:
             return version(name)
@@ -37,13 +37,13 @@ def package_version(package: str) -> str | None:
 
 
 def missing_module(error: ModuleNotFoundError) -> str | None:
-    """A message with the extra that installs a missing module; None for other modules."""
+    """Advice on which extra installs a missing module; None if no extra provides it."""
     module = (error.name or "").partition(".")[0]
     return _advice([module], EXTRA_OF[module]) if module in EXTRA_OF else None
 
 
 def missing_extra(extra: str) -> str | None:
-    """A message if a module of an extra is not installed; else None."""
+    """Advice if a module of an extra is not installed; None if all are."""
     missing = [module for module, of in EXTRA_OF.items() if of == extra and find_spec(module) is None]
     return _advice(missing, extra) if missing else None
 

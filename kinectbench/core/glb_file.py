@@ -67,7 +67,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def _parts(gltf: dict[str, Any], binary: bytes) -> Iterator[Triangles]:
-    """Yield the vertices, in the scene's frame, and the triangles of each primitive."""
+    """Yield the vertices (in the scene's frame) and the triangles of each primitive."""
     vertices_left, triangles_left = MAX_VERTICES, MAX_TRIANGLES
     for mesh, T_scene_node in _placed(gltf):
         for primitive in gltf["meshes"][_index(mesh)]["primitives"]:
@@ -93,7 +93,7 @@ def _parts(gltf: dict[str, Any], binary: bytes) -> Iterator[Triangles]:
 
 
 def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
-    """Yield each mesh of the default scene with its node's transform; without a scene, with the identity."""
+    """Yield each mesh index of the default scene with T_scene_node, which is the identity without a scene."""
     if not gltf.get("scenes"):
         yield from ((number, np.eye(4)) for number in range(len(gltf.get("meshes", ()))))
         return
@@ -112,7 +112,7 @@ def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
 
 
 def _T_parent_node(facts: dict[str, Any]) -> Float64:
-    """A node's transform: a matrix stored by columns, or scale, then rotation, then translation."""
+    """A node's transform (4, 4): a matrix stored by columns, or scale, then rotation, then translation."""
     if "matrix" in facts:
         return np.array(facts["matrix"], dtype=np.float64).reshape(4, 4).T
     rotation = rotation_from_quaternion_xyzw(np.array(facts.get("rotation", (0, 0, 0, 1)), float).reshape(4))

@@ -25,10 +25,10 @@ class Listing:
 
     Attributes:
         columns: headings of the columns.
-        filters: indices of the columns that offer a choice of their values.
+        filters: indices of the columns that get a drop-down list of their values.
         rows: texts of all rows, a cell for each column.
         links: first cell of a row → target of its link, for the rows that have a link.
-        elsewhere: a few words on where all rows can be read without scripts.
+        elsewhere: a few words on where a reader without scripts finds all rows.
     """
 
     columns: Sequence[str]
@@ -44,7 +44,7 @@ class Listing:
 
     @property
     def choices(self) -> dict[int, list[str]]:
-        """The values of each column that has a choice, sorted."""
+        """Sorted values of each filter column, by its index; without columns of one value or too many."""
         by_column = {column: sorted({row[column] for row in self.rows}) for column in self.filters}
         return {column: values for column, values in by_column.items() if 1 < len(values) <= MOST_CHOICES}
 
@@ -62,7 +62,7 @@ def spread(items: Sequence[T], most: int) -> list[T]:
 
 
 def inert_json(content: object) -> "Markup":
-    """JSON for an HTML page, escaped so that it cannot end its element.
+    """JSON for an HTML page, escaped so that it cannot end its script element.
 
     Raises:
         ValueError: a number is not finite.

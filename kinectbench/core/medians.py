@@ -1,4 +1,4 @@
-"""The median of what is known."""
+"""The median of the values that are known."""
 
 from collections.abc import Iterable
 from statistics import median

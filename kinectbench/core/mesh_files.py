@@ -79,7 +79,7 @@ def read_obj(content: bytes) -> Triangles:
 
 
 def _corner(word: bytes, vertices: int) -> int:
-    """The vertex index of a corner such as `7`, `7/2/1`, or `-1`: the last vertex so far."""
+    """The 0-based vertex index of a corner such as `7`, `7/2/1`, or `-1` (the last vertex so far)."""
     index = int(word.partition(b"/")[0])
     return index - 1 if index > 0 else vertices + index if index < 0 else -1
 
@@ -88,8 +88,8 @@ def read_ply(content: bytes) -> Triangles:
     """Read the vertices (n, 3) and triangles (m, 3) of a .ply, text or binary; polygons become fans.
 
     Raises:
-        ValueError: the header is malformed or claims more than the file holds, an element other than vertices
-            stands before the faces, a face names a missing vertex, or there are too many.
+        ValueError: the header is malformed or claims more than the file holds, no faces follow the vertices,
+            lists stand before the faces, a face names a missing vertex, or there are too many.
     """
     vertices, triangles, _ = _read_ply(content, MAX_VERTICES)
     if triangles is None:
@@ -98,9 +98,9 @@ def read_ply(content: bytes) -> Triangles:
 
 
 def read_ply_surface(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int64], Normals]:
-    """Read vertices (n, 3), triangles (m, 3) and, if stored, vertex normals (n, 3) of a .ply.
+    """Read vertices (n, 3), triangles (m, 3) and vertex normals (n, 3), None if not stored, of a .ply.
 
-    A point cloud has no triangles.
+    A point cloud has zero triangles.
 
     Raises:
         ValueError: as `read_ply`, or the file has no vertex.
@@ -142,7 +142,8 @@ def _read_ply(
 class _Property:
     """A property of an element: name, type, and for a list the type of its count.
 
-    A value takes one place in a text file, and as many places as it has bytes in a binary file.
+    The data of a text file is an array of numbers, so that a value takes one array element. The data of a
+    binary file is an array of bytes.
     """
 
     name: str
@@ -152,12 +153,12 @@ class _Property:
 
     @property
     def width(self) -> int:
-        """Places that one value takes."""
+        """Array elements that one value takes."""
         return 1 if self.text else self.kind.itemsize
 
     @property
     def count_width(self) -> int:
-        """Places that a list's count takes; 0 if the property is no list."""
+        """Array elements that a list's count takes; 0 if the property is no list."""
         return 0 if self.count is None else 1 if self.text else self.count.itemsize
 
 
@@ -171,12 +172,12 @@ class _Element:
 
     @property
     def width(self) -> int:
-        """Least number of places of a row: that of a row with empty lists."""
+        """Least number of array elements of a row, that is, with empty lists."""
         return sum(one.width if one.count is None else one.count_width for one in self.properties)
 
 
 def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], int]:
-    """Parse the header: byte order ("" for text), elements, offset of the data. Checks that the data fits."""
+    """Parse the header: byte order ("" for text), elements, offset of the data; check that the data fits."""
     malformed = ValueError("a malformed header")
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
     line_end = content.find(b"\n", max(end, 0), MAX_HEADER_BYTES + 16)
@@ -216,7 +217,7 @@ def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], in
 
 
 def numbers_of(content: bytes, start: int = 0) -> NDArray[np.float64]:
-    """Parse the numbers of a text from byte `start` on, one piece at a time.
+    """Parse the whitespace-separated numbers of a text from byte `start` on, in pieces to save memory.
 
     Raises:
         ValueError: a word is no number, or there are more than `MAX_NUMBERS` numbers.
@@ -251,7 +252,7 @@ def _column(rows: NDArray[np.generic], element: _Element, name: str) -> NDArray[
 
 
 def _faces(data: NDArray[np.generic], position: int, element: _Element) -> NDArray[np.int64]:
-    """Read the triangles of the face element, which begins at `position`."""
+    """Read the triangles (m, 3) of the face element, which begins at index `position` of the data."""
     made, done, triangles = list[NDArray[np.int64]](), 0, 0
     while done < element.rows:
         rows = min(ROWS, element.rows - done)
@@ -272,7 +273,7 @@ def _faces(data: NDArray[np.generic], position: int, element: _Element) -> NDArr
 def _lists(
     data: NDArray[np.generic], position: int, element: _Element, rows: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Offsets and lengths of the corner lists of the next rows, and the end of the last row."""
+    """Offsets and lengths of the corner lists of the next `rows` faces, and the end of the last face."""
     if not any(one.count and one.name in CORNER_LISTS for one in element.properties):
         raise ValueError("faces without a list vertex_indices")
     start, size, end = _row(data, position, element)
@@ -286,7 +287,7 @@ def _lists(
 
 
 def _row(data: NDArray[np.generic], position: int, element: _Element) -> tuple[int, int, int]:
-    """Offset and length of one row's corner list, and the end of the row."""
+    """Offset and length of the corner list of the face at `position`, and the end of that face."""
     start = size = 0
     for one in element.properties:
         if one.count is None:
@@ -337,7 +338,7 @@ def _gathered(
     kind: np.dtype[np.generic],
     text: bool,
 ) -> NDArray[np.generic]:
-    """Gather numbers (n, count): `count` numbers from each position on."""
+    """Gather numbers (n, count): for each position, `count` numbers that begin there."""
     places = 1 if text else kind.itemsize
     values: NDArray[np.generic] = data[positions[:, None] + np.arange(count * places)]
     return values if text else values.view(kind)

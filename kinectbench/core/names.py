@@ -1,6 +1,6 @@
 """The names of recordings, objects and categories: valid forms, and conflicts.
 
-Names become folders beside files of this package, and keys of averages; all code checks them here.
+Names become folders beside files of this package, and keys of averages. All code checks them here.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,14 +15,14 @@ RESERVED = ("overall", "all")
 
 
 def reserved_problem(category: str) -> str | None:
-    """Why a category of this name would conflict with the mean over categories; None if it would not."""
+    """Why a category name clashes with the names of the mean over categories; None if it does not."""
     if category.lower() in RESERVED:
         return f"'{category}' is what the mean over all categories is called; choose another"
     return None
 
 
 def category_problem(category: str) -> str | None:
-    """Why a category cannot have this name, in a few words; None if it can."""
+    """Why a category cannot have this name, in a few words; None if the name is valid."""
     return name_problem(category) or reserved_problem(category)
 
 
@@ -44,7 +44,7 @@ StoredCategory = Annotated[str, _checked(reserved_problem)]
 
 
 class Named(NamedTuple):
-    """The names of one recording."""
+    """The three names of one recording: its own, its object's and its category's."""
 
     recording: str
     object: str
@@ -58,7 +58,7 @@ class Clash(NamedTuple):
     """Two conflicting names.
 
     Attributes:
-        problem: a sentence.
+        problem: the error message.
         row: index of the row with the second name.
         earlier: index of the row with the first name.
     """
@@ -69,12 +69,12 @@ class Clash(NamedTuple):
 
 
 def unlike(kind: str, name: str, other: str) -> str:
-    """A sentence: two names of a kind, such as "objects", differ only by case."""
+    """The error message for two names of a kind, such as "objects", that differ only by case."""
     return f"the {kind} '{other}' and '{name}' differ by case only: rename one of them"
 
 
 def first_clash(rows: Iterable[Named]) -> Clash | None:
-    """Find the first row whose names conflict with those of an earlier row; None without conflict.
+    """Find the first row whose names conflict with those of an earlier row; None if no row does.
 
     Names that differ only by case are one folder on some disks, and look like one thing in a table. An object
     in two categories would count in both averages.

@@ -22,7 +22,7 @@ class OwnPixels:
 
     Attributes:
         frames: the unmasked frames.
-        masks: index -> (height, width) bool, or None for a frame without mask, whose depth is dropped.
+        masks: index -> (height, width) bool; None for a frame without mask, all of whose depth is dropped.
     """
 
     frames: FrameStore
@@ -44,10 +44,10 @@ class OwnPixels:
 
 
 def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
-    """The recording with depth inside the masks only, so that the object is its world.
+    """Keep only the depth inside the masks of a recording, so that poses are relative to the masked object.
 
-    Surfaces outside the masks may move relative to the object. But the space in front of them was free at
-    that moment: `Sequence.beside_m` gives their depth.
+    Surfaces outside the masks may move relative to the object. But the space in front of them was free when
+    the frame was taken, so `Sequence.beside_m` keeps their depth.
 
     Args:
         sequence: the unmasked recording.
@@ -55,7 +55,7 @@ def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
     """
 
     def beside_m(index: int) -> Float32:
-        """Depth of a frame outside its mask (height, width), metres; 0 on the mask and near it."""
+        """Depth of a frame well outside its mask (height, width), metres; 0 elsewhere and without mask."""
         import cv2
 
         mask = masks(index)

@@ -33,7 +33,7 @@ def png_uri(png: bytes) -> str:
 
 @cache
 def environment() -> "Environment":
-    """The template environment: location of the templates, and escaping of values."""
+    """The Jinja environment: it finds the templates in the package, and escapes values."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(
@@ -49,7 +49,7 @@ def environment() -> "Environment":
 
 
 def _shown(value: object) -> object:
-    """A value for a template, without control characters."""
+    """Replace control characters in a text for a template; return other values unchanged."""
     return value if type(value) is not str else STEERING.sub("?", value)
 
 

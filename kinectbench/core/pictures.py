@@ -60,7 +60,7 @@ def look_along(forward: Float64, up: Float64) -> Float64:
 
 
 def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
-    """The viewpoint of this orientation that just shows all points (n, 3), n > 0, with a margin."""
+    """The viewpoint of this orientation that just shows all points (n, 3), n > 0, with a relative margin."""
     points_view = points_m @ R_frame_view
     low, high = points_view.min(axis=0), points_view.max(axis=0)
     size = high - low
@@ -69,7 +69,7 @@ def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08
 
 
 def viewpoints_around(points_m: Float64, looks_deg: Sequence[tuple[float, float]]) -> list[Viewpoint]:
-    """Viewpoints that just show all points (n, 3), z up, for pairs of azimuth and elevation in degrees."""
+    """One viewpoint per (azimuth, elevation) in degrees, z up, that just shows all points (n, 3)."""
     viewpoints = []
     for azimuth, elevation in np.radians(looks_deg):
         level = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
@@ -102,7 +102,7 @@ def cast(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> tuple[Float6
 def cast_pieces(
     pieces: Sequence[TriangleMesh], viewpoint: Viewpoint, size_px: int
 ) -> tuple[Float64, Float64, NDArray[np.intp]]:
-    """`cast` for several meshes; also the index of the mesh hit, (size_px, size_px), len(pieces) without."""
+    """As `cast`, for several meshes; also the index of the hit mesh (size_px, size_px), else len(pieces)."""
     scene, tensor = raycaster(*pieces)
     rays = np.empty((size_px, size_px, 6), np.float32)
     rays[..., :3] = ray_starts(viewpoint, size_px)
@@ -129,7 +129,7 @@ def render_pieces(
         pieces: meshes and their colours.
         viewpoint: the projection.
         size_px: edge of the picture.
-        contrast: of the shading, 0 to 1; with less contrast, colours in the shade differ more clearly.
+        contrast: contrast of the shading, 0 to 1; with less, colours in the shade are easier to distinguish.
     """
     shown = [piece for piece in pieces if len(piece[0].faces)]
     if not shown:
@@ -164,7 +164,7 @@ def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleM
 
 
 def block_density(packed: NDArray[np.uint8]) -> Float32:
-    """Share of set cells in each 4x4x4 block of a packed grid: (n, n, n / 8) uint8 to (n / 4,) * 3."""
+    """Fraction of set voxels in each 4x4x4 block of a bit-packed (n, n, n / 8) uint8 grid: (n / 4,) * 3."""
     n = packed.shape[0] // 4
     half_bytes = np.stack([np.bitwise_count(packed >> 4), np.bitwise_count(packed & 15)], axis=-1)
     # A sum of 16 counts is at most 64, so uint8 suffices. Sums along one axis at a time add whole rows.
@@ -188,13 +188,14 @@ def blurred_density(density: Float32) -> Float32:
 def new_figure(
     width_in: float, height_in: float, paper: str = PLOT_PAPER, margins: Margins | None = None
 ) -> "Figure":
-    """An empty figure for a plot.
+    """Make an empty figure for a plot.
 
     Args:
         width_in: width, inches.
         height_in: height, inches.
         paper: background colour.
-        margins: of the plots, as shares of the picture; None: as labels need, which doubles the drawing time.
+        margins: left, bottom, right and top, as fractions of the figure; None: as the labels need, which
+            doubles the drawing time.
     """
     # Without pyplot there is no global state, and no display is needed.
     from matplotlib.figure import Figure
@@ -208,7 +209,7 @@ def new_figure(
 
 
 def figure_png(figure: "Figure", version: bool = False) -> bytes:
-    """Encode a plot as a PNG file; with `version`, the file names the plotting library's version."""
+    """Encode a plot as a PNG file, with the plotting library's version in its metadata if `version`."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata=None if version else {"Software": None})
     return buffer.getvalue()

@@ -29,11 +29,11 @@ class SensorLimits:
 
     @classmethod
     def of_size(cls, longest_m: float) -> "SensorLimits":
-        """Limits for an object: lines 30 mm wide, or 20 mm for one below 0.4 m, recorded from nearby."""
+        """Default limits for an object of this size: lines of sight 30 mm wide, or 20 mm below 0.4 m."""
         return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
 
     def enlarged(self, scale: float) -> "SensorLimits":
-        """The same limits for a world that is scaled by 1 / scale."""
+        """The same limits for a world whose lengths are divided by `scale`."""
         return SensorLimits(*(length_m / scale for length_m in astuple(self)))
 
 

@@ -50,7 +50,7 @@ class FrameStore(Protocol):
 
 
 class UpSample(NamedTuple):
-    """The up direction that an accelerometer measured: a stamp, and a unit vector in the camera's axes."""
+    """The up direction by an accelerometer at one time: a stamp, and a unit vector in the camera's axes."""
 
     stamp_ns: int
     up_camera: tuple[float, float, float]
@@ -73,7 +73,7 @@ class Sequence:
             None for a frame without mask.
         trajectory_error: why the trajectory that came with the recording cannot be used, or "".
         up_world: (3,) unit: up in the frame of the given trajectory, by gravity; None: unknown.
-        up_cameras: up in the axes of some frames' cameras, by an accelerometer.
+        up_cameras: up in the camera's axes at some times, by an accelerometer.
         recorded: number of each frame in the recording, which counts damaged frames; None: equal to its
             index.
         beside_m: for a recording masked by `own_pixels`: index -> (height, width) float32 metres, the depth

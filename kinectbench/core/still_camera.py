@@ -40,7 +40,7 @@ NEAR_PX = 4
 
 @dataclass(frozen=True)
 class Watched:
-    """The change of a camera's images over time.
+    """Which pixels of a recording are static and which change over time.
 
     Attributes:
         still_m: (height, width) float32, the depth of static pixels, 0 elsewhere.
@@ -50,7 +50,7 @@ class Watched:
         moving_share: ratio of the image that moves and also differs between quarters of the recording, which
             excludes unstable edges.
         still_share: ratio of pixels with constant depth, away from moving pixels.
-        still_gray_share: ratio of the static pixels whose grey is constant too; None without colour.
+        still_gray_share: ratio of the static pixels whose grey is constant too; None with too little colour.
         around_share: ratio of the image with constant depth.
         empty_share: ratio of the image that hardly ever has depth.
     """
@@ -72,7 +72,7 @@ class Watched:
 
     @property
     def plain(self) -> bool:
-        """Whether the object has no surroundings: then a moving object and a moving camera look the same."""
+        """Whether the object has no surroundings, so that it may be the object or the camera that moves."""
         return self.around_share < AROUND_SHARE and self.empty_share >= EMPTY_SHARE
 
     @property
@@ -144,7 +144,7 @@ def _nanquantiles(values: Float32, shares: Sequence[float]) -> list[Float32]:
 
 
 class SomeWatched(NamedTuple):
-    """The compared frames of a sequence: their depth, the pixel stride, and the result."""
+    """The frames that `watch_some` compared: their depth in metres, the pixel stride, and the result."""
 
     depths_m: list[Float32]
     step_px: int
@@ -152,7 +152,7 @@ class SomeWatched(NamedTuple):
 
 
 def watch_some(sequence: Recorded) -> SomeWatched:
-    """Run `watch` on some frames of a sequence, about 160 pixels wide, with grey as in `inspect`."""
+    """Run `watch` on at most 24 frames of a sequence, with depth reduced to about 160 columns."""
     import cv2
 
     step = max(1, round(sequence.camera.width / COLUMNS))
@@ -167,7 +167,7 @@ def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
     """Pixels whose median depth, or ratio of valid depth, differs between quarters of the frames.
 
     Args:
-        values: (k, height, width) metres, NaN without depth, 0 where too little is known.
+        values: (k, height, width) metres, NaN without depth; 0 for pixels that have depth in too few frames.
         seen: (k, height, width) bool, whether the pixel has depth.
         sigma_m: (height, width) standard deviation of the depth, metres.
     """
@@ -182,14 +182,14 @@ def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
 
 
 def _comes_and_goes(seen: Bools) -> Bools:
-    """Pixels with depth in only some frames, as when an object passes in front of empty space."""
+    """Pixels (height, width) with depth in only some frames, as when an object passes before empty space."""
     share = seen.mean(axis=0)
     between: Bools = (share > RARELY) & (share < SEEN_SHARE)
     return between
 
 
 def _still_in_gray(grays: Sequence[NDArray[np.uint8] | None], still: Bools) -> float | None:
-    """Ratio of the pixels with constant depth whose grey changes little; None without colour."""
+    """Fraction of the pixels with constant depth whose grey changes little; None with too little colour."""
     import cv2
 
     recorded = [gray for gray in grays if gray is not None]

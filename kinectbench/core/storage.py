@@ -110,7 +110,7 @@ UNTOUCHED = "; what was there before is untouched"
 
 @contextlib.contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Turn errors of the operating system about writing into a `StorageError` with advice."""
+    """Turn OSErrors of writes in the block, such as a full disk, into a `StorageError` with advice."""
     try:
         yield
     except OSError as error:
@@ -132,7 +132,7 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def reachable(path: Path) -> Iterator[None]:
-    """Turn errors about a path whose parent is no folder into a `StorageError`."""
+    """Turn errors about a path whose parent folder cannot exist into a `StorageError`."""
     try:
         yield
     except (FileNotFoundError, NotADirectoryError, FileExistsError) as error:

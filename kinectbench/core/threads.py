@@ -1,4 +1,4 @@
-"""The threads that one recording may use; results never depend on their number.
+"""Threads for the computations of one recording; results never depend on their number.
 
 Threads suffice, because the long computations release the interpreter's lock: numba kernels, OpenCV and
 zstandard. Each item is the result of a pure function, and each part of an array is written by one thread.
@@ -37,8 +37,8 @@ def using_threads(count: int) -> Iterator[None]:
 def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield the function's results in order, while threads compute the next ones.
 
-    At most one result more than threads is kept, which bounds memory. An error of the function or of the
-    iterator is raised at the place of its result.
+    At most one result more than there are threads is held, which bounds memory. An error of the function or
+    of the iterator is raised where its result would be yielded.
 
     Args:
         function: its result depends only on the item.
@@ -65,7 +65,7 @@ def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator
 def _started(
     pool: ThreadPoolExecutor, function: Callable[[Item], Result], items: Iterator[Item]
 ) -> Iterator[Future[Result]]:
-    """Submit the next item and yield its future; or a future with the error that the iterator raised."""
+    """Submit the next item and yield its future; if the iterator raised, yield a future with that error."""
     try:
         item = next(items)
     except StopIteration:

@@ -69,7 +69,7 @@ def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
 
 
 def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
-    """Sample a surface at most a pixel apart: points (n, 3), and normals and colours (n, 6)."""
+    """Sample a surface at most a pixel apart: points (n, 3); and normals with colours, (n, 6)."""
     corners = mesh_px.vertices[mesh_px.faces]
     bends = np.concatenate([mesh_px.vertex_normals, colors], axis=1)[mesh_px.faces]
     sides = corners - np.roll(corners, 1, axis=1)
@@ -95,10 +95,10 @@ def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
 def _frame(
     points: Float64, looks: Float64, turn: tuple[float, float], tilt: tuple[float, float], size_px: int
 ) -> Rgb:
-    """Draw one picture; each pixel shows its nearest point."""
+    """Draw points seen from azimuth `turn` and elevation `tilt`, each (cosine, sine); the nearest wins."""
 
     def seen(of: Float64) -> tuple[Float64, Float64, Float64]:
-        """Coordinates right, down and forward for a viewer at this azimuth and elevation."""
+        """Coordinates (right, down, forward) of vectors (n, 3) for a viewer at this azimuth and elevation."""
         (c, s), (level, steep) = turn, tilt
         towards = c * of[:, 0] + s * of[:, 1]
         right = c * of[:, 1] - s * of[:, 0]

@@ -1,4 +1,4 @@
-"""Types shared by all rooms."""
+"""Types shared by the whole package."""
 
 from collections.abc import Callable
 from typing import Any, Literal

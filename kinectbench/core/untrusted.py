@@ -65,7 +65,7 @@ def open_plain(path: Path) -> BufferedReader:
 
 
 def size_of(file: IO[bytes]) -> int:
-    """The size of an open file, even if its path now leads elsewhere."""
+    """The size of an open file in bytes, even if its path now leads to another file."""
     return os.fstat(file.fileno()).st_size
 
 
@@ -106,7 +106,7 @@ def listed_below(folder: Path, most: int = MOST_LISTED, *, with_empty: bool = Fa
     Args:
         folder: a folder.
         most: largest number of files and folders in it and below.
-        with_empty: whether folders below it that hold nothing are yielded, too.
+        with_empty: whether to yield empty folders, too.
 
     Raises:
         OSError: a folder cannot be read; EFBIG: there is more than `most`.
@@ -161,10 +161,10 @@ def is_too_large(width: float, height: float) -> bool:
 
 
 def copy_bounded(source: IO[bytes], target: IO[bytes], most_bytes: int) -> None:
-    """Copy a stream, such as one that decompresses, up to a limit.
+    """Copy a stream, such as a decompressor's output, but no more than `most_bytes`.
 
     Raises:
-        OSError: EFBIG: the stream is longer.
+        OSError: EFBIG: the stream is longer than that.
     """
     copied = 0
     while part := source.read(COPIED_BYTES):
@@ -175,7 +175,7 @@ def copy_bounded(source: IO[bytes], target: IO[bytes], most_bytes: int) -> None:
 
 
 def unpacked_bound(packed_bytes: int) -> int:
-    """Largest accepted unpacked size of a file of this size, bytes."""
+    """Largest accepted size, bytes, after unpacking a file of `packed_bytes`."""
     return ALWAYS_BYTES + MOST_RATIO * packed_bytes
 
 
@@ -183,16 +183,16 @@ def read_plain_text(path: Path, most_bytes: int = TEXT_BYTES) -> str:
     """Read a UTF-8 text, with or without a byte order mark, whatever the locale.
 
     Raises:
-        OSError: as `read_plain`; EFBIG: the text takes more than this in memory.
+        OSError: as `read_plain`; EFBIG: the text takes more memory than `most_bytes`.
         UnicodeDecodeError: the file is not UTF-8.
     """
     return decoded(read_plain(path, most_bytes).removeprefix(codecs.BOM_UTF8), most_bytes, str(path))
 
 
 def decoded(content: bytes, most_bytes: int, where: str) -> str:
-    """Decode UTF-8 bytes if the text fits into memory.
+    """Decode UTF-8 bytes, unless the text would take more than `most_bytes` of memory.
 
-    One character that takes two or four bytes makes all characters of a text as wide (PEP 393).
+    One character that takes two or four bytes makes every character of a text that wide (PEP 393).
 
     Args:
         content: UTF-8 bytes.
@@ -215,11 +215,11 @@ _WIDTHS = ((4, re.compile(rb"[\xf0-\xff]")), (2, re.compile(rb"[\xc4-\xff]")))
 
 
 def below(folder: Path, name: str) -> Path:
-    """The path of a file that an untrusted index names.
+    """Join an untrusted name, such as one from an index file, to a folder; refuse a name that leads outside.
 
     Args:
-        folder: folder of the index; names are relative to it.
-        name: with "/" between folders.
+        folder: the folder that the name is relative to.
+        name: relative path with "/" between folders.
 
     Raises:
         ValueError: the name is absolute, leads upwards, is hidden, or is no name; the message says which.
@@ -253,7 +253,7 @@ def followed(path: Path) -> Path:
 
 
 def _can_be(way: PurePosixPath) -> bool:
-    """Whether a path is short enough, and its characters are valid, for a file."""
+    """Whether a file can have this path: no part is too long, and all characters are valid."""
     try:
         return len(str(way)) <= MOST_NAME and all(len(part.encode()) <= MOST_PART_BYTES for part in way.parts)
     except UnicodeEncodeError:  # a lone surrogate, which JSON may hold

@@ -59,7 +59,7 @@ def _refuse(constant: str) -> NoReturn:
 
 
 def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """Make a JSON object; refuse repeated keys."""
+    """Make a dict from the pairs of a JSON object; refuse repeated keys."""
     values = dict(pairs)
     if len(values) < len(pairs):
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
@@ -70,7 +70,7 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
 def _counting(
     to_object: Callable[[list[tuple[str, object]]], dict[str, object]],
 ) -> Callable[..., dict[str, object]]:
-    """Wrap `to_object` so that it also limits the keys of all objects of a text."""
+    """Wrap `to_object` to refuse a text whose objects have more than `MOST_KEYS` different keys in all."""
     keys = set[str]()
 
     def counted(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -110,6 +110,6 @@ def csv_rows(text: str) -> list[list[str]]:
 
 
 def _check_values(text: str, signs: str, most: int = MOST_VALUES) -> None:
-    """Refuse a text with too many separators between values."""
+    """Refuse a text with more than `most` of the characters `signs`, which separate its values."""
     if len(text) > most and sum(text.count(sign) for sign in signs) > most:
         raise ValueError(f"it has more than {most} values")

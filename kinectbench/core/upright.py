@@ -22,7 +22,7 @@ PNG_LEVEL = 1
 
 @dataclass(frozen=True)
 class UprightFrames:
-    """The frames of a recording, with depth and registered colour moved to the middle of each readout.
+    """Frames with depth and registered colour as if taken at one instant, in the middle of the readout.
 
     Attributes:
         frames: the frames as recorded.
@@ -81,7 +81,7 @@ def upright(sequence: Sequence, shutter: RollingShutter | None) -> Sequence:
 
 
 def upright_masks(sequence: Sequence, masks: Callable[[int], Bools | None]) -> Callable[[int], Bools | None]:
-    """Adapt masks of recorded frames to a sequence, whose rolling shutter may have been undone."""
+    """Adapt masks of recorded frames to a sequence whose rolling shutter may have been undone."""
     frames = sequence.frames
     if not isinstance(frames, UprightFrames):
         return masks

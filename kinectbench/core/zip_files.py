@@ -39,7 +39,7 @@ def open_zip(
         most_files: a zip of more files is refused before its directory is read.
         most_bytes: a zip with a larger unpacked total, as it states, is refused; None: the caller limits what
             it reads.
-        row_bytes: largest size of the directory per file.
+        row_bytes: most bytes that the directory may have per file.
 
     Raises:
         ValueError: the zip exceeds a limit; the message says which.
@@ -64,7 +64,7 @@ def open_zip(
 
 
 def _listed(file: IO[bytes]) -> tuple[int, int]:
-    """The number of files and the size of the directory, from the end record.
+    """The number of files and the size of the directory in bytes, from the end record.
 
     Like zipfile, it expects the zip64 record right before its locator.
     """

@@ -1,1 +1,1 @@
-"""Runs the stages: skips current artefacts, reports failures, continues after a kill."""
+"""Runs the stages: skips artefacts that are up to date, reports failures, continues after a kill."""

@@ -80,7 +80,7 @@ class Artefact:
         return fingerprint(self.stage, self.version, self.settings, self.inputs)
 
     def is_current(self) -> bool:
-        """Whether the folder holds this artefact, with every file present at its size."""
+        """Whether the folder holds this very artefact, with all its files present and of the right size."""
         manifest = whole_manifest(self.folder)
         return manifest is not None and manifest.fingerprint == self.fingerprint
 
@@ -111,7 +111,7 @@ class Artefact:
 
 
 def whole_manifest(folder: Path) -> Manifest | None:
-    """The manifest of a folder if every file is present at its size; else None."""
+    """The manifest of a folder if all its files are present and of the right size; else None."""
     if not os.path.isdir(folder):  # noqa: PTH112 - usual before a build; False if it cannot be looked at
         return None
     try:
@@ -127,8 +127,8 @@ def whole_manifest(folder: Path) -> Manifest | None:
 def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -> str:
     """Hash the names and contents of files.
 
-    A file whose size and times are in the cache is not read again. Of two files of one name, size and
-    modification time, as of archives, the time of change on the disk differs.
+    A file whose size and times equal those in the cache is not read again. The time of change on the disk
+    distinguishes files of equal name, size and modification time, such as those from two archives.
 
     Args:
         files: the files.
@@ -136,7 +136,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
         cache: JSON file that keeps sizes, times and hashes (`Sources`); None: no cache.
 
     Raises:
-        RecordingError: a file cannot be read, or is mostly a hole.
+        RecordingError: a file cannot be read, or is a sparse file with almost no content.
     """
     known = {} if cache is None else _known(cache)
     entries: dict[str, SourceFile] = {}
@@ -160,23 +160,25 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
 
 
 def whole_hash(sources: Sources) -> str:
-    """Hash the names and the known content hashes of files."""
+    """The hash over names and contents of files whose content hashes are known; as `content_hash`."""
     return _hash_of(sources.sha256)
 
 
 def _hash_of(sha256: Mapping[str, str]) -> str:
-    """Hash the names of files and the hashes of their contents."""
+    """Hash files, given as {name: SHA-256 of the content}."""
     return sha256_text(canonical_json(sha256))
 
 
 def has_sizes(root: Path, cache: Path, sha256: str, names: Collection[str] | None = None) -> bool:
-    """Whether the files of a known hash lie at a path, by the names and sizes of some; none of them is read.
+    """Whether a path still holds the files with this hash, as far as names and sizes show; no file is read.
+
+    Only the sizes of some files are compared.
 
     Args:
         root: path that the names are relative to.
         cache: file where `content_hash` keeps names and sizes; without it the result is True.
-        sha256: the hash over the files.
-        names: the names of all files there; None: files that were added are not noticed.
+        sha256: the hash over the files, as by `content_hash`.
+        names: the names of all files at the path; None: added files are not noticed.
     """
     of_size, of_sha256 = map(SourceFile._fields.index, ("size", "sha256"))
     try:
@@ -196,7 +198,7 @@ def has_sizes(root: Path, cache: Path, sha256: str, names: Collection[str] | Non
 
 
 def _place(root: Path, name: str) -> str:
-    """The path of a file by its name relative to its recording's path; the inverse of `_relative`."""
+    """The path of a file from its name relative to the recording's path; the inverse of `_relative`."""
     path = f"{root}{os.sep}{name}" if name else str(root)
     # The system would follow a root that is a link before it goes up.
     return os.path.normpath(path) if name.startswith("..") else path
@@ -213,7 +215,7 @@ def _relative(path: Path, root: Path) -> str:
 
 
 def _refuse_holes(path: Path, stat: os.stat_result) -> None:
-    """Refuse a sparse file with almost no content: reading its zeros may take hours."""
+    """Refuse a sparse file with almost no content, because reading its zeros may take hours."""
     on_disk = 512 * stat.st_blocks
     if stat.st_size > HOLES_FROM_BYTES and on_disk * MOST_SPARSENESS < stat.st_size:
         raise RecordingError(
@@ -222,7 +224,7 @@ def _refuse_holes(path: Path, stat: os.stat_result) -> None:
 
 
 def _known(cache: Path) -> dict[str, SourceFile]:
-    """The content of the cache; empty if it is missing or damaged."""
+    """The rows of the cache by file name; empty if the cache is missing or damaged."""
     try:
         return Sources.read_file(cache).files
     except StorageError:

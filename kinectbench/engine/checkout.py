@@ -41,7 +41,7 @@ class Checkout:
         store: store of the benchmark's root.
         job: the recording, in a local scratch folder.
         artefacts: the artefacts of the requested stages, by stage.
-        current: names of those stages whose artefacts are in the store.
+        current: names of those stages whose artefacts are up to date in the store.
         built: names of all files in the store below `build/<recording>/`.
         failed: whether the store holds a failed.json.
     """
@@ -90,11 +90,11 @@ def checkout(job: Job, root: Path, upto: str = "pairs", report: Report = nobody)
 
 @dataclass(frozen=True)
 class _Listing:
-    """The listings of a recording in the store.
+    """What the store lists of a recording.
 
     Attributes:
         store: store of the benchmark's root.
-        files: the recording's files.
+        files: the recording's own files.
         built: names of all files below `build/<recording>/`.
         sources: name of the file for the hashes of the recording's files.
     """
@@ -106,7 +106,7 @@ class _Listing:
 
 
 def store_of(job: Job) -> Store:
-    """The store of a recording whose root is a URL."""
+    """The store of a job whose root is a URL."""
     url = url_of(job.root)
     assert url is not None, "a benchmark on this machine is not fetched"
     return Store(url)
@@ -130,7 +130,7 @@ def _of_known_files(listing: _Listing, job: Job, upto: str) -> Checkout | None:
 
 
 def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkout:
-    """Check out a recording with its masks, its reference mesh, and its last failure."""
+    """Check out a recording whose hashes are known, with its masks, reference mesh and last failure."""
     store, name = listing.store, job.recording.id
     fetch_named(store, job)
     job = replace(job, source_sha256=whole_hash(known))
@@ -152,13 +152,15 @@ def fetch_named(store: Store, job: Job) -> None:
 
 
 def name_there(store: Store, job: Job, key: str) -> str | None:
-    """The name in the store of what a key of the recording names: "path", "masks" or "reference".
+    """The name in the store of the file or folder that a recording's key names.
+
+    The key is "path", "masks" or "reference".
 
     Returns:
-        None if it names nothing, or something on a disk that all machines share, by an absolute path.
+        None if the key is not set, or names an absolute path, on a disk that all machines share.
 
     Raises:
-        SettingsError: it leads out of the store.
+        SettingsError: the path leads out of the store.
     """
     path = PurePosixPath(getattr(job.recording, key) or "/")
     if path.is_absolute():
@@ -173,9 +175,9 @@ def name_there(store: Store, job: Job, key: str) -> str | None:
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """The current stages of a recording in its store, and why its last run failed; downloads no recording.
+    """Stages of a recording that are up to date in its store, and why its last run failed, or None.
 
-    If the recording's files have not been hashed, no stage is known to be current.
+    Downloads no recording; if its files have not been hashed, no stage is known to be up to date.
     """
     try:
         listing = _listing(job)
@@ -191,7 +193,7 @@ def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
 
 
 def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], report: Report) -> None:
-    """Download a recording's files to the job's place."""
+    """Download a recording's files into the job's root, unless its path is absolute."""
     if not Path(job.recording.path).is_absolute():
         fetch_files(store, job.root, listed, lambda done: report("fetch", done, len(listed)))
 
@@ -210,7 +212,7 @@ def fetch_files(
 
 
 def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
-    """List a recording's files in the store: one file, or all below its folder and known files beside it."""
+    """List a recording in the store: one file, or all files below its folder and known ones beside it."""
     name = name_there(store, job, "path")
     if name is None:
         return []
@@ -232,9 +234,9 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
 
 
 def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
-    """The name of the stored hashes of a recording's files; it depends on the store's listing of the files.
+    """The name in the store of the hashes of a recording's files; it changes if the listed files do.
 
-    It also depends on the version of ingest, which may read other files.
+    It also changes with the version of `ingest`, which may read other files.
     """
     rows = [[each.name, each.size, each.e_tag or each.modified_s] for each in listed]
     listing = sha256_text(canonical_json([VERSIONS["ingest"], job.recording.path, rows]))
@@ -247,7 +249,7 @@ def _hidden(name: str) -> bool:
 
 @contextlib.contextmanager
 def named_as_there(store: Store, root: Path) -> Iterator[None]:
-    """Make errors within the block name the store instead of the scratch folder."""
+    """Make errors raised in the block name the store instead of the scratch folder."""
     try:
         yield
     except KinectBenchError as error:
@@ -255,9 +257,9 @@ def named_as_there(store: Store, root: Path) -> Iterator[None]:
 
 
 def as_there(store: Store, root: Path, text: str) -> str:
-    """Replace the names of a local folder in a message by the store's names.
+    """Replace a local folder in an error message by the URL of the store.
 
-    Only a message that the local disk cannot be written keeps the local name.
+    A message that the local disk cannot be written keeps the local path.
     """
     own = f"{SCRATCH_VARIABLE}={root}" if text.endswith(UNTOUCHED) else store.place()
     return text.replace(str(root), own)

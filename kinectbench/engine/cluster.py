@@ -92,7 +92,7 @@ def cluster(address: str) -> Iterator["Cluster"]:
 
 
 def _check_scheduler_file(address: str) -> None:
-    """Check that the address is a scheduler file; raise an error otherwise."""
+    """Raise an error unless the address is the path of a scheduler file."""
     option = f"--cluster {printable(address, 200)}"
     if not Path(address).is_file():
         missing = "no such file; " if address.endswith(".json") else ""
@@ -179,7 +179,7 @@ class Cluster:
             return ""
 
     def slots(self) -> int:
-        """The number of worker threads, at most a second ago."""
+        """The number of worker threads, as of at most a second ago."""
         self._look()
         return self._slots
 
@@ -219,7 +219,7 @@ class Cluster:
             run.close()
 
     def largest_gb(self) -> float:
-        """The largest resource `memory_gb` of a worker in the last minute; 0 if no worker has one."""
+        """The largest `memory_gb` resource of any worker in the last minute; 0 if no worker has one."""
         self._look()
         return self._largest_gb
 

@@ -41,9 +41,9 @@ class Run(Generic[Task, Result]):
         asked_gb: memory requested for each submitted task.
         submitted_s: time of the first submission of each task, by `time.monotonic`.
         seconds: durations of the finished tasks.
-        alone: tasks that may have no other task beside them.
-        killed: tasks to be tried again, alone.
-        orphaned: tasks whose worker has gone: when, and how.
+        alone: tasks that run while no other task does.
+        killed: tasks whose workers were killed, to be tried again alone.
+        orphaned: for each task whose worker has gone, when (`time.monotonic`) and why.
     """
 
     client: "Client"
@@ -108,7 +108,7 @@ class Run(Generic[Task, Result]):
             self.submit(slowest)
 
     def ended(self) -> Iterator[tuple[Task, Result | WorkerLost]]:
-        """Wait a moment for an event, and yield the tasks that have ended."""
+        """Wait up to a second for an event; yield the task and its outcome if one has ended."""
         self._tell_orphaned()
         try:
             event = self.events.get(timeout=LISTEN_S)
@@ -149,7 +149,7 @@ class Run(Generic[Task, Result]):
                 self.orphaned.setdefault(number, (time.monotonic(), why))
 
     def _tell_orphaned(self, ended: int | None = None) -> None:
-        """Warn about workers that were lost a moment ago, and about the lost worker of the ended task."""
+        """Warn of workers lost over a second ago, and at once of the lost worker of the task `ended`."""
         for number, (since, why) in list(self.orphaned.items()):
             if number == ended or time.monotonic() - since >= LISTEN_S:
                 del self.orphaned[number]
@@ -195,7 +195,7 @@ class Run(Generic[Task, Result]):
             ) from error
 
     def close(self) -> None:
-        """Cancel the remaining tasks; tasks that cannot be killed end unobserved."""
+        """Cancel the remaining tasks; a task that cannot be cancelled ends unobserved."""
         for future in self.running:
             future.cancel()
         self.running.clear()

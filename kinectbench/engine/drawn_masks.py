@@ -1,8 +1,8 @@
 """Check that a person's masks are used on the images they were drawn on, which masks.json records.
 
 A mask without an entry is first recorded as drawn on the images in `build/`, before these are made again;
-without a build, on the frame that its name gives. Neither a view's number nor a frame's identifies an image:
-views change, and the pictures of a frame change with the poses and with the corrections of its depth.
+without a build, on the frame that its name gives. The number of a view or frame does not identify what was
+drawn on: views change, and the pictures of a frame change with the poses and the corrections of its depth.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ CARRIED = (".", ".carried")
 
 
 class Shown(NamedTuple):
-    """The name of a view, and the frame that it shows."""
+    """A view's name, and the index of the frame that it shows."""
 
     name: str
     frame: int
@@ -62,7 +62,7 @@ class DrawnMasks:
         folder: folder of the masks.
         names: the parsed name of each file.
         entries: the image that each mask was drawn on, if known, by file name.
-        of_recorded: the masks are of frames as recorded, not of pictures of views.
+        of_recorded: whether the masks were drawn on frames as recorded, not on pictures of views.
     """
 
     recording: str
@@ -73,7 +73,7 @@ class DrawnMasks:
 
     @classmethod
     def of(cls, job: Job) -> Self | None:
-        """The masks in the folder that benchmark.yaml names, or the default folder; None without masks.
+        """Read the masks in the folder that benchmark.yaml names, or the default one; None without a folder.
 
         Raises:
             StorageError: masks.json is damaged.
@@ -96,7 +96,7 @@ class DrawnMasks:
         return cls(job.recording.id, folder, names, {} if stored is None else stored.drawn_on, by_frames)
 
     def bound_to_build(self, build: Path) -> tuple[Self, tuple[str, ...]]:
-        """Record the images and pictures of `build/<recording>/` as the ones that new masks were drawn on.
+        """Record that new masks were drawn on the present images and pictures of `build/<recording>/`.
 
         This runs before anything is made again, because the person saw the existing pictures.
 
@@ -130,7 +130,7 @@ class DrawnMasks:
         return None
 
     def check_known(self) -> None:
-        """Refuse masks that are named by views and have no recorded image.
+        """Refuse masks that are named by views and whose image is not recorded in masks.json.
 
         Raises:
             SettingsError: there is such a mask; the line says what to do.
@@ -144,7 +144,7 @@ class DrawnMasks:
                 )
 
     def check_numbers(self, frames: int) -> None:
-        """Refuse masks named by frames that the recording does not have.
+        """Refuse masks of frame numbers that the recording does not have.
 
         Raises:
             SettingsError: there are such masks; the line names them.
@@ -160,7 +160,7 @@ class DrawnMasks:
         )
 
     def check_frames(self, sequence: Sequence) -> Self:
-        """Refuse masks of frames whose image has changed, or whose pictures have changed.
+        """Refuse masks named by frames if the frame's depth image, or the picture drawn on, has changed.
 
         Masks without an entry get one: there was no build when they were drawn.
 
@@ -189,9 +189,9 @@ class DrawnMasks:
         )
 
     def check_views(self, sequence: Sequence, views: Path) -> Self:
-        """Refuse masks of views whose image or pictures have changed since they were drawn.
+        """Refuse masks named by views if the frame or the pictures of the view have changed.
 
-        Masks without a recorded picture get that of the view.
+        For masks without a recorded picture, record that of the view.
 
         Args:
             sequence: the recording.
@@ -225,7 +225,7 @@ class DrawnMasks:
     def _on_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
     ) -> Self:
-        """Refuse masks that were drawn on other pictures; record the pictures of masks without a record.
+        """Refuse masks drawn on other pictures than these; record the picture where none is recorded.
 
         Args:
             sequence: the recording.
@@ -277,12 +277,12 @@ class DrawnMasks:
         return Carried(tuple(moves.items()), tuple(left))
 
     def _clashes(self, moves: Mapping[str, str]) -> list[str]:
-        """Files whose new name is already, or becomes, that of another file."""
+        """Masks (old names) whose new name another mask has already or is about to get."""
         files = Counter(moves.get(file, file) for file in self.names)
         return [file for file, new in moves.items() if files[new] > 1]
 
     def _rename(self, moves: Mapping[str, str]) -> None:
-        """Rename files; a new name may be the old name of another file."""
+        """Rename files, given as {old name: new name}; a new name may be another file's old name."""
         for file in moves:
             (self.folder / file).rename(self.folder / file.join(CARRIED))
         for file, new in moves.items():
@@ -294,7 +294,7 @@ class DrawnMasks:
         return on is not None and on.image == image_digest(sequence, frame)
 
     def _with(self, new_entries: Mapping[str, DrawnOn]) -> Self:
-        """A copy with additional entries, which are saved if there are any."""
+        """A copy with additional entries; masks.json is written if there are any."""
         if not new_entries:
             return self
         entries = {**self.entries, **new_entries}
@@ -302,7 +302,7 @@ class DrawnMasks:
         return replace(self, entries=entries)
 
     def _write(self, entries: Mapping[str, DrawnOn], renamed: Mapping[str, str] | None = None) -> None:
-        """Write masks.json, without entries of missing masks."""
+        """Write masks.json with the entries of existing masks; `renamed` maps their old to new names."""
         present = {(renamed or {}).get(file, file) for file in self.names}
         kept = MasksFile.of({file: entries[file] for file in sorted(present & entries.keys())})
         with replaced_file(self.folder / MasksFile.FILE) as temporary:
@@ -317,14 +317,14 @@ class DrawnMasks:
 
 
 def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
-    """Record the images that masks were drawn on, before the build makes anything again.
+    """Record which images a person's masks were drawn on, before the build makes anything again.
 
     Args:
         job: the recording.
         used: whether views will be sampled with the masks.
 
     Returns:
-        Lines to print: images assumed for masks, and files whose names are no names of masks.
+        Lines to print: the images assumed for masks, and files that are not used because of their names.
 
     Raises:
         SettingsError: masks are in use, but their images are unknown.
@@ -340,7 +340,7 @@ def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
 
 
 def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
-    """A line about PNGs beside the masks whose names are no frame or view; empty without such files."""
+    """A line on PNG files that are not used, as their names name no frame or view; empty without any."""
     pngs = (path.name for path in listed_paths(drawn.folder) if path.suffix.lower() == ".png")
     others = sorted(name for name in pngs if name not in drawn.names and not name.startswith("."))
     if not others:
@@ -351,7 +351,7 @@ def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
 
 
 def check_mask_numbers(job: Job) -> None:
-    """Refuse masks of frames that a recording with a current sequence does not have.
+    """Refuse masks of frames that a recording does not have; its sequence must be up to date.
 
     Raises:
         SettingsError: there are such masks.
@@ -362,7 +362,7 @@ def check_mask_numbers(job: Job) -> None:
 
 
 def carry_masks(job: Job) -> Carried:
-    """Rename the masks of a recording with a current sequence to the frames they were drawn on."""
+    """Rename a recording's masks to the frames they were drawn on; its sequence must be up to date."""
     with locked(job.build):
         drawn = DrawnMasks.of(job)
         return Carried((), ()) if drawn is None else drawn.carry(read_sequence(job.build / "sequence"))
@@ -375,12 +375,12 @@ def image_digest(sequence: Sequence, frame: int) -> str:
 
 
 def _shown_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
-    """`_shown` if the views were made from the sequence with this fingerprint; else empty."""
+    """As `_shown`, but empty if the views were not made from the sequence with this fingerprint."""
     manifest = whole_manifest(views)
     return {} if manifest is None or manifest.inputs.get("ingest") != sequence else _shown(views)
 
 
 def _shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
-    """The view that a mask's name refers to, by (number of the view, False) or (frame, True)."""
+    """Map mask names to views: (number of a view, False) or (index of a frame, True) -> view."""
     shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
     return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}

@@ -15,7 +15,7 @@ SendMessage = Callable[[Any], None]
 
 @dataclass(frozen=True)
 class WorkerLost:
-    """Returned instead of a result: the task's process was killed even when it ran alone, or hangs.
+    """Returned instead of a result: the task's process hangs, or was killed even when it ran alone.
 
     If a task hangs, its process returns this value and ends soon after.
 
@@ -44,7 +44,7 @@ class Executor(Protocol):
     """Runs tasks, several at a time."""
 
     def slots(self) -> int:
-        """The number of tasks that can run at once at present."""
+        """The number of tasks that can run at the same time now."""
 
     def outcomes(
         self,

@@ -33,12 +33,12 @@ def stored_failure(build: Path) -> Failed | None:
 
 
 def would_fail_again(failed: Failed) -> bool:
-    """Whether the same inputs would fail again: the recording or the settings caused the failure."""
+    """Whether a retry is useless: the recording or settings caused the failure, in this package version."""
     return failed.fingerprint is not None and failed.package_version == __version__
 
 
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
-    """The stored failure of a stage that would fail again, because its inputs have not changed.
+    """The stored failure of the same stage with the same inputs, which would only fail again.
 
     Args:
         build: `build/<recording>/`.
@@ -59,7 +59,7 @@ def keep_failure(
     failure: BaseException | None = None,
     tried: Artefact | None = None,
 ) -> None:
-    """Write failed.json, unless the disk is full.
+    """Write failed.json; do nothing if it cannot be written.
 
     Args:
         build: `build/<recording>/`.
@@ -82,14 +82,14 @@ def keep_failure(
 
 
 def forget_failure(build: Path, stages: Collection[str]) -> None:
-    """Remove failed.json of `build/<recording>/` if it names one of these stages, which have succeeded."""
+    """Remove failed.json of `build/<recording>/` unless it names a stage that is not among `stages`."""
     failed = stored_failure(build)
     if failed is None or failed.stage is None or failed.stage in stages:
         (build / Failed.FILE).unlink(missing_ok=True)
 
 
 def _would_repeat(failure: BaseException) -> bool:
-    """Whether the recording, not the machine, caused the failure, so that it would occur again."""
+    """Whether the recording, not the machine, caused a failure, so that the same run would fail again."""
     behind = any(isinstance(each, OF_THE_MACHINE) for each in _chain(failure))
     return isinstance(failure, OF_THE_RECORDING) and not behind
 

@@ -1,4 +1,4 @@
-"""Masks for all frames of a recording: drawn by a person, recorded with it, or of a turntable's object."""
+"""Masks for all frames of a recording: from a person, from the recording, or of a detected turntable."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from kinectbench.stages.segment.find.turntable import plane_below, turntable_mas
 
 
 def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -> Masks | None:
-    """The masks that segment a recording, index -> mask or None; None if no masks segment it.
+    """The masks that define the object in each frame, index -> mask or None; None if `by` is None.
 
     Args:
         sequence: the recording.
@@ -44,7 +44,7 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 def plane_given(
     sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
 ) -> Vector4 | None:
-    """The plane below the object, in the world frame: the given one, or that of the detected turntable."""
+    """The plane below the object in the world frame: `floor`, or else that of a detected turntable."""
     if by != "turntable" or floor is not None:
         return floor
     plane_world = plane_below(whole(sequence), trajectory)

@@ -52,7 +52,7 @@ def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> It
 
 @contextmanager
 def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
-    """Run a thread within the block that makes sure that signals are handled."""
+    """Within the block, run a thread that calls `unanswered` for signals not handled in time."""
     if unanswered is None:
         yield
         return
@@ -73,7 +73,7 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
 
 
 def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int) -> None:
-    """Wait for signals; pass on those that Python does not handle in time."""
+    """Wait for signals in the pipe `reading`; call `unanswered` for those not handled within 1.5 s."""
     while True:
         # Count before reading the pipe, because Python may handle a later signal.
         counted = len(_seen)
@@ -115,7 +115,7 @@ def check_interrupt() -> None:
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Delay interrupts to the end of the block; processes that are started in the block never receive any.
+    """Delay interrupts until the block ends; processes started in it never receive any.
 
     Ctrl-C reaches all processes of a terminal. Workers inherit that SIGINT is blocked, so that they do not
     print tracebacks; their parent stops them. The parent also needs the handler, because threads of libraries

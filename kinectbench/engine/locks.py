@@ -35,7 +35,7 @@ COMMAND_CHARS = 100
 def locked(
     folder: Path, *, wait: bool = True, waiting: Callable[[str], None] | None = None
 ) -> Iterator[None]:
-    """Hold the folder's lock within the block; first remove what killed runs left.
+    """Hold the folder's lock within the block; first remove temporary files that killed runs left there.
 
     Args:
         folder: the folder; created if missing.
@@ -68,7 +68,7 @@ def locked(
 
 
 def sweep(path: Path) -> None:
-    """Remove what killed runs left beside `path`, which may be a pattern and must not be in use.
+    """Remove the temporary files of killed runs beside `path`, a path or pattern that nobody uses now.
 
     A file that was moved aside is moved back if its replacement is missing.
     """
@@ -87,7 +87,7 @@ def sweep(path: Path) -> None:
 
 
 def _taken(lock: IO[str], folder: Path, how: int) -> bool:
-    """Try to take the lock; false if another run holds it and `how` is not to wait."""
+    """Try to take the lock with the flock flags `how`; False if they forbid waiting for another run."""
     try:
         fcntl.flock(lock, how)
     except BlockingIOError:

@@ -1,4 +1,4 @@
-"""A task on a cluster's worker: checks the worker's versions, and reports progress."""
+"""What a cluster's worker runs: it checks the package versions, runs a task, and reports progress."""
 
 import contextlib
 import ctypes
@@ -27,7 +27,7 @@ MMAP_BYTES = 32 << 20
 
 @cache
 def package_versions() -> Mapping[str, str]:
-    """The local versions of all packages that decide results; "none" if not installed."""
+    """The local versions of all packages that determine results, by name; "none" if not installed."""
     return {"kinectbench": __version__, "Python": python_version()} | {
         name: package_version(name) or "none" for name in PACKAGES
     }

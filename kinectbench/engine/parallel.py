@@ -56,7 +56,7 @@ class ProgressWatcher(Protocol):
         """Receive the progress of a recording in a stage."""
 
     def ended(self, outcome: Outcome) -> None:
-        """Receive the outcome of a recording that is up to date or has failed."""
+        """Receive the outcome of a recording once its build has ended, with or without an error."""
 
     def warn(self, message: str) -> None:
         """Receive a warning that concerns all recordings."""
@@ -85,15 +85,15 @@ def build(
 ) -> list[Outcome]:
     """Bring recordings up to date, several at a time; a recording that fails does not stop the others.
 
-    A recording whose process is killed is tried again. It fails if the process is also killed when no other
-    runs beside it, or if it hangs, which is noticed in worker processes with `limit_s`; `failed.json` tells
-    why.
+    A recording whose process is killed is tried again. It fails if its process is killed even while
+    no other runs, or if it hangs, which is noticed only in worker processes and with `limit_s`. The reason
+    is in `failed.json`.
 
     Args:
         jobs: the recordings.
         upto: name of the last stage.
         force: names of stages to make again even if they are current.
-        workers: number of processes; for a single recording, of its threads, at most eight. Results do not
+        workers: number of processes, or of threads (at most eight) for a single recording. Results do not
             depend on it.
         watcher: called in this process with the progress of each recording.
         wait_for_others: whether to wait for another run that builds the same recording, or to fail.
@@ -149,7 +149,7 @@ def _build(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome:
 
 @dataclass(frozen=True)
 class _Outcomes:
-    """Collects the outcomes of recordings."""
+    """Collects the outcomes of recordings, and passes progress and warnings to the watcher."""
 
     watcher: ProgressWatcher
     by_id: dict[str, Outcome] = field(default_factory=dict)
@@ -174,12 +174,12 @@ def _killed(job: Job, lost: WorkerLost) -> Outcome:
 
 
 def expected_gb(job: Job) -> float:
-    """Estimate the peak memory of a recording's stages, GB; no upper bound."""
+    """Estimate the peak memory of building a recording, GB; it is not an upper bound."""
     return LIBRARIES_GB + (BYTES_PER_PIXEL * _pixels(job) + BYTES_PER_VOXEL * _voxels(job)) / 1e9
 
 
 def _pixels(job: Job) -> float:
-    """Pixels of all depth images, as counted by ingest, or estimated from file sizes."""
+    """Number of pixels in all depth images, from `ingest`'s result or estimated from file sizes."""
     if url_of(job.root) is not None:
         return UNKNOWN_PIXELS
     try:
@@ -197,7 +197,7 @@ def _pixels(job: Job) -> float:
 
 
 def _voxels(job: Job) -> float:
-    """Voxels of the grid that covers a person's box from the floor up; without a box, a typical maximum."""
+    """Number of voxels of the grid around a person's box, from the floor up; without a box, a high guess."""
     from kinectbench.stages.segment.solid.grids import MARGIN_M, REFERENCE_VOXEL_M
 
     box = job.recording.box

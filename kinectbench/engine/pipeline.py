@@ -35,12 +35,12 @@ NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one recording: its made and its still current stages, and the error or None.
+    """The outcome of one recording: stages that were made or up to date (`current`), and the error or None.
 
     `repeated`: the error is that of an earlier run; nothing was tried because no input has changed.
     `row`: figures of a recording in a store; None: read them from its local folder.
     `code`: code of the error.
-    `warnings`: of the run, one line each; stages keep their own warnings in their artefacts.
+    `warnings`: warnings of the run, one line each; stages keep their own warnings in their artefacts.
     """
 
     recording: str
@@ -68,7 +68,7 @@ def build_recording(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """Bring one recording up to date, up to a stage. Errors are reported, not raised.
+    """Bring one recording up to date, up to the stage `upto`; report errors in the outcome.
 
     A failed stage is tried again if one of its inputs has changed, or if it is forced. Unforeseen errors are
     reported too, so that they do not stop other recordings (raised if KINECTBENCH_DEBUG is set).
@@ -77,7 +77,7 @@ def build_recording(
         job: the recording.
         upto: name of the last stage.
         force: names of stages to make again even if they are current.
-        progress: called with (stage, done, total); while waiting for another run, with that as the stage.
+        progress: called with (stage, done, total); while waiting, `stage` is "waiting for <the other run>".
         wait: whether to wait for another run that builds this recording; otherwise the outcome is an error.
         limit_s: time limit, seconds, without the waiting; None: no limit.
         hung: called with the reason, on another thread, if the build still hangs long after the limit.
@@ -121,7 +121,7 @@ def build_recording(
 
 
 def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
-    """Refuse unusable masks of a person before slow work; return warnings about the usable ones."""
+    """Before slow work, refuse a person's masks that cannot be used; return warnings about the others."""
     samples = next((stage for stage in stages if stage.name == "sample-views"), None)
     with _failure_kept(job, samples or stages[-1], {}):
         if samples:
@@ -134,7 +134,7 @@ def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
 
 
 def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
-    """Refuse masks of missing frames before slow work, once `ingest` has counted the frames."""
+    """Before slow work, refuse masks of frames that do not exist; `ingest` has counted the frames."""
     from kinectbench.engine.drawn_masks import check_mask_numbers
 
     with _failure_kept(job, stages[-1], {}):
@@ -143,7 +143,7 @@ def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
 
 @contextmanager
 def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Iterator[None]:
-    """Store why a stage failed; except for `suggest`, whose failures the page does not show."""
+    """Store why a stage fails in the block, except `suggest`, whose failures the page does not show."""
     try:
         yield
     except Exception as failure:
@@ -154,7 +154,7 @@ def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> 
 
 
 def error_line(failure: Exception) -> str:
-    """An error as one line to print; an unforeseen error is raised if KINECTBENCH_DEBUG is set."""
+    """An error as one line to print; with KINECTBENCH_DEBUG set, raise an unforeseen error instead."""
     if isinstance(failure, KinectBenchError):
         return str(failure)
     if isinstance(failure, MemoryError):
@@ -165,12 +165,12 @@ def error_line(failure: Exception) -> str:
 
 
 def is_current(job: Job, upto: str) -> bool:
-    """Whether all stages up to the named one are current."""
+    """Whether the artefacts of all stages up to the named one are up to date."""
     return all(artefact.is_current() for artefact in artefacts_upto(job, upto).values())
 
 
 def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
-    """The artefacts of the stages up to the named one, by stage, in order."""
+    """The artefacts of the stages up to the named one, by stage in order, as the job now defines them."""
     artefacts: dict[str, Artefact] = {}
     for stage in stages_upto(upto):
         artefacts[stage.name] = _artefact(job, stage, stage.sources(job), artefacts)
@@ -195,7 +195,7 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
 def _differences(
     then: Mapping[str, object], now: Mapping[str, object], above: str = ""
 ) -> dict[str, tuple[object, object]]:
-    """Compare settings by keys such as fusion.voxel_size_m; keys that are left out are at their default."""
+    """Compare settings: {dotted key such as fusion.voxel_size_m: (then, now)}; missing ones are "default"."""
     found: dict[str, tuple[object, object]] = {}
     for key in {**then, **now}:
         old, new = then.get(key, "default"), now.get(key, "default")
@@ -207,7 +207,7 @@ def _differences(
 
 
 def listed_box(job: Job, number: int) -> BoxPart:
-    """The box with this number in the current list of `suggest`.
+    """The box with this number in the recording's current list of candidates, by `suggest`.
 
     Raises:
         SettingsError: there is no current list, or the list has no such number.
@@ -240,7 +240,7 @@ def _make(
     artefact: Artefact,
     report: Callable[[str, int, int], None],
 ) -> None:
-    """Make an artefact. The step receives only values that are in the fingerprint, not the job."""
+    """Run a stage and write its artefact. The stage gets only what is in the fingerprint, not the job."""
     from kinectbench.engine.steps import OVERTAKEN, STEPS
 
     started = time.monotonic()
@@ -263,10 +263,10 @@ def _make(
 
 
 def _checked_masks(job: Job) -> Callable[[Path], object] | None:
-    """Refuse masks of frames whose images have changed; return the later check of masks of views.
+    """Refuse masks of frames whose images have changed; return the check of masks of views, to call later.
 
-    The checks can only refuse masks, and never change a step's result. So masks.json is in no fingerprint,
-    and a refusal is not stored as a failure.
+    The check takes the folder of the new views; None without masks. Checks can only refuse masks, and never
+    change a stage's result. So masks.json is in no fingerprint, and after a refusal the stage is tried again.
     """
     from kinectbench.engine.drawn_masks import DrawnMasks
     from kinectbench.stages.ingest.sequence_folder import read_sequence
@@ -278,7 +278,7 @@ def _checked_masks(job: Job) -> Callable[[Path], object] | None:
 
 
 def _explained(job: Job, failure: KinectBenchError) -> str:
-    """The message of a failure, preceded by its likely cause if the recording shows one."""
+    """The message of a failure, after its likely cause if the recording shows one."""
     from kinectbench.doctor.during_build import likely_cause
     from kinectbench.stages.ingest.readers import open_recording
 

@@ -1,4 +1,4 @@
-"""Build a recording in its local folder or for its store, and report its status there."""
+"""Build recordings and report their status, whether the benchmark is in a local folder or in a store."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
@@ -32,7 +32,7 @@ def build_at_its_place(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """Build a recording as `build_recording` does, for local benchmarks and for those in stores."""
+    """Build a recording as `build_recording` does, in a local folder or in a store."""
     if url_of(job.root) is None:
         return build_recording(job, upto, force, progress, wait=wait, limit_s=limit_s, hung=hung)
     from kinectbench.engine.stored_build import build_stored
@@ -41,7 +41,7 @@ def build_at_its_place(
 
 
 def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """The current stages of a recording, and why its last run failed; None if it did not fail."""
+    """The stages of a recording that are up to date, and why its last run failed, or None."""
     if url_of(job.root) is not None:
         from kinectbench.engine.checkout import status_there
 
@@ -61,17 +61,17 @@ def keep_killed(job: Job, error: str) -> None:
 
 
 def for_elsewhere(job: Job) -> Job:
-    """The job with absolute paths, for processes with other working folders."""
+    """The job with an absolute root, for processes that run in another working folder."""
     return replace(job, root=job.root.absolute()) if url_of(job.root) is None else job
 
 
 def waits_for_others(job: Job) -> bool:
-    """Whether runs take turns on a recording; in a store they do not wait, and write equal files."""
+    """Whether a run waits for another one on the same recording: True for local folders, False in a store."""
     return url_of(job.root) is None
 
 
 def clear_away(job: Job) -> None:
-    """Remove what killed workers left of a recording, unless another run works on it."""
+    """Remove temporary files that killed workers left of a recording, unless another run works on it."""
     if url_of(job.root) is not None or not job.build.is_dir():
         return
     with contextlib.suppress(StorageError), locked(job.build, wait=False):
@@ -95,7 +95,7 @@ class RecordingStatus(StoredPart):
 def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
     """The status of each recording under the present settings, without building or reading recordings.
 
-    Names and sizes of some files of a recording are compared; `build` notices any change.
+    A change of a recording is seen only by names and sizes of some files; `build` notices any change.
     """
     return in_parallel(partial(_status, job) for job in jobs)
 
@@ -115,6 +115,6 @@ def _status(job: Job) -> RecordingStatus:
 
 
 def in_words(rows: Sequence[RecordingStatus]) -> str:
-    """Summarise the status of all recordings in a line."""
+    """Summarise in one line how many recordings are done, failed or missing."""
     counts = {state: sum(row.state == state for row in rows) for state in ("done", "failed", "missing")}
     return f"{counts['done']} of {len(rows)} done, {counts['failed']} failed, {counts['missing']} missing"

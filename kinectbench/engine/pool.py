@@ -1,6 +1,6 @@
-"""An executor with processes of this machine: if one is killed, only time is lost.
+"""An executor with processes on this machine; if one is killed, its tasks are run again.
 
-A pool of loky also breaks if a process is killed, and its unfinished tasks would need the same handling.
+The package loky would not help: its pool also breaks if a process is killed.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ class Pool:
     """A pool of processes on this machine, which end with this process.
 
     If a process is killed (by the system, for lack of memory), the unfinished tasks run on half as many
-    processes, at last on one. The task that kills even the single process fails, and the other tasks run on
+    processes, at last on one. A task that kills even the single process fails, and the other tasks run on
     all processes again.
     """
 
@@ -51,7 +51,7 @@ class Pool:
         *,
         slowest_twice: bool = False,
     ) -> Outcomes[Task, Result]:
-        """See `Executor`; no task runs twice, because another local process is no faster."""
+        """See `Executor`; `slowest_twice` is ignored, because another local process is no faster."""
         left, at_once = list(tasks), self.processes
         while left:
             left, hangs = yield from _until_killed(function, left, at_once, listener)
@@ -74,7 +74,7 @@ class Pool:
 def _until_killed(
     function: Callable[[Task, SendMessage], Result], tasks: Sequence[Task], processes: int, listener: Listener
 ) -> Generator[tuple[Task, Result | WorkerLost], None, tuple[list[Task], bool]]:
-    """Run tasks until a process is killed; return the unfinished tasks, and whether a task hangs."""
+    """Yield outcomes until a process is killed; return the unfinished tasks, and whether a task hangs."""
     messages = CONTEXT.Queue()
     undone, hangs = dict(enumerate(tasks)), False
     try:

@@ -29,7 +29,7 @@ CONTEXT = multiprocessing.get_context("spawn")
 def worker_pool(
     workers: int, prepare: Callable[..., None] | None = None, arguments: tuple[object, ...] = ()
 ) -> Iterator[ProcessPoolExecutor]:
-    """A pool of spawned processes; they are stopped at once if the block raises an exception.
+    """Yield a pool of spawned processes; if the block raises an exception, they are stopped at once.
 
     Args:
         workers: largest number of processes.
@@ -57,14 +57,14 @@ def worker_pool(
 def submit_all(
     pool: ProcessPoolExecutor, function: Callable[[Task], Result], tasks: Iterable[Task]
 ) -> list[Future[Result]]:
-    """Submit all tasks, which starts the processes; they ignore Ctrl-C, which their parent handles."""
+    """Submit all tasks, which starts the processes; these ignore Ctrl-C, which their parent handles."""
     resource_tracker.ensure_running()  # started later, it would unblock the signal
     with interrupts_held():
         return [pool.submit(function, task) for task in tasks]
 
 
 def give_back_shared() -> None:
-    """Unlink semaphores that processes shared, for an exit without exit handlers.
+    """Unlink semaphores that processes shared; call it before an exit that skips exit handlers.
 
     Otherwise a helper process of the library unlinks them and prints warnings.
     """
@@ -87,7 +87,7 @@ def _start_worker(prepare: Callable[..., None] | None, arguments: tuple[object, 
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent ends: a killed parent cannot stop its workers."""
+    """Wait for the parent to end, and then end this process: a killed parent cannot stop its workers."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

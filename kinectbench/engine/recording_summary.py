@@ -7,7 +7,7 @@ from kinectbench.core.artefacts.stored import StoredPart
 
 
 class RecordingSummary(StoredPart):
-    """The result of a run on one recording; a figure is null unless its stage is current."""
+    """The result of one recording; a figure is null unless its stage is up to date."""
 
     recording: str = Field(description="its id")
     frames: int | None = Field(description="their number")

@@ -22,7 +22,7 @@ YOUNG_S = 60.0
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Make a folder below KINECTBENCH_SCRATCH or the system's temporary folder; remove it after the block.
+    """Yield a new folder below KINECTBENCH_SCRATCH or the temporary folder; remove it after the block.
 
     Folders that killed runs left there are removed first: their locks are free.
 
@@ -44,19 +44,19 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def clear_scratch() -> None:
-    """Remove folders that ended workers of this process left."""
+    """Remove scratch folders of this process's workers that have ended."""
     for folder in Path(os.environ.get(SCRATCH_VARIABLE) or tempfile.gettempdir()).glob(f"{_prefix()}*"):
         _remove(folder)
 
 
 def _prefix() -> str:
-    """The prefix of folder names of this process and its workers: the id of the main process."""
+    """The prefix of scratch folder names: it has the id of the main process, also in its workers."""
     parent = multiprocessing.parent_process()
     return f"{PREFIX}{os.getpid() if parent is None else parent.pid}-"
 
 
 def _sweep(base: Path) -> None:
-    """Remove unused folders of kinectbench."""
+    """Remove scratch folders of kinectbench below `base` that no process uses."""
     for folder in base.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):
             if time.time() - folder.lstat().st_mtime > YOUNG_S:
@@ -64,7 +64,7 @@ def _sweep(base: Path) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder of kinectbench unless a process uses it."""
+    """Remove a scratch folder, unless a process uses it or it belongs to another user."""
     with contextlib.suppress(OSError, StorageError):
         status = folder.lstat()
         if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid():

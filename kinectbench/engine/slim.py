@@ -1,6 +1,6 @@
 """Delete the frames of a built recording, and keep what releases and reports need.
 
-Its stages stay current. A stage that would need the deleted frames is refused until the scan is back.
+The stages stay up to date. One that would need the deleted frames is refused until the scan is back.
 """
 
 from pathlib import Path
@@ -41,10 +41,10 @@ def slim(build: Path) -> int:
 
 
 def keep_failed_source(build: Path) -> None:
-    """Keep the hash of a scan in failed.json, so that its failure stays valid once the scan is deleted.
+    """Store the hash of a scan in failed.json, so that the failure stays valid once the scan is deleted.
 
     Args:
-        build: `build/<recording>/`; unchanged unless the recording could not be read.
+        build: `build/<recording>/`; nothing is done without failed.json, or if `slim` deleted its frames.
     """
     failed, sources = Failed.read_if_there(build), Sources.read_if_there(build)
     if failed is not None and sources is not None and not is_slim(build / "sequence"):
@@ -60,7 +60,7 @@ def is_slim(folder: Path) -> bool:
 
 
 def kept_source(build: Path) -> str | None:
-    """The hash over the files of a deleted scan; None if no scan was deleted."""
+    """The hash over the files of a scan that was deleted after its build; None if none was deleted."""
     manifest = whole_manifest(build / "sequence")
     if manifest is not None:
         return None if manifest.removed is None else manifest.inputs.get("recording")
@@ -69,7 +69,7 @@ def kept_source(build: Path) -> str | None:
 
 
 def refuse_slim(recording: str, folder: Path) -> None:
-    """Refuse to make a stage from a folder whose files were deleted.
+    """Raise an error if `slim` deleted files from a folder that a stage needs as input.
 
     Raises:
         RecordingError: its files were deleted.

@@ -1,4 +1,4 @@
-"""The settings of each stage, one model per stage, and the other inputs of its step.
+"""The settings of each stage, one model per stage, and what else a stage gets as input.
 
 The model's JSON is part of the stage's fingerprint, so a step cannot read a setting that is not in it.
 `stages` makes the models from a job.
@@ -41,7 +41,7 @@ Needed = TypeVar("Needed", bound="StageSettings")
 
 
 def part_of(wanted: type[Section], section: Settings) -> Section:
-    """Copy from a section of benchmark.yaml the keys that the model `wanted` has.
+    """Copy those keys from a section of benchmark.yaml that the model `wanted` has.
 
     Args:
         wanted: a model with some of the section's keys.
@@ -97,13 +97,13 @@ class TrackSettings(StageSettings):
 
 
 class SceneFusion(FusionSettings):
-    """Settings of the scene's fusion, without those of the object's voxels."""
+    """Settings for the fusion of the scene: all but the voxel size of the object."""
 
     voxel_size_m: None = Field(None, exclude=True)
 
 
 class ObjectFusion(FusionSettings):
-    """Settings of the object's fusion, without those of the scene's voxels."""
+    """Settings for the fusion of the object: all but the voxel size of the scene."""
 
     scene_voxel_size_m: None = Field(None, exclude=True)
 
@@ -147,7 +147,7 @@ class SegmentSettings(StageSettings):
 
 
 class SampleSettings(StageSettings):
-    """Settings of `sample-views`; masks also use the cuts of the floor by `segment`."""
+    """Settings of `sample-views`; its masks also use the floor cuts of `segment`."""
 
     ADDED = ("segment_by", "segmentation.seed", "segmentation.floor_cut_m", "segmentation.low_cut_m")
 
@@ -158,7 +158,7 @@ class SampleSettings(StageSettings):
 
 
 class PairsSettings(StageSettings):
-    """Settings of `pairs`; limits that concern views only are in those of `sample-views`."""
+    """Settings of `pairs`: the form of pairs, and limits that `sample-views` has, too."""
 
     ADDED = ("pairs.max_residual_m", "pairs.min_visible_share")
 
@@ -180,12 +180,12 @@ class Source:
 
 @dataclass(frozen=True)
 class Work(Generic[Needed]):
-    """The inputs of one stage.
+    """What one stage gets as input; it may read nothing else.
 
     Attributes:
         settings: the settings that the stage depends on.
-        stages: folders of the stages that it reads, by name; no others.
-        sources: sources whose hashes are in the stage's fingerprint, by name; no others.
+        stages: folders of the stages that it reads, by the name of the stage.
+        sources: inputs from outside `build/` whose hashes are in the stage's fingerprint, by name.
         folder: the empty folder to fill.
         progress: called with (done, total).
     """

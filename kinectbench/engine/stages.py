@@ -1,4 +1,4 @@
-"""The stages in order, with the inputs and settings of each. `steps` runs them."""
+"""The stages in order, each with its inputs and settings. The module `steps` runs them."""
 
 import functools
 import os
@@ -100,8 +100,8 @@ class Stage:
         name: name of the stage and of its command.
         folder: folder of its artefact, below `build/<recording>/`.
         inputs: names of the stages that it reads.
-        needs: makes the settings that it depends on; its step gets no others.
-        outside: names its inputs from outside `build/`, as in SOURCES.
+        needs: makes the settings that the stage depends on, from a job; the stage gets no others.
+        outside: returns the names of its inputs from outside `build/`, which are keys of SOURCES.
     """
 
     name: str
@@ -120,7 +120,7 @@ class Stage:
         return self.needs(job).fingerprinted()
 
     def sources(self, job: Job) -> Mapping[str, Source]:
-        """Its inputs from outside `build/`, by name, as they are now."""
+        """The stage's inputs from outside `build/`, by name, as they are on the disk now."""
         return {name: SOURCES[name](job) for name in self.outside(job)}
 
 
@@ -176,10 +176,10 @@ def _pairs(job: Job) -> StageSettings:
 
 
 def check_masks(job: Job) -> None:
-    """Check that the folder of masks exists.
+    """Check that the folder of masks exists, if benchmark.yaml names one.
 
     Raises:
-        RecordingError: benchmark.yaml names a folder that is missing.
+        RecordingError: the folder is missing.
     """
     from kinectbench.stages.ingest.sources import check_there
 
@@ -192,17 +192,17 @@ def check_masks(job: Job) -> None:
 
 
 def _masks_named(job: Job) -> tuple[str, ...]:
-    """A person's masks, of views or of frames, if benchmark.yaml names any."""
+    """(MASKS,) if benchmark.yaml names a person's masks, of views or of frames; else ()."""
     return () if job.masks is None else (MASKS,)
 
 
 def _frame_masks_named(job: Job) -> tuple[str, ...]:
-    """A person's masks of frames; none if the folder holds masks of views."""
+    """(MASKS,) if benchmark.yaml names a person's masks of frames; () without masks or for masks of views."""
     return _masks_named(job) if job.recording.segment_by == "masks" else ()
 
 
 def _of_object_named(job: Job) -> tuple[str, ...]:
-    """Sources about the object: a person's masks of frames, and the reference mesh."""
+    """Names of the inputs that define the object: a person's masks of frames, and the reference mesh."""
     return (*_frame_masks_named(job), *(() if job.reference is None else (REFERENCE,)))
 
 
@@ -258,12 +258,12 @@ def _recording(job: Job) -> Source:
 
 
 def _whole(path: Path) -> Path:
-    """An absolute path without "..": the same for all ways to write it; links are not resolved."""
+    """Make a path absolute and without "..", so that paths can be compared; links are not resolved."""
     return Path(os.path.abspath(path))  # noqa: PTH100 - `absolute` leaves ".."
 
 
 def _own_files(job: Job, files: list[Path]) -> list[Path]:
-    """Of a recording's files those that are no results of the benchmark, and that no other input names."""
+    """The recording's own files: without results of the benchmark and files that are other inputs."""
     folders = {folder: _whole(folder) for folder in {file.parent for file in files}}
     there = [folders[file.parent] / file.name for file in files]
     others = _results(job, there) | _named_apart(job, there)
@@ -275,7 +275,7 @@ def _own_files(job: Job, files: list[Path]) -> list[Path]:
 
 
 def _results(job: Job, files: Sequence[Path]) -> set[Path]:
-    """Files and folders of a benchmark whose folder is the recording's or below it; else none."""
+    """Files and folders that the benchmark writes, if its root is in the recording's folder; else none."""
     root = _whole(job.root)
     if not root.is_relative_to(_whole(job.source)):
         return set()
@@ -286,13 +286,13 @@ def _results(job: Job, files: Sequence[Path]) -> set[Path]:
 
 
 def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
-    """Of a recording's files those that other inputs name: the reference mesh, a person's masks, masks.json.
+    """Those of a recording's files that are other inputs: the reference mesh, a person's masks, masks.json.
 
-    Masks in a folder that ingest reads, too, stay the recording's.
+    Masks in a folder that `ingest` also reads stay with the recording.
 
     Args:
-        job: of the recording.
-        files: their `_whole` paths, as those of the result.
+        job: the recording.
+        files: paths as made by `_whole`, like those returned.
     """
     masks = _whole(job.masks) if job.masks else None
     drawn = [file for file in files if file.parent == masks]
@@ -335,7 +335,7 @@ SUGGEST = Stage("suggest", "candidates", ("ingest", "track", "fuse"), _suggest)
 
 
 def stages_upto(name: str) -> tuple[Stage, ...]:
-    """The stages up to the named one, in their order; `suggest` follows `fuse`."""
+    """The stages up to the named one, in order; for `suggest`, those up to `fuse`, and `suggest`."""
     if name == SUGGEST.name:
         return (*stages_upto("fuse"), SUGGEST)
     names = [stage.name for stage in STAGES]
@@ -343,7 +343,7 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
 
 
 def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
-    """Whether an input from outside `build/` is of a hash, by names and sizes; True if it is gone."""
+    """Whether an input from outside `build/` matches a hash, by names and sizes; True if it is gone."""
     path = {RECORDING: job.source, MASKS: job.masks, REFERENCE: job.reference}[name]
     if path is None or not os.path.exists(path):  # noqa: PTH110 - of any name
         return True
@@ -358,7 +358,7 @@ def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
 
 
 def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, has_input: Callable[[str, str], bool]) -> bool:
-    """Whether an artefact was made from the inputs from outside `build/` that a job names."""
+    """Whether an artefact was made from the inputs from outside `build/` that the job names now."""
     named = stage.outside(job)
     if manifest.inputs.keys() - set(stage.inputs) != set(named):
         return False
@@ -366,9 +366,9 @@ def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, has_input: Callab
 
 
 def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
-    """The folders of current stages in `build/<recording>/`, by stage.
+    """The folders in `build/<recording>/` of stages that are up to date, by stage.
 
-    A current folder is complete, and was made by the stage's present version from the present artefacts of
+    Such a folder is complete, and was made by the stage's present version from the present artefacts of
     its input stages. A change of the recording, masks or reference mesh is seen only by names and sizes of
     some files; an input that is gone is not compared.
 

@@ -1,6 +1,6 @@
-"""The steps of the stages: each reads its inputs, calls one function, and writes the result.
+"""One function per stage: it reads the inputs, calls the code of the stage, and writes the result.
 
-Import late: the functions load numba.
+Import this module late, because it loads numba.
 """
 
 from collections.abc import Callable, Mapping
@@ -65,7 +65,7 @@ STRAY_M = 0.02
 
 
 def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
-    """Read the sequence as the tracker used it, and the trajectory, from `build/<recording>/`.
+    """Read the sequence, as corrected by tracking, and the trajectory from `build/<recording>/`.
 
     Depth is calibrated, and a detected rolling shutter is undone.
     """
@@ -80,7 +80,7 @@ def _tracked(stages: Mapping[str, Path]) -> tuple[Sequence, Trajectory]:
 
 
 def _own(work: Work[FuseSettings] | Work[SegmentSettings]) -> tuple[Sequence, Trajectory]:
-    """Like `read_tracked`, but with the object's depth only if masks segment the recording."""
+    """Like `read_tracked`; if masks define the object, keep only the depth inside them."""
     sequence, trajectory = _tracked(work.stages)
     masks = frame_masks(sequence, work.settings.segment_by, work.masks)
     return (sequence if masks is None else by_own_pixels(sequence, masks)), trajectory
@@ -133,7 +133,7 @@ def _suggest(work: Work[SuggestSettings]) -> None:
 def _picked(
     sequence: Sequence, trajectory: Trajectory, settings: SuggestSettings | SegmentSettings
 ) -> PickedPoint | None:
-    """The point on the object that `pick` names; None without a pick, or if the whole scene is the object."""
+    """The picked point on the object; None without a pick, or if masks or a turntable define the object."""
     if settings.pick is None or settings.segment_by is not None:
         return None
     return picked_point(sequence, trajectory, settings.pick.frame, settings.pick.pixel)
@@ -195,7 +195,7 @@ def track_scene(
 
     Args:
         sequence: the recording.
-        mode: use of a given trajectory; None: default.
+        mode: how to use a given trajectory; None: the default of `track`.
         settings: settings of `track`.
         progress: called with (done, total).
 
@@ -215,5 +215,5 @@ def track_scene(
 
 
 def _moves(given: GivenTrajectory) -> bool:
-    """Whether the camera's positions vary by more than noise."""
+    """Whether the camera's positions vary by more than those of a camera on a tripod."""
     return bool(np.ptp(given.T_world_camera[:, :3, 3], axis=0).max() > STRAY_M)

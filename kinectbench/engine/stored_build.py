@@ -1,7 +1,7 @@
 """Build a recording whose benchmark is in a store: check it out, build it locally, and upload its stages.
 
-The store has no locks or renames: an artefact lies under its fingerprint. Another machine makes the same
-artefact; if its bytes differ, that machine continues from the artefact that was stored first.
+The store has no locks or renames, so an artefact lies under its fingerprint. If another machine makes the
+same artefact with different bytes, it continues from the one that was stored first.
 """
 
 import contextlib
@@ -57,7 +57,7 @@ def build_stored(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """Build a recording at a URL like `build_recording`; the outcome includes its row of the table.
+    """Build a recording in a store as `build_recording` does; the outcome includes the figures `row`.
 
     Args:
         job: the recording.
@@ -95,7 +95,7 @@ def build_stored(
 def _built(
     copy: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: Report
 ) -> Outcome | None:
-    """Build and upload; None if another run stored other bytes of a stage, so the build must start again."""
+    """Build and upload; None if another run has stored different bytes of a stage: then start again."""
     missing = [each for each in stages_upto(upto) if each.name not in copy.current or each.name in force]
     if not missing:
         if copy.failed:
@@ -130,7 +130,7 @@ def _masks_file(copy: Checkout) -> str:
 
 
 def _nothing_made(copy: Checkout, failed: Failed | None) -> Outcome:
-    """The outcome if there is nothing to build; downloads only the figures of the table."""
+    """The outcome if no stage has to be built; downloads only the figures of the table."""
     in_parallel(
         partial(fetch_file, copy.store, copy.job.recording.id, copy.artefacts[name], SHOWN[name], copy.built)
         for name in copy.current
@@ -142,7 +142,7 @@ def _nothing_made(copy: Checkout, failed: Failed | None) -> Outcome:
 
 
 def _fetch_needed(copy: Checkout, missing: Sequence[Stage], report: Report) -> None:
-    """Download the artefacts that missing stages need, and the recording if it must be read again."""
+    """Download the artefacts that are up to date, and the recording if `ingest` has to run."""
     job = copy.job
     if any(stage.name == "ingest" for stage in missing) and not job.source.exists():
         fetch_recording(copy.store, job, files_of_recording(copy.store, job), report)
@@ -162,5 +162,5 @@ def _put_failure(copy: Checkout) -> None:
 
 
 def put_failure(job: Job, failed: Failed) -> None:
-    """Store why a recording could not be built."""
+    """Store why a recording could not be built, as failed.json in its store."""
     store_of(job).put(f"build/{job.recording.id}/{Failed.FILE}", failed.text().encode())

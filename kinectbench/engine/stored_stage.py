@@ -28,7 +28,7 @@ REBUILD = "remove the folder and build again"
 
 
 def stored_folder(recording: str, artefact: Artefact) -> str:
-    """The place of an artefact relative to the benchmark's root."""
+    """The folder of an artefact in the store, relative to the benchmark's root."""
     return f"build/{recording}/{artefact.stage}/{artefact.fingerprint}"
 
 
@@ -41,7 +41,7 @@ def put_stage(store: Store, recording: str, artefact: Artefact) -> bool:
     """Upload a local artefact unless a finished one exists.
 
     Returns:
-        Whether the stored bytes are equal; False: another run has stored different ones.
+        Whether the store now holds these bytes; False: another run has stored different ones.
 
     Raises:
         StorageError: the store fails, or the stored artefact is damaged.
@@ -74,7 +74,7 @@ def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
     """Download a stored artefact into its local folder.
 
     Raises:
-        StorageError: the artefact is damaged or another one, or the store fails.
+        StorageError: the stored artefact is damaged, or is a different one, or the store fails.
     """
     where = stored_folder(recording, artefact)
     manifest = _manifest(store, where, artefact)
@@ -110,7 +110,7 @@ def fetch_file(
         recording: id of the recording.
         artefact: an artefact that the store holds.
         name: name of the file.
-        names: listing of `build/<recording>/`; if it contains one such file only, no manifest is read.
+        names: listing of `build/<recording>/`; if it has the file just once, the manifest is not needed.
     """
     where, folder = stored_folder(recording, artefact), _made(artefact.folder)
     if name == Manifest.FILE:
@@ -123,7 +123,7 @@ def fetch_file(
 
 
 def files_folder(where: str, manifest: Manifest) -> str:
-    """The folder of an artefact's files; earlier versions put them beside the manifest."""
+    """The folder in the store of an artefact's files; in earlier versions, the folder of the manifest."""
     return where if manifest.content is None else f"{where}/{manifest.content}"
 
 
@@ -138,7 +138,7 @@ def _manifest(store: Store, where: str, artefact: Artefact) -> Manifest:
 
 
 def _written(manifest: Manifest, folder: Path) -> None:
-    """Write a manifest as the stage made it, without the keys that the store adds."""
+    """Write a manifest into a local folder, without the key that only stored manifests have."""
     Manifest.model_validate(manifest.model_dump(exclude={"content"})).write(folder)
 
 
@@ -155,7 +155,7 @@ def _parsed(text: bytes, place: str, artefact: Artefact) -> Manifest:
 
 
 def _parts(manifest: Manifest) -> tuple[list[str], list[str]]:
-    """The names of the files that are packed into a tar, and of the others."""
+    """Names of an artefact's files: those packed into a tar, and those stored separately."""
     names = sorted(manifest.files)
     if manifest.stage not in PACKED:
         return [], names

@@ -1,4 +1,4 @@
-"""The result of a run on a recording, as in the table at the end of a build."""
+"""The figures of a run on one recording, as in the table at the end of a build."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ MOST_NAMED = 3
 
 @dataclass(frozen=True)
 class BuiltRecording:
-    """The outcome of one recording; its figures, which are in five files, are read on request.
+    """The outcome of one recording; its figures are read from the files of the build on request.
 
     Attributes:
         recording: id of the recording.
@@ -56,7 +56,7 @@ class BuiltRecording:
 
 
 def summary(job: Job, outcome: Outcome) -> RecordingSummary:
-    """The figures of the stages that a run made or found current; other stages are left out."""
+    """The figures of the stages that a run made or found up to date; other stages are left out."""
     if outcome.row is not None:
         return outcome.row
     stages = (*outcome.made, *outcome.current)
@@ -102,7 +102,7 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
 
 
 def _without_pair(job: Job, pairs: PairsFile | None) -> tuple[str, ...]:
-    """A line that names the views without a pair where a person drew masks, which may be the cause."""
+    """A warning that names views without a pair, if a person's masks may be the cause; else empty."""
     refused = pairs.refused if pairs and job.masks else ()
     if not refused:
         return ()
@@ -120,8 +120,8 @@ def _to_do_first(
 ) -> str | None:
     """The warning to deal with first; None without warnings.
 
-    Causes precede effects: lengths, poses, the floor and the choice of the object, unseen parts, and then all
-    other warnings by stage.
+    Causes come before effects: units and intrinsics, poses, floor and choice of the object, unseen parts,
+    and then all other warnings by stage.
     """
     of_object = quality.warnings if quality else ()
     poses = (line for line in of_object if health is not None and health.verdict in line)

@@ -29,10 +29,10 @@ class TimeLimitError(KinectBenchError):
 
 @contextmanager
 def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) -> Iterator[Report]:
-    """Yield a version of `report` that raises once the block exceeds its time.
+    """Yield a wrapper of `report` that raises `TimeLimitError` once the block has run too long.
 
-    A stage reports after every frame or pair, and is stopped there. A stage that hangs within one cannot be
-    stopped; then `hung` is called.
+    A stage reports after every frame or pair, and is stopped there. A stage that hangs between two reports
+    cannot be stopped; then `hung` is called.
 
     Args:
         limit_s: time limit of the block, seconds; None: no limit.
@@ -48,7 +48,7 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
     end, latest = time.monotonic() + limit_s, "its start"
 
     def checked(stage: str, done: int, total: int) -> None:
-        """Call `report`; raise `TimeLimitError` after the limit."""
+        """Pass the report on, or raise `TimeLimitError` after the limit."""
         nonlocal latest
         latest = stage
         if time.monotonic() > end:
@@ -59,7 +59,7 @@ def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) 
         report(stage, done, total)
 
     def tell() -> None:
-        """Report that the block hangs, and in which stage."""
+        """Call `hung` with a line that names the stage of the latest report."""
         if hung is not None:
             hung(
                 f"{latest}: hangs: did not end or go on for {2 * limit_s + HANG_S:g} s, with --time-limit "

@@ -19,13 +19,13 @@ _ARTEFACT = re.compile(rf"(build/[^/]+/(?:{_STAGES})/[0-9a-f]{{64}})/(.+)")
 
 
 def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
-    """List files in artefacts' folders that the manifest does not name; all files if there is no manifest.
+    """List files in artefacts' folders that no manifest names; without a manifest, all files of the folder.
 
     Only folders of artefacts are searched: recordings, releases and other files must stay.
 
     Args:
         store: store of the benchmark's root.
-        young: include files younger than a day, and files beside these.
+        young: include folders with files younger than a day, which a run may still be writing.
 
     Raises:
         StorageError: a manifest is damaged, or the store fails.

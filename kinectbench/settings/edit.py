@@ -19,7 +19,7 @@ from kinectbench.settings.recording_table import ENDINGS
 
 
 def file_of(config: Path, recording: str, box: BoxPart) -> Path:
-    """Find the file that defines a recording: a valid benchmark.yaml, or a file that it includes.
+    """Find the file that defines a recording: the benchmark.yaml, which must be valid, or an included file.
 
     Args:
         config: the benchmark.yaml.
@@ -48,7 +48,7 @@ def _entry(recordings: yaml.Node, recording: str) -> yaml.MappingNode:
 
 
 def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
-    """The text of a file with this box for a recording, and no other change.
+    """Return the text of a file with the box of a recording set or replaced, and nothing else changed.
 
     Args:
         text: text of a valid benchmark.yaml, or of a file that it includes.
@@ -79,7 +79,7 @@ def with_box(text: str, source: str, recording: str, box: BoxPart) -> str:
 
 
 def _changed(text: str, entry: yaml.MappingNode, line: str) -> str:
-    """The text with the recording's box replaced, or inserted after the recording's id."""
+    """Replace the recording's box in the text, or insert it after the recording's id."""
     nodes = yaml_nodes.items(entry)
     if "box" in nodes:
         start, end = nodes["box"].start_mark.index, nodes["box"].end_mark.index
@@ -100,7 +100,7 @@ def box_line(box: BoxPart) -> str:
 
 
 def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
-    """The text of a benchmark.yaml with recordings appended, and no other change.
+    """Return the text of a benchmark.yaml with recordings appended, and nothing else changed.
 
     Args:
         text: text of the file.
@@ -129,7 +129,7 @@ def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
 
 
 def _with_first(text: str, empty: yaml.Node | None, lines: Sequence[str]) -> str:
-    """The text with lines in place of an empty `recordings:`, or with that key and the lines at its end."""
+    """Put the lines in place of an empty `recordings:`, or, if the key is missing, add both at the end."""
     if empty is None:
         return "\n".join([*text.removesuffix("\n").split("\n"), "", "recordings:", *lines, ""])
     start, end = empty.start_mark.index, empty.end_mark.index
@@ -141,7 +141,7 @@ def _with_first(text: str, empty: yaml.Node | None, lines: Sequence[str]) -> str
 
 
 def _with_lines(text: str, recordings: yaml.Node, lines: Sequence[str]) -> str:
-    """The text with lines after the last recording and the comments that have its indentation."""
+    """Insert the lines after the last recording and the comments indented like it."""
     rows = text.removesuffix("\n").split("\n")
     margin, end = recordings.start_mark.column, len(rows)
     if recordings.end_mark.index < len(text):
@@ -153,6 +153,6 @@ def _with_lines(text: str, recordings: yaml.Node, lines: Sequence[str]) -> str:
 
 
 def _is_indented(row: str, margin: int) -> bool:
-    """Whether a row is neither blank nor a comment that starts at the margin or left of it."""
+    """Whether a row has content to the right of the margin: it is not blank, and no comment at the margin."""
     inner = row.lstrip(" ")
     return bool(inner.strip()) and (not inner.startswith("#") or len(row) - len(inner) > margin)

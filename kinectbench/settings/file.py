@@ -44,7 +44,7 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
             values of the file, and later ones replace earlier ones.
 
     Returns:
-        The settings, completed by defaults. An empty section has the defaults.
+        The settings, with defaults for missing keys and empty sections.
 
     Raises:
         SettingsError: one line for each error, in the order of the file: file and line (or the override),
@@ -94,7 +94,7 @@ def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
 
 
 def _overridden(root: yaml.Node, override: str) -> yaml.Node:
-    """Insert one `key=value` into the nodes."""
+    """Insert one override `key=value` into a copy of the nodes."""
     source = f"{yaml_nodes.OVERRIDE}{_shortened(override)}"
     key, equals, text = override.partition("=")
     if not equals or not all(key.split(".")):
@@ -106,7 +106,7 @@ def _overridden(root: yaml.Node, override: str) -> yaml.Node:
 
 
 def _override_path(root: yaml.Node, key: str, source: str) -> Location:
-    """The location of a dotted key; a recording is named by its id, which may contain dots."""
+    """The location of a dotted key of an override; a recording is named by its id, which may have dots."""
     section, _, tail = key.partition(".")
     if section != "recordings" or not tail:
         return tuple(key.split("."))
@@ -140,7 +140,7 @@ def _validated(root: yaml.Node) -> BenchmarkSettings:
 
 
 def _errors_of_first(values: dict[str, Any]) -> list[ErrorDetails]:
-    """The errors of the first wrong recordings of a long list; none for a short list."""
+    """Validate a long list of recordings in parts; return the errors of the first wrong part, else []."""
     recordings = values.get("recordings")
     if not isinstance(recordings, list) or len(recordings) <= RECORDINGS_AT_ONCE:
         return []
@@ -179,7 +179,7 @@ def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[Error
 
 
 def _location(error: ErrorDetails) -> Location:
-    """The location of the node that a pydantic error is about."""
+    """The location of the YAML node that a pydantic error is about."""
     # For an invalid key of a mapping, pydantic appends an extra part.
     location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
     if kind == "value_error":
@@ -190,7 +190,7 @@ def _location(error: ErrorDetails) -> Location:
 
 
 def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, known: yaml_nodes.Known) -> str:
-    """A readable line for a pydantic error."""
+    """Describe a pydantic error in a line: file and line number, key, value found, value expected."""
     location, kind = _location(error), error["type"]
     annotation, constraints, used = field_at(error["loc"])
     anchor, value = yaml_nodes.find(root, location, known)
@@ -217,7 +217,7 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
 
 
 def _key_hint(name: str, annotation: object) -> str:
-    """A hint for an unknown key of the model that the annotation names."""
+    """Advice on an unknown key of a model: the section that it belongs under, or a similar key."""
     model = model_of(annotation)
     homes = [
         section
@@ -230,7 +230,7 @@ def _key_hint(name: str, annotation: object) -> str:
 
 
 def _value_hint(value: yaml.Node | None, annotation: object) -> str:
-    """A hint for a value of the wrong type; empty without one."""
+    """Advice on a value of the wrong type; "" if there is none."""
     if not isinstance(value, yaml.ScalarNode) or value.tag == yaml_nodes.NULL_TAG:
         return ""
     if choices := choices_of(annotation):
@@ -242,7 +242,7 @@ def _value_hint(value: yaml.Node | None, annotation: object) -> str:
 
 
 def _dotted(values: dict[str, Any], location: Location) -> str:
-    """A location in the form of `--set`: a recording by its id, or else by its index."""
+    """Write a location as in `--set`: a recording by its id, or by its index if it has no id."""
     text = ""
     for depth, part in enumerate(location):
         if isinstance(part, str):
@@ -255,7 +255,7 @@ def _dotted(values: dict[str, Any], location: Location) -> str:
 
 
 def _found(node: yaml.Node | None) -> str:
-    """A value as written, shortened."""
+    """Describe a value as written in the file, shortened."""
     if isinstance(node, yaml.SequenceNode):
         if not node.value or not all(isinstance(child, yaml.ScalarNode) for child in node.value):
             return f"a list of {len(node.value)}"
@@ -269,7 +269,7 @@ def _found(node: yaml.Node | None) -> str:
 
 
 def _scalar(node: yaml.Node) -> str:
-    """A scalar as written; text in quotes."""
+    """Quote a scalar as written in the file; text in quotation marks."""
     if node.tag == yaml_nodes.NULL_TAG:
         return "nothing"
     text = _shortened(str(node.value))
@@ -277,5 +277,5 @@ def _scalar(node: yaml.Node) -> str:
 
 
 def _shortened(text: str) -> str:
-    """A text in one line, with its middle cut out if it is long."""
+    """Put a text on one line, and cut out its middle if it is long."""
     return printable(" ".join(text[:LOOKED_AT].split()), QUOTED)

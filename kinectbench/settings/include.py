@@ -1,4 +1,4 @@
-"""`include:` in a benchmark.yaml: recordings in other files below its folder, YAML or tables."""
+"""The key `include:` of a benchmark.yaml: recordings in other files below its folder, YAML or tables."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +23,7 @@ MISSING = "correct the name under `include:`, or make the file"
 
 @dataclass
 class _Left:
-    """The bytes that all included files together may still have; at first those of one benchmark.yaml."""
+    """What the included files may still take together, in values and bytes, and the files read so far."""
 
     allowance: yaml_nodes.Allowance
     bytes: int = MOST_BYTES
@@ -34,7 +34,7 @@ def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Al
     """Append the recordings of the included files to the nodes of a benchmark.yaml.
 
     Args:
-        root: nodes of benchmark.yaml; an `include:` of the wrong form is left for the models to refuse.
+        root: nodes of benchmark.yaml; an `include:` of the wrong form stays, so that validation refuses it.
         config: path of benchmark.yaml; names are relative to its folder.
         allowance: number of values that all files together may still have.
 
@@ -98,7 +98,7 @@ def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
 
 
 def _entries(path: Path, config: Path, pattern: yaml.ScalarNode, left: _Left) -> list[yaml.Node]:
-    """The recordings of one file; none if another pattern already matched the file."""
+    """Read the recordings of one included file; none if an earlier pattern has matched it already."""
     where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
     refuse_outside(path, config.parent)
     if followed(path) in left.seen:
@@ -122,7 +122,7 @@ def _entries(path: Path, config: Path, pattern: yaml.ScalarNode, left: _Left) ->
 
 
 def _of_yaml(text: str, source: str, allowance: yaml_nodes.Allowance) -> list[yaml.Node]:
-    """The recordings of an included YAML file, which has no key besides `recordings:`."""
+    """Read the recordings of an included YAML file, which may have no key besides `recordings:`."""
     root = yaml_nodes.compose(text, source, allowance)
     yaml_nodes.plain(root)  # refuses repeated keys
     only = f"an included file holds `{RECORDINGS}:` and nothing else"

@@ -1,4 +1,4 @@
-"""Typed settings of a benchmark. All defaults are here; unknown keys are refused at every depth."""
+"""Typed settings of a benchmark, with all defaults; unknown keys are refused at every depth."""
 
 import math
 from typing import Annotated, Literal
@@ -115,7 +115,7 @@ class BoxSettings(Settings):
 
     @model_serializer(mode="wrap")
     def _without_no_anchor(self, to_dict: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out a missing anchor, so that releases and fingerprints stay as before anchors existed."""
+        """Leave out keys of a missing anchor, so that fingerprints stay as before boxes had anchors."""
         values: dict[str, object] = to_dict(self)
         if self.anchor_depth_sha256 is None:
             values.pop("anchor_depth_sha256", None)
@@ -131,7 +131,7 @@ class BoxSettings(Settings):
 
 
 class FloorSettings(Settings):
-    """The plane that the object stands on, by hand."""
+    """The plane that the object stands on, as given by a person."""
 
     plane_world: Vector4 = Field(
         description="a x + b y + c z + d = 0, the normal (a, b, c) up and of length 1; metres, world frame"
@@ -187,7 +187,7 @@ class RecordingSettings(Settings):
 
     @property
     def trajectory_mode(self) -> TrajectoryMode | None:
-        """How to use a given trajectory; a camera's poses are ignored for an object that moves."""
+        """How to use a given trajectory; "ignore" by default if the object moves, not the camera."""
         return "ignore" if self.trajectory is None and self.segment_by else self.trajectory
 
     @property
@@ -245,7 +245,7 @@ class FusionSettings(Settings):
 
 
 class FloorCuts(Settings):
-    """Bounds between the floor and objects on it."""
+    """Heights that separate the floor from objects on it."""
 
     seed: int = Field(0, ge=0, description="seed of RANSAC")
     floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="what rises no higher than this is floor")
@@ -255,15 +255,15 @@ class FloorCuts(Settings):
 
 
 class MaskCuts(FloorCuts):
-    """Bounds of the object's mask in a view."""
+    """Limits that decide which pixels of a view belong to the object's mask."""
 
     mask_tolerance_m: float = Field(0.03, gt=0, le=0.2, description="least depth difference a mask allows")
 
 
 class ObjectCuts(FloorCuts):
-    """Bounds of the floor and of air, the space that some camera could see; the rest is the object.
+    """Limits of the floor and of air, the space that some camera could see; the rest is the object.
 
-    The values hold for a whole benchmark: in unmeasured space these lengths decide which voxels are solid.
+    They hold for a whole benchmark, because in unmeasured space they decide which voxels are solid.
     """
 
     # A line narrower than two voxels of 5 mm is lost in rounding, and one of 10 cm closes a shelf. Cameras
@@ -285,7 +285,7 @@ class ObjectCuts(FloorCuts):
     )
 
     def limits(self) -> SensorLimits:
-        """The lengths as `SensorLimits`."""
+        """The limits of air as `SensorLimits`."""
         return SensorLimits(self.line_width_m, self.near_m, self.camera_size_m, self.camera_height_m)
 
 
@@ -306,14 +306,14 @@ class ViewSettings(Settings):
 
 
 class PairForm(Settings):
-    """The form of pairs."""
+    """How a pair is framed in its cube, and how its partial view is reduced to coarser cells."""
 
     framing: Framing = Field("object", description="object: cube around the full shape; view: the view's")
     partial_rule: PartialRule = Field("any", description="how 4x4x4 cells of partial_256 become one")
 
 
 class FitLimits(Settings):
-    """Limits on the fit of a view to the object."""
+    """Limits for how well a view must fit the object; worse ones give no pair."""
 
     min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
     max_residual_m: float = Field(0.015, gt=0, le=1, description="pairs above (median) are refused")
@@ -325,7 +325,7 @@ class PairSettings(FitLimits, PairForm):  # fields of the last base come first
 
 
 def _clash(index: int, earlier: int, problem: str) -> PydanticCustomError:
-    """An error about a recording whose names conflict with those of an earlier one."""
+    """Make a validation error about a recording whose names conflict with those of an earlier one."""
     context = {"problem": problem, "at": ("recordings", index), "earlier": earlier}
     return PydanticCustomError("value_error", "{problem}", context)
 
@@ -383,11 +383,11 @@ class BenchmarkSettings(Settings):
         return self
 
     def by_id(self) -> dict[str, RecordingSettings]:
-        """The recordings by id; computed at each call, so keep the result for repeated use."""
+        """The recordings by id; the dict is built at each call, so keep it for repeated use."""
         return {recording.id: recording for recording in self.recordings}
 
     def underside_of(self, recording: RecordingSettings) -> Underside:
-        """The stated underside of a recording: its own setting, or else its category's."""
+        """What a person stated about a recording's underside: its own setting, or else its category's."""
         of_category = self.categories.get(recording.category, CategorySettings())
         return recording.underside or of_category.underside
 

@@ -1,4 +1,4 @@
-"""Settings from command-line options, with one line for each wrong option."""
+"""Make settings from command-line options, with one error line for each wrong option."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
@@ -17,15 +17,15 @@ Model = TypeVar("Model", bound=Settings)
 def settings_from_options(
     model: type[Model], values: Mapping[str, object], overrides: Sequence[str], what: str
 ) -> Model:
-    """Make settings from options and `--set` overrides.
+    """Make settings from the values of options, as changed by `--set` overrides.
 
     Args:
         model: model of the settings.
-        values: nested values of options.
+        values: values of the options, nested by section.
         overrides: `section.key=value` or `key=value`, with the value in YAML; they replace `values`, and
             later ones replace earlier ones.
-        what: start of a line about values that contradict each other, such as "simulation"; a line about one
-            value starts with its option.
+        what: start of an error line about contradictory values, such as "simulation"; a line about one value
+            starts with its option.
 
     Raises:
         SettingsError: one line for each wrong value.
@@ -39,7 +39,7 @@ def settings_from_options(
 
 
 def merged(values: Mapping[str, object], changes: Mapping[str, object]) -> dict[str, object]:
-    """Nested values with some of them replaced by `changes`."""
+    """Merge `changes` into nested values; return new dicts."""
     result = dict(values)
     for key, value in changes.items():
         old = result.get(key)
@@ -60,7 +60,7 @@ def _nested(override: str) -> dict[str, object]:
 
 
 def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], what: str) -> str:
-    """A readable line for a pydantic error, starting with the option."""
+    """Describe a pydantic error in a line that starts with the option."""
     location = tuple(error["loc"])
     annotation, constraints, _ = field_at(location, model)
     where = _option([str(part) for part in location], overrides) if location else what
@@ -77,7 +77,7 @@ def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], 
 
 
 def _homes(model: type[Settings], key: str, where: str = "") -> Iterator[str]:
-    """Yield the full names of a key in all sections of the model, such as `path.frames`."""
+    """Yield the dotted names, such as `path.frames`, under which the model has a key."""
     for name, field in model.model_fields.items():
         if name == key:
             yield where + name

@@ -1,4 +1,4 @@
-"""The point that somebody clicked as the object: in a file beside the recording, and in benchmark.yaml."""
+"""The pixel that a person clicked as the object: in a file beside the recording, or in benchmark.yaml."""
 
 from typing import Annotated
 
@@ -16,7 +16,7 @@ Place = Annotated[int, Field(ge=0, lt=MOST_SIDE_PX)]
 
 
 class PickSettings(Settings):
-    """A pixel of a frame's depth that shows the object; `record` writes it where it is clicked."""
+    """A depth pixel of a frame that shows the object; `record` writes the one that was clicked."""
 
     frame: int = Field(
         ge=0, description="its place among the recording's depth frames, from 0; damaged ones count"

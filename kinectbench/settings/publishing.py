@@ -28,7 +28,7 @@ class ReviewSettings(Settings):
 
 
 class CitationSettings(Settings):
-    """The citation of the benchmark."""
+    """How to cite the benchmark."""
 
     title: Line | None = Field(None, description="default: the benchmark's name")
     authors: list[Line] | None = Field(None, min_length=1, description="'Family, Given', or a group's name")
@@ -60,16 +60,16 @@ class DatasheetSettings(Settings):
 
 
 class ChangeSettings(Settings):
-    """Changes in one version of the data."""
+    """What changed in one version of the data."""
 
     version: Line = Field(description="such as 1.0.0")
     changes: list[Line] = Field(min_length=1, description="a line each")
 
 
 class GateSettings(Settings):
-    """Limits for publishing a recording, unless its `review` accepts it.
+    """Limits that a recording must keep to be published, unless its `review` accepts it.
 
-    They are wider than the limits of warnings, which only point to problems: data beyond these would mislead.
+    Warnings have stricter limits, because they only point to problems. Data beyond these would mislead.
     """
 
     # The IoU of the paper's networks is 0.5 to 0.7: a ground truth that is less like the object than

@@ -1,4 +1,4 @@
-"""Read files of settings: bounded in size, never outside their folder, and found by patterns."""
+"""Read settings files: bounded in size, never outside their folder, and found by patterns."""
 
 import codecs
 import fnmatch
@@ -75,8 +75,8 @@ def matching(folder: Path, pattern: str) -> list[Path]:
     recordings below a benchmark.
 
     Args:
-        folder: names are relative to it.
-        pattern: with "/" between folders.
+        folder: folder that the pattern is relative to.
+        pattern: name or pattern, with "/" between folders.
 
     Returns:
         The files that match a pattern, perhaps none; a name without wildcards is returned even if missing.
@@ -99,7 +99,7 @@ def matching(folder: Path, pattern: str) -> list[Path]:
 
 
 def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path]:
-    """List the files in a store that match the parts of a pattern."""
+    """List the files in the store `url` that match the parts of a pattern, as paths below `folder`."""
     known = list(takewhile(lambda part: not any(sign in part for sign in SIGNS), parts))
     if len(known) == len(parts):
         return [folder.joinpath(*parts)]
@@ -129,7 +129,7 @@ def _inside(above: Path, part: str) -> Iterator[Path]:
 
 
 def refuse_outside(path: Path, folder: Path) -> None:
-    """Refuse a file whose links lead out of its folder; a store has no links.
+    """Refuse a file that leads out of its folder by links; files in a store are accepted.
 
     Raises:
         SettingsError: the links lead out of the folder.

@@ -33,16 +33,16 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
     """Read the rows of a table as entries of `recordings:`; empty cells are skipped.
 
     A column has the name of its key in benchmark.yaml, with dots for nested keys, such as `camera.fx`. A cell
-    has the value as written after the key: a text (without quotes), a number, true or false, or a list of
+    holds the value as in benchmark.yaml: a text (without quotes), a number, true or false, or a list of
     numbers such as `[0, 0, 1, 0]`.
 
     Args:
         content: bytes of the file.
         source: name of the file; its suffix gives the format. Lines count from 1, the header.
-        allowance: number of values that there may still be.
+        allowance: limit on the values of all files together.
 
     Raises:
-        SettingsError: the file is no such table, or a column is no key of a recording.
+        SettingsError: the file is not a valid table, or a column is no key of a recording.
     """
     is_csv = source.lower().endswith(CSV)
     header, rows = _of_csv(content, source) if is_csv else _of_parquet(content, source)
@@ -63,7 +63,7 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
 
 
 def columns() -> dict[str, object]:
-    """All columns that a table may have, in the order of the models, with the meaning of their cells."""
+    """Names of all columns that a table may have, with the type of their values, in the models' order."""
     return {".".join(key): annotation for key, annotation in _leaves(RecordingSettings)}
 
 
@@ -92,7 +92,7 @@ def _of_csv(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int,
 
 
 def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """Read the header of a Parquet file, and each row with its line number in an equivalent CSV file."""
+    """Read the header of a Parquet file, and each row with the line number it would have as CSV."""
     try:
         import pyarrow as arrow
         from pyarrow import parquet
@@ -147,7 +147,7 @@ def _numbers(types: ModuleType) -> tuple[Callable[[object], bool], ...]:
 
 
 def _cells(column: "Iterable[Scalar]", source: str) -> list[str]:
-    """A column as the texts of a CSV file, with bounded size."""
+    """Convert a Parquet column to the texts of CSV cells; refuse more than `MOST_BYTES` characters."""
     cells, left = [], MOST_BYTES
     for value in column:
         cells.append(_cell(value.as_py()))
@@ -158,7 +158,7 @@ def _cells(column: "Iterable[Scalar]", source: str) -> list[str]:
 
 
 def _cell(value: object) -> str:
-    """A value as the text of a CSV cell."""
+    """Convert a value to the text of a CSV cell."""
     if value is None or value != value:  # pandas writes NaN for an empty cell
         return ""
     if isinstance(value, bool):
@@ -212,7 +212,7 @@ def _mapping(entry: Mapping[str, object], mark: yaml.Mark) -> yaml.Node:
 
 
 def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
-    """Make a node from a cell: its text, or the value that YAML reads from it."""
+    """Make a node from a cell: a text, or what YAML would read from it."""
     if is_text:
         return yaml.ScalarNode(yaml_nodes.STR_TAG, cell, mark, mark)
     if cell.startswith("[") and cell.endswith("]"):
@@ -222,7 +222,7 @@ def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
 
 
 def _is_text(annotation: object) -> bool:
-    """Whether cells of a field are always text, such as an id that consists of digits."""
+    """Whether cells of this type are always text, even if they look like a number, as an id may."""
     return annotation not in (int, float, bool) and get_origin(annotation) is not tuple
 
 

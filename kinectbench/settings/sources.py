@@ -45,7 +45,7 @@ File = Annotated[str, AfterValidator(_file)]
 
 
 class SplitSettings(Settings):
-    """The division of objects into splits; all other objects are for testing."""
+    """How objects are divided into splits; what is neither train nor validation is test."""
 
     seed: int = Field(0, ge=0, description="of the draw; also of the scans that --limit takes")
     train: float = Field(0.0, ge=0, le=1, description="share of the objects")
@@ -59,7 +59,7 @@ class SplitSettings(Settings):
 
 
 class IndexSettings(Settings):
-    """The list of scans that the source itself has: JSON, {category: [id, …]}."""
+    """Where the source's own list of its scans is: a JSON file, {category: [id, …]}."""
 
     bases: list[Base] = Field(min_length=1, description="addresses of folders, tried in order")
     file: File = Field(description="its name below them")
@@ -69,7 +69,7 @@ class IndexSettings(Settings):
 
 
 class ScanSettings(Settings):
-    """One scan of a source that has no list."""
+    """One scan of a source, for recipes that list the scans themselves."""
 
     id: Name = Field(description="of the scan, and of its recording")
     category: Category = Field(description="in the source's words")
@@ -79,7 +79,7 @@ class ScanSettings(Settings):
 
 
 class EntrySettings(Settings):
-    """Keys of benchmark.yaml for the entries of all recordings."""
+    """Keys that every recording gets in benchmark.yaml."""
 
     segment_by: SegmentBy | None = Field(None, description="as in benchmark.yaml: masks or turntable")
     trajectory: TrajectoryMode | None = Field(
@@ -118,11 +118,11 @@ class SourcesSettings(Settings):
 
 
 class Scan(Settings):
-    """A scan that a recipe chooses.
+    """A recording of a scan that a recipe chooses.
 
     Attributes:
         id: id of the recording.
-        scan: id of the scan, which comes in one file; a scan by several cameras has several recordings.
+        scan: id of the scan, which is one file; a scan by several cameras becomes several recordings.
         file: path of the file below each base URL.
         category: category in the benchmark.
         object: name of the object.
@@ -145,12 +145,12 @@ class Scan(Settings):
 
     @property
     def path(self) -> str:
-        """Path of the downloaded recording, relative to benchmark.yaml: a file, or an archive's folder."""
+        """Path of the downloaded scan, relative to benchmark.yaml: a file, or the folder of an archive."""
         return self.folder if self.unpacked else f"{self.folder}{PurePosixPath(self.file).suffix}"
 
     @property
     def folder(self) -> str:
-        """Folder into which an archive is unpacked, relative to benchmark.yaml."""
+        """Folder that an archive is unpacked into, relative to benchmark.yaml."""
         return f"scans/{self.scan}"
 
 
@@ -169,12 +169,12 @@ def chosen_scans(
     categories: tuple[str, ...] = (),
     limit: int | None = None,
 ) -> list[Scan]:
-    """Choose the scans of a recipe, in a random order that depends on its seed but not on the limit.
+    """Choose scans of a recipe, in an order drawn by its seed, so that a higher limit only adds scans.
 
     Args:
         sources: the recipe.
         listed: ids of the scans by the source's own categories; unused if the recipe has `scans`.
-        categories: categories of the benchmark to choose from; none: all.
+        categories: categories of the benchmark to choose from; empty: all.
         limit: most scans of each category.
 
     Raises:
@@ -232,6 +232,6 @@ def _recordings(sources: SourcesSettings, scan: Scan) -> Iterator[Scan]:
 
 
 def _draw(seed: int, what: str, name: str) -> float:
-    """A random number from 0 to 1 that depends only on the seed and the name."""
+    """A pseudorandom number in [0, 1) that depends only on the seed, the purpose `what` and the name."""
     digest = hashlib.sha256(f"{seed} {what} {name}".encode()).digest()
     return int.from_bytes(digest[:6], "big") / 2**48

@@ -34,7 +34,7 @@ HEADER = """\
 
 
 def init_benchmark(folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str]) -> str:
-    """The text of a benchmark.yaml for the recordings found in a folder; it is valid as it is.
+    """Write the text of a valid benchmark.yaml for the recordings found in a folder.
 
     Args:
         folder: folder of the file; its name becomes the benchmark's.
@@ -114,7 +114,7 @@ def _place(config: Path, path: str) -> str:
 def _entries(
     folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str], taken: Iterable[str] = ()
 ) -> list[list[str]]:
-    """The lines of each recording; if the folder itself is the recording, its name is used."""
+    """The lines of each recording. A recording that is the folder itself is named like the folder."""
     paths = [folder.resolve().name if path == "." else path for path, _ in recordings]
     names = _unique_ids(paths, suffixes, taken)
     return [
@@ -134,7 +134,7 @@ def _top_level(folder_name: str) -> list[str]:
 
 
 def _recording(name: str, path: str, kind: str) -> list[str]:
-    """The lines of one recording, with questions for a person."""
+    """The lines of one recording, with comments that ask a person to fill in keys."""
     fields = RecordingSettings.model_fields
     underside = CategorySettings.model_fields["underside"]
     return [
@@ -148,7 +148,7 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
 
 
 def _picked(recording: Path) -> list[str]:
-    """The line with the point clicked while recording; a comment if the file holds none."""
+    """The line `pick:` with the point clicked while recording; a comment if it is unreadable, else empty."""
     try:
         picked = PickSettings.model_validate_json(read_plain_text(recording / PICK_FILE, PICK_BYTES))
     except FileNotFoundError:
@@ -172,7 +172,7 @@ def _recording_options() -> list[str]:
 
 
 def _categories() -> list[str]:
-    """Settings of a category, as comments, because a category without recordings would be refused."""
+    """The lines of a category's settings, as comments: a category without recordings would be refused."""
     about = (CategorySettings.__doc__ or "").splitlines()[0]
     inner = ", ".join(
         f"{key}: {yaml_text(field.default)}" for key, field in CategorySettings.model_fields.items()
@@ -181,7 +181,7 @@ def _categories() -> list[str]:
 
 
 def _section(name: str, defaults: Settings) -> list[str]:
-    """A section with its defaults, as comments."""
+    """The lines of a section: its keys with their defaults, as comments."""
     about = (type(defaults).__doc__ or "").splitlines()[0]
     lines = [f"{name}:  # {about}"]
     for key, field in type(defaults).model_fields.items():
@@ -194,12 +194,12 @@ def _section(name: str, defaults: Settings) -> list[str]:
 
 
 def _commented(text: str, comment: str | None) -> str:
-    """A line with a comment aligned in a column."""
+    """Append a comment to a line, aligned in a column."""
     return f"{text:<34}  # {comment}" if comment else text
 
 
 def yaml_text(value: object) -> str:
-    """A value on one line of YAML, with quotes if needed."""
+    """Write a value as YAML on one line, with quotes if needed."""
     if isinstance(value, str) and not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./-]*", value):
         return yaml.dump(value, default_style='"', allow_unicode=True, width=10**9).strip()
     return (
@@ -208,14 +208,14 @@ def yaml_text(value: object) -> str:
 
 
 def _safe(text: str, otherwise: str) -> str:
-    """A valid id, as similar to the text as possible."""
+    """Turn a text into a valid id that resembles it; `otherwise` if nothing of it is left."""
     ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9._-]+", "_", ascii_text).strip("._-")[:60].rstrip("._-") or otherwise
     return f"{name}_" if name_problem(name) else name
 
 
 def _unique_ids(paths: Sequence[str], suffixes: Sequence[str], others: Iterable[str] = ()) -> list[str]:
-    """An id for each path: its last part, or the whole path if that is taken, plus a number if needed."""
+    """An id for each path: its last part; if others share that, the whole path; plus a number if needed."""
     taken = {name.lower() for name in others}
     ending = re.compile(f"({'|'.join(map(re.escape, suffixes))})+$", re.IGNORECASE)
     whole = [ending.sub("", path.strip("/")) for path in paths]

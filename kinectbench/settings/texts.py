@@ -1,4 +1,4 @@
-"""Types of texts by people that a release publishes in its card, its licence and its pages."""
+"""Types of texts that people write in settings, and that a release publishes in its card and pages."""
 
 from typing import Annotated
 

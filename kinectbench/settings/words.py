@@ -1,4 +1,4 @@
-"""Describe settings in words for messages: expected values, and valid names."""
+"""Describe settings in words for error messages: expected values, and valid names."""
 
 import difflib
 import types
@@ -19,7 +19,7 @@ WHAT_OF_TYPE = {"extra_forbidden": "unknown-key", "missing": "missing-key"}
 
 
 def without_none(annotation: object) -> object:
-    """The annotation without `| None` and without validators."""
+    """A type annotation without `| None` and without validators."""
     if get_origin(annotation) is Annotated:
         return without_none(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -28,13 +28,13 @@ def without_none(annotation: object) -> object:
 
 
 def model_of(annotation: object) -> type[Settings] | None:
-    """The settings model that an annotation names, or None."""
+    """The settings model that a type annotation names, or None."""
     inner = without_none(annotation)
     return inner if isinstance(inner, type) and issubclass(inner, Settings) else None
 
 
 def choices_of(annotation: object) -> tuple[str, ...]:
-    """The names that a Literal annotation allows; empty for other annotations."""
+    """The values that a Literal annotation allows; empty for other annotations."""
     inner = without_none(annotation)
     return tuple(map(str, get_args(inner))) if get_origin(inner) is Literal else ()
 
@@ -42,11 +42,11 @@ def choices_of(annotation: object) -> tuple[str, ...]:
 def field_at(
     location: Location, root: type[Settings] = BenchmarkSettings
 ) -> tuple[object, Sequence[object], int]:
-    """Follow a location into the models as far as possible, starting from `root`.
+    """Follow a location from the model `root` down to a field, as far as possible.
 
     Returns:
-        The annotation there, its constraints, and the number of parts of the location that were followed; a
-            number inside a vector belongs to the vector's field.
+        The field's type annotation, its constraints, and how many parts of the location were followed. An
+            index into a vector is not followed: the vector is the field.
     """
     annotation: object = root
     constraints: Sequence[object] = ()
@@ -66,7 +66,7 @@ def field_at(
 
 
 def wanted(annotation: object, constraints: Sequence[object]) -> str:
-    """The expected value of a field in words, such as `a number from 0.001 to 0.05`."""
+    """Describe the values that a field accepts, such as `a number from 0.001 to 0.05`."""
     inner = without_none(annotation)
     model = model_of(inner)
     if model is not None:
@@ -111,7 +111,7 @@ def field_range(field: FieldInfo) -> str:
 
 
 def suggestion(name: str, valid: Sequence[str]) -> str:
-    """A hint with the most similar valid name, or with all valid names."""
+    """A hint with the most similar valid name; without a similar one, with all valid names."""
     return near_miss(name, valid) or f"valid here: {listed(valid)}"
 
 
@@ -122,7 +122,7 @@ def near_miss(name: str, valid: Sequence[str]) -> str:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Names separated by commas; only the first of very many."""
+    """Join names by commas; of very many, only the first ones."""
     all_of = list(names)
     more = f" and {len(all_of) - LISTED} more" if len(all_of) > LISTED else ""
     return ", ".join(all_of[:LISTED]) + more

@@ -1,4 +1,4 @@
-"""Read a YAML file that holds one model; each error gives one line."""
+"""Read a YAML file that holds one settings model; each error gives one line."""
 
 from pathlib import Path
 from typing import TypeVar
@@ -21,12 +21,12 @@ SHOWN = 20
 
 
 def read_model(path: Path, model: type[Model], example: str) -> Model:
-    """Read a file and validate its content.
+    """Read a YAML file and validate its content by a model.
 
     Args:
         path: the file.
         model: model of the content.
-        example: a valid line, for the message.
+        example: a valid line, for an error message.
 
     Raises:
         SettingsError: the file is unreadable, or one line for each error: file and line, key, expected value.
@@ -52,7 +52,7 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
 
 
 def _line(root: yaml.Node, error: ErrorDetails, model: type[Settings]) -> str:
-    """A readable line for a pydantic error."""
+    """Describe a pydantic error in a line: file and line number, key, value expected."""
     # For an invalid key of a mapping, pydantic appends an extra part.
     location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
     annotation, constraints, used = field_at(location, model)

@@ -1,4 +1,4 @@
-"""Parse YAML into nodes that keep their file and line, and into plain values; each error gives one line."""
+"""Parse YAML into nodes that know their file and line, and into plain values; each error gives one line."""
 
 import contextlib
 import gc
@@ -54,12 +54,12 @@ class _TooManyError(yaml.composer.ComposerError):
 
 @dataclass
 class Allowance:
-    """Number of keys and values that one or several files may still have; each node takes a kilobyte."""
+    """How many keys and values one or several files may still have; each node takes a kilobyte."""
 
     values: int = MOST_VALUES
 
     def take(self, count: int, source: str, line: int) -> None:
-        """Subtract `count` values; source and line are for the error.
+        """Subtract `count` values; `source` and `line` are named in the error.
 
         Raises:
             SettingsError: no values are left.
@@ -75,7 +75,7 @@ class _Counting(Composer):
     allowance: Allowance
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Compose the next node; refuse a file with more than `MOST_VALUES` keys and values."""
+        """Compose the next node; raise an error once the allowance of keys and values is used up."""
         self.allowance.values -= 1
         if self.allowance.values < 0:
             mark = self.peek_event().start_mark  # type: ignore[attr-defined] # the parser's
@@ -148,7 +148,7 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
 
 @contextlib.contextmanager
 def unsearched() -> Iterator[None]:
-    """Disable garbage collection within the block: it took half the time, as all of the many nodes stay."""
+    """Disable garbage collection in the block: it took half the time, although no node becomes garbage."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -160,7 +160,7 @@ def unsearched() -> Iterator[None]:
 
 @unsearched()
 def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
-    """Parse a text into nodes; for a short text PyYAML's own parser gives more detailed errors."""
+    """Parse a text into nodes; if that fails for a short text, parse it again for a more detailed error."""
     before = allowance.values
     if _Parser:
         try:
@@ -173,7 +173,7 @@ def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
 
 
 def null_mark(source: str) -> yaml.Mark:
-    """The start of a source."""
+    """The mark of the first character of a source, for errors and nodes without a position."""
     return yaml.Mark(source, 0, 0, 0, None, 0)
 
 
@@ -194,12 +194,12 @@ def _place(source: str, line: int) -> str:
 
 
 def place(node: yaml.Node) -> str:
-    """The position of a node: `file:line`, or the override that contains it."""
+    """Where a node is, for messages: `file:line`, or the override that contains it."""
     return _place(node.start_mark.name, node.start_mark.line)
 
 
 def order(node: yaml.Node, first: str) -> tuple[bool, bool, str, int]:
-    """Sort key of a node: first the file with this name, then other files, then overrides."""
+    """Sort key of a node by position: first the file with this name, then other files, then overrides."""
     name = node.start_mark.name
     return (
         name.startswith(OVERRIDE),
@@ -282,13 +282,13 @@ def _scalar(node: yaml.Node) -> object:
 
 
 def scalar(text: str, mark: yaml.Mark) -> yaml.ScalarNode:
-    """Make a YAML 1.2 node from unquoted text in one line."""
+    """Make a YAML 1.2 scalar node, such as a number or a text, from unquoted text in one line."""
     tag = next((tag for tag, pattern in _PATTERNS.items() if re.fullmatch(pattern, text)), STR_TAG)
     return yaml.ScalarNode(tag, text, mark, mark)
 
 
 def items(node: yaml.Node | None) -> dict[str, yaml.Node]:
-    """The children of a mapping by key; empty for anything else."""
+    """The values of a mapping node by key; empty for any other node."""
     return {key.value: child for key, child in node.value} if isinstance(node, yaml.MappingNode) else {}
 
 
@@ -307,8 +307,8 @@ def find(
         known: a cache for many look-ups in the same nodes.
 
     Returns:
-        The node whose line to show (the key's, or the list entry's; the nearest existing one), and the
-        value's node, or None if the path does not exist.
+        Two nodes. The first has the line to show in errors: the key or list entry, or the last existing one
+        on the path. The second is the value; None if the path does not exist.
     """
     known = {} if known is None else known
     anchor, value = node, node
@@ -326,7 +326,7 @@ def find(
 
 
 def replaced(node: yaml.Node | None, path: tuple[str | int, ...], value: yaml.Node) -> yaml.Node:
-    """Copy the mappings along a path, with `value` at its end; aliased nodes elsewhere stay unchanged."""
+    """Return a copy of a node with `value` at the end of a path; nodes shared by aliases stay unchanged."""
     if not path:
         return value
     head, tail = path[0], path[1:]

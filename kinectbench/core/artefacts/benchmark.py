@@ -168,7 +168,7 @@ class ReleaseInfo(ReleaseFile):
 
     @classmethod
     def parse(cls, text: str, where: str) -> Self:
-        """Like `Stored.parse`, but reports another format before checking keys."""
+        """Parse benchmark.json as `Stored.parse` does, but first refuse a file of another format version."""
         with contextlib.suppress(ValueError, AttributeError, RecursionError):
             version = strict_json(text).get("format_version")
             if version != FORMAT_VERSION:
@@ -181,26 +181,26 @@ class ReleaseInfo(ReleaseFile):
 
     @property
     def inputs_only(self) -> tuple[Split, ...]:
-        """Splits whose pair files hold no truth: it is held back, or it is an open mesh."""
+        """Splits whose pair files hold no ground truth: it is held back, or an open mesh in another file."""
         return (*self.held_back, *self.surface_truth)
 
     def hides(self, recording: str) -> bool:
-        """Whether a recording's truth is held back; False for one that is not of the release."""
+        """Whether the release holds back a recording's ground truth; False for a recording not in it."""
         info = self.recordings.get(recording)
         return info is not None and info.split in self.held_back
 
     def has_solid(self, recording: str) -> bool:
-        """Whether the pairs of a recording hold its truth; True for one that is not of the release."""
+        """Whether a recording's pair files hold its ground truth; True for a recording not in the release."""
         info = self.recordings.get(recording)
         return info is None or info.split not in self.inputs_only
 
     def isolates(self, recording: str) -> bool:
-        """Whether only one view of a recording is included; False in the part that scores."""
+        """Whether the release holds one view of a recording and no truth; False in the private part."""
         return self.hides(recording) and recording in self.isolated
 
 
 class PublishOptions(StoredPart):
-    """Options of `publish` beyond the settings."""
+    """Command-line options of `publish` that are not in benchmark.yaml."""
 
     hold_back: tuple[Split, ...] = Field(description="splits whose truth is held back")
     thresholds: str | None = Field(description="content of the threshold file; null: none was given")
@@ -213,7 +213,7 @@ class PublishOptions(StoredPart):
 
 
 class PublishStamp(Stored):
-    """build/publish.json: the last publication; not published itself."""
+    """build/publish.json: a record of the last publication; it is not part of the release."""
 
     FILE: ClassVar[str] = "publish.json"
     ERROR: ClassVar[type[KinectBenchError]] = ReleaseError

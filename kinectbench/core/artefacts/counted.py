@@ -1,4 +1,4 @@
-"""Counts of a pair, and .counted.jsonl, which keeps them until a method is scored: one pair a line."""
+"""Voxel counts of a pair, and .counted.jsonl, which keeps them, one pair a line, while a method is scored."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,12 +18,12 @@ PART_JOURNAL, JOURNALS = ".counted.{number}-of-{of}.jsonl", ".counted*.jsonl"
 
 @dataclass(frozen=True)
 class Tally:
-    """Voxels of one pair by code: 1 if occupied, + 2 if known, + 4 if seen by the input view.
+    """Voxel counts of one pair, by a code: 1 if occupied, + 2 if known, + 4 if seen by the input view.
 
     Attributes:
-        voxels: (8,) int64, how many there are.
-        above: (17, 8) int64, how many are predicted above each threshold k / 20, k = 2 to 18.
-        ce_sum: (8,) float64, sum of the cross-entropy in nats.
+        voxels: (8,) int64, number of voxels of each code.
+        above: (17, 8) int64, number of those predicted above each threshold k / 20, k = 2 to 18.
+        ce_sum: (8,) float64, sum of their cross-entropy in nats.
     """
 
     voxels: Annotated[Int64, *array_in_file((8,), np.int64)]
@@ -33,16 +33,16 @@ class Tally:
 
 @dataclass(frozen=True)
 class PairResult:
-    """The counts of one pair.
+    """The counts and other results of one pair, before they become scores.
 
     Attributes:
-        tally: of the prediction.
-        cells: side of the prediction; 0 if there was none.
-        ceilings: {protocol: the IoU that this side can reach}.
-        surface: {protocol: surface metrics}; empty if they were not asked for.
+        tally: voxel counts of the prediction.
+        cells: side of the predicted grid, cells; 0 if there was no prediction.
+        ceilings: {protocol: the IoU that a grid of this side can reach}.
+        surface: {protocol: surface metrics}; empty if they were not requested.
         digest: BLAKE3 of the prediction's file, as "blake3:<hex>"; None if there is no file.
-        outside_share: share of a mesh's volume outside the grid, which was cut off.
-        tallies: {protocol: its tally}, where it trusts less of the truth than `tally`.
+        outside_share: fraction of a predicted mesh's volume that lies outside the grid and was cut off.
+        tallies: {protocol: voxel counts}, for protocols that take fewer voxels of the truth as known.
     """
 
     tally: Tally
@@ -54,17 +54,17 @@ class PairResult:
     tallies: Mapping[str, Tally] = field(default_factory=dict)
 
     def tally_under(self, protocol: str) -> Tally:
-        """The tally that a protocol counts by."""
+        """The voxel counts that a protocol's scores are computed from."""
         return self.tallies.get(protocol, self.tally)
 
 
 class CountedPair(StoredPart):
-    """A line of the journal: a pair's name, the inputs of its result, and the exact result."""
+    """One line of .counted.jsonl: a pair's name, a key that identifies the inputs, and the exact result."""
 
     pair: str
     key: str
     result: PairResult
 
     def line(self) -> str:
-        """The line in the journal."""
+        """The line of .counted.jsonl: JSON with a line break."""
         return canonical_json(self.json_value()) + "\n"

@@ -1,4 +1,4 @@
-"""gallery.npz beside scores.json: some predictions of a method at 64^3, for the page to turn in 3-D."""
+"""gallery.npz beside scores.json: some predictions of a method at 64^3, which the page shows in 3-D."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,11 +22,11 @@ Gallery = Mapping[str, Packed]
 
 
 def write_gallery(cells: Gallery, scores: Path) -> None:
-    """Write gallery.npz beside a scores.json, whose SHA-256 it holds.
+    """Write gallery.npz beside a scores.json; it stores the SHA-256 of that file.
 
     Args:
-        cells: see `Gallery`.
-        scores: the scores.json that these predictions got.
+        cells: packed predictions by pair, see `Gallery`.
+        scores: path of the scores.json of these predictions.
 
     Raises:
         StorageError: the disk is full or read-only.
@@ -44,13 +44,13 @@ def write_gallery(cells: Gallery, scores: Path) -> None:
 
 
 def read_gallery(scores: Path) -> Gallery | None:
-    """Read the gallery beside a scores.json; it is untrusted.
+    """Read the untrusted gallery.npz beside a scores.json.
 
     Returns:
-        None if there is none, or if it belongs to other scores than these.
+        The packed predictions by pair; None without a gallery, or if it belongs to another scores.json.
 
     Raises:
-        StorageError: it is damaged, larger than a gallery can be, or not a gallery.
+        StorageError: the file is damaged, too large, or not a gallery.
     """
     path = scores.parent / GALLERY
     if not path.is_file():

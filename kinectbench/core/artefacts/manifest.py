@@ -1,4 +1,4 @@
-"""Records beside a build's results: inputs and duration of each, and why a run failed."""
+"""Records beside the results of a build: inputs, files and duration of each stage, and why a run failed."""
 
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -12,7 +12,7 @@ from kinectbench.core.untrusted_text import strict_json
 
 
 class Manifest(Stored):
-    """manifest.json of an artefact: its inputs, and the files that it must hold."""
+    """manifest.json of an artefact: the inputs that it was made from, and the files that it must hold."""
 
     FILE: ClassVar[str] = "manifest.json"
 
@@ -35,7 +35,7 @@ class Manifest(Stored):
 
 
 class Timing(Stored):
-    """timing.json of an artefact's folder; it belongs to no fingerprint."""
+    """timing.json of an artefact: how long its stage took; it is part of no fingerprint."""
 
     FILE: ClassVar[str] = "timing.json"
 
@@ -63,13 +63,13 @@ class Failed(Stored):
 
 
 class SourceFile(NamedTuple):
-    """A file of a recording, as it was when it was hashed.
+    """Size, times and hash of a recording's file when it was hashed.
 
     Attributes:
         size: bytes.
-        mtime_ns: time of the last change of its content, which a copy may keep.
-        sha256: hex.
-        ctime_ns: time of the last change of the file on this disk; 0 if unknown.
+        mtime_ns: time of the last change of its content, nanoseconds; a copy may keep it.
+        sha256: SHA-256 of the content, hex.
+        ctime_ns: time of the last change of the file on this disk, nanoseconds; 0 if unknown.
     """
 
     size: int
@@ -79,10 +79,10 @@ class SourceFile(NamedTuple):
 
 
 class Sources(Stored):
-    """sources.json of `build/<recording>/`: the hashes of the recording's files by their names.
+    """sources.json of `build/<recording>/`: size, times and hash of each file of the recording, by its name.
 
-    The name of a recording that is one file is "". Beside it, masks.sources.json and reference.sources.json
-    are of a person's masks and of the reference mesh.
+    A recording that is a single file has the name "". masks.sources.json and reference.sources.json beside it
+    have the same form, for a person's masks and for the reference mesh.
     """
 
     FILE: ClassVar[str] = "sources.json"
@@ -90,23 +90,23 @@ class Sources(Stored):
 
     @classmethod
     def unchecked(cls, path: Path) -> Any:
-        """The JSON value of a file, of which nothing is checked; with thousands of rows checks take longer.
+        """Read the JSON of a sources.json without validation, which is slow for thousands of rows.
 
         Raises:
-            OSError, ValueError, RecursionError: it cannot be read, or is no JSON of bounded size.
+            OSError, ValueError, RecursionError: the file cannot be read, or is no JSON of bounded size.
         """
         return strict_json(read_plain_text(path, cls.MAX_BYTES), cls.MAX_VALUES)
 
     @property
     def files(self) -> dict[str, SourceFile]:
-        """The files by their names, relative to the recording."""
+        """Size, times and hash of each file, by its name relative to the recording."""
         return self.__pydantic_extra__
 
     @property
     def sha256(self) -> dict[str, str]:
-        """The files' hashes by their names."""
+        """SHA-256 of each file, by its name relative to the recording."""
         return {name: file.sha256 for name, file in self.files.items()}
 
     def text(self) -> str:
-        """The file's content, on one line: it has a row for every frame."""
+        """The JSON text of the file, on one line, because it has a row for every frame."""
         return canonical_json(self.json_value())

@@ -40,14 +40,14 @@ Similarity = Annotated[Matrix4, AfterValidator(_checked_similarity)]
 
 
 def _letters(name: str) -> str:
-    """A key without capitals and separators."""
+    """Lower-case a key and remove its separators."""
     return re.sub(r"[\W_]", "", name[:LONGEST_NAME]).casefold()
 
 
 def is_misspelt(name: str, known: str) -> bool:
-    """Whether a name is another one with one slip, or two in eight letters and more.
+    """Whether a name is a misspelling of a known key: at most one typo, or two from eight letters on.
 
-    A slip is a letter too many, too few, another, or two exchanged; capitals and what joins words are none.
+    A typo is an extra, missing or wrong letter, or two swapped ones. Case and separators are ignored.
     """
     one, other = _letters(name), _letters(known)
     allowed = 1 if len(other) < 8 else 2
@@ -66,7 +66,7 @@ def is_misspelt(name: str, known: str) -> bool:
 
 
 class MethodFile(Stored):
-    """method.json: how a folder of predictions was made; all keys but the name are optional."""
+    """method.json: how a method made a folder of predictions; all keys but the name are optional."""
 
     FILE: ClassVar[str] = "method.json"
     ADVICE: ClassVar[str] = "have the method write it again"
@@ -145,12 +145,12 @@ class MethodFile(Stored):
         return self
 
     def meant(self, key: str) -> str | None:
-        """The known key most similar to an unknown one; None if there is none."""
+        """The known key of which an unknown one is a misspelling; None if there is none."""
         return next((known for known in type(self).model_fields if is_misspelt(key, known)), None)
 
 
 class UnfinishedFile(Stored):
-    """unfinished.json: the run of `predict` whose predictions are incomplete."""
+    """unfinished.json: the settings of a run of `predict` that has not completed its predictions."""
 
     FILE: ClassVar[str] = "unfinished.json"
     ADVICE: ClassVar[str] = "remove it, and predict again"
@@ -174,24 +174,24 @@ class UnfinishedFile(Stored):
 
     @property
     def sha256(self) -> str:
-        """Hash of everything that decides the bytes of the predictions."""
+        """SHA-256 of this file's values, which determine the bytes of the predictions."""
         return sha256_text(canonical_json(self.json_value()))
 
 
 class PredictedFile(StoredPart):
-    """A line of .predicted.jsonl: a file that a run completed."""
+    """One line of .predicted.jsonl: a prediction file that a run completed."""
 
     run_sha256: str = Field(description="of the run")
     file: str = Field(description="relative to the method's folder")
     digest: Blake3 = Field(description="of its bytes")
 
     def line(self) -> str:
-        """The line in the journal."""
+        """The line of .predicted.jsonl: JSON with a line break."""
         return canonical_json(self.json_value()) + "\n"
 
 
 class TrainingRow(StoredPart):
-    """Values at a validation; losses are means since the row before."""
+    """Figures of one validation during training; losses are means since the previous row."""
 
     step: int = Field(description="steps done")
     epoch: float = Field(description="passes over all pairs")
@@ -202,13 +202,13 @@ class TrainingRow(StoredPart):
     threshold: float | None = Field(None, description="at which it is highest, of 0.1, 0.15, … 0.9")
 
     def line(self) -> str:
-        """The row as a printed line."""
+        """The row as a line to print."""
         more = "" if self.validation_iou is None else f", validation IoU {self.validation_iou:.3f}"
         return f"step {self.step}, epoch {self.epoch:.2f}: loss {self.loss:.4g}{more}"
 
 
 class TrainingFile(Stored):
-    """training.json: the making of the weights beside it."""
+    """training.json: how the network weights beside it were trained or converted."""
 
     FILE: ClassVar[str] = "training.json"
     ADVICE: ClassVar[str] = "train the method again, or get its folder whole"
@@ -232,7 +232,7 @@ class TrainingFile(Stored):
 
     @property
     def threshold(self) -> float | None:
-        """Threshold of the weights: from the last validation up to their step; None if there was none."""
+        """Best threshold by the last validation up to the step of the weights; None without a validation."""
         step = math.inf if self.weights_step is None else self.weights_step
         thresholds = [row.threshold for row in self.rows if row.step <= step and row.threshold is not None]
         return thresholds[-1] if thresholds else None

@@ -1,4 +1,4 @@
-"""Files in a recording's `object/` (floor.json, quality.json, volume.npz, surround.npz), and candidates.
+"""Files in a recording's `object/` (floor.json, quality.json, volume.npz, surround.npz) and candidates.json.
 
 mesh.ply beside them is binary PLY (`core.geometry.mesh`): the closed surface in the world frame, metres.
 """
@@ -42,7 +42,7 @@ class BoxPart(StoredPart):
 
     @classmethod
     def of(cls, box: OrientedBox, decimals_m: int, decimals_rad: int) -> Self:
-        """A box rounded to this many decimals of metres and of radians."""
+        """Convert a box, rounded to these numbers of decimals of metres and of radians."""
         x, y, z = (round(value, decimals_m) for value in box.center_m)
         length, width, height = (round(value, decimals_m) for value in box.size_m)
         return cls(
@@ -50,7 +50,7 @@ class BoxPart(StoredPart):
         )
 
     def box(self) -> OrientedBox:
-        """The box itself."""
+        """The part as an `OrientedBox`."""
         return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
 
 
@@ -73,7 +73,7 @@ class FloorCandidate(StoredPart):
 
 
 class AnchoredBoxPart(BoxPart):
-    """A box that can be chosen, with the floor frame that it is in."""
+    """A candidate box, and the camera pose of one frame that fixes the floor frame of its coordinates."""
 
     anchor_frame: int = Field(description="frame by which the floor frame is known again")
     anchor_pose: Pose = Field(description="its camera in the floor frame: x, y, z, quaternion x, y, z, w")
@@ -81,7 +81,7 @@ class AnchoredBoxPart(BoxPart):
 
     @classmethod
     def of_anchored(cls, box: OrientedBox, anchor: BoxAnchor) -> Self:
-        """A box and its anchor, rounded to millimetres, milliradians and a quaternion's fifth decimal."""
+        """Convert a box and its anchor, rounded to mm, mrad and five decimals of a quaternion."""
         x, y, z, *q = anchor.camera_floor
         qx, qy, qz, qw = (round(value, 5) for value in q)
         return cls(
@@ -247,10 +247,10 @@ class QualityFile(Stored):
 
     @property
     def trusted_iou(self) -> tuple[float | None, float | None, str]:
-        """Estimated IoU to the unknown truth, the lower end of its interval, and the voxels it refers to.
+        """Estimated IoU to the unknown truth, lower end of its interval, and words that name its voxels.
 
-        Scores count known voxels: their estimate, and " on known voxels". Files without it give that of the
-        whole solid, and "".
+        Scores count known voxels, so the estimate covers these, and the words are " on known voxels".
+        Files without it give the estimate of the whole solid, and "" as the words.
         """
         if self.estimated_known_iou is None:
             return self.estimated_iou, self.estimated_iou_low, ""
@@ -258,21 +258,22 @@ class QualityFile(Stored):
 
     @property
     def measurement_warnings(self) -> tuple[str, ...]:
-        """The content of `doubts`; of an older file, the warnings that match by their words."""
+        """The content of `doubts`; of an older file, the warnings that contain `MEASUREMENT_WARNINGS`."""
         if self.doubts is not None:
             return self.doubts
         return tuple(line for line in self.warnings if any(words in line for words in MEASUREMENT_WARNINGS))
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """What to record again, a line for each unobserved opening."""
+        """Advice on what to record again, one line for each opening that no camera looked into."""
         return tuple(frontier.advice for frontier in self.frontiers)
 
     @property
     def rests_on_word(self) -> str | None:
-        """What `underside: closed`, a person's word that nothing measured, decides; None: little or nothing.
+        """A warning if much of the solid rests on a person's statement `underside: closed`; otherwise None.
 
-        If the word is false, all voxels that rest on it may be air: the IoU falls by their share at most.
+        If the statement is false, all voxels that rest on it may be air, and the IoU falls by at most their
+        share.
         """
         share, low = self.underside_share or 0.0, self.estimated_iou_low
         if self.underside != "closed" or share <= LEAST_UNDERSIDE_SHARE:
@@ -290,9 +291,9 @@ class QualityFile(Stored):
 def with_interval(
     value: float | None, low: float | None, high: float | None, decimals: int | None = None
 ) -> str | None:
-    """`0.74 (0.35 to 0.80)`; without an interval the value alone; None without a value.
+    """Format a value and its interval, such as `0.74 (0.35 to 0.80)`; without an interval the value alone.
 
-    By default it has two decimals with an interval, which is wider than rounding, else three.
+    The default is two decimals with an interval, which is wider than rounding, else three. None for None.
     """
     if value is None:
         return None
@@ -303,7 +304,7 @@ def with_interval(
 
 
 class SynthesisedQualityFile(Stored):
-    """quality.json of an object that was made from a mesh; `QualityFile` reads it, too."""
+    """quality.json of an object synthesised from a mesh; `QualityFile` reads this file, too."""
 
     FILE = QualityFile.FILE
 
@@ -315,14 +316,14 @@ class SynthesisedQualityFile(Stored):
 
 
 class MadeGroup(StoredPart):
-    """The outcome of a model's views that were synthesised together."""
+    """Views of a model that were synthesised together: those with a pair, and why the others have none."""
 
     views: tuple[str, ...] = Field(description="names of those that have a pair")
     refused: tuple[str, ...] = Field(description="why each of the others has none")
 
 
 class MadeModel(Stored):
-    """made.json of a model's artefact during synthesis: its contribution to the report."""
+    """made.json, written for each model during synthesis: what the model contributes to the final report."""
 
     FILE = "made.json"
     ADVICE = "run the command again"
@@ -343,7 +344,7 @@ class CandidateRow(StoredPart):
 
 
 class CandidatesFile(Stored):
-    """candidates/candidates.json."""
+    """candidates/candidates.json: the boxes among which a person may choose the object."""
 
     FILE = "candidates.json"
     ADVICE = "`kinectbench segment --suggest --force` makes it again"

@@ -1,4 +1,4 @@
-"""Arrays on grids in `object/`: the solid with its labels, and the space around it."""
+"""npz files of arrays on voxel grids in `object/`: the solid with its labels, and the space around it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -36,13 +36,13 @@ class Label(IntEnum):
 
 @dataclass(frozen=True)
 class OnGrid:
-    """Arrays of a grid's shape, each by its field's name in one npz with the grid itself.
+    """Base of an npz file with a voxel grid and arrays of its shape, each under the name of its field.
 
     Attributes:
-        FILE: its name.
-        VERSION: the format version in the file.
-        ADDED: arrays that older files lack: nothing is set in them.
-        grid: `voxel_size_m` and `T_world_grid` in the file.
+        FILE: name of the file.
+        VERSION: the format version, as an array to store; empty if the file has none.
+        ADDED: boolean arrays that older files lack; they are read as all False.
+        grid: the voxel grid; stored as `voxel_size_m` and `T_world_grid`.
     """
 
     FILE: ClassVar[str]
@@ -62,7 +62,7 @@ class OnGrid:
         """Read the file in a folder.
 
         Raises:
-            StorageError: it is missing or damaged, or its arrays are not of one shape.
+            StorageError: the file is missing or damaged, or its arrays differ in shape.
         """
         path = folder / cls.FILE
         stored = read_npz(path)
@@ -88,7 +88,7 @@ class ObjectVolume(OnGrid):
         solid: bool, occupied.
         labels: uint8, see `Label`.
         probability: float16, in [0, 1], that the voxel is occupied.
-        underside: bool, nobody saw it, and a camera could only from below; older files have none.
+        underside: bool, unseen voxels that a camera could see only from below; all False in older files.
     """
 
     FILE: ClassVar[str] = "volume.npz"
@@ -106,7 +106,7 @@ class Surround(OnGrid):
     """surround.npz: labels of the space around the object, on a coarse grid.
 
     Attributes:
-        grid: as far as any pair's cube can reach; its voxel size in metres.
+        grid: covers the cube of any pair; its voxel size in metres.
         labels: uint8 of the grid's shape: FREE, OTHER or UNKNOWN.
     """
 
@@ -116,18 +116,18 @@ class Surround(OnGrid):
 
 
 def unmeasured_faces(mesh_world: TriangleMesh, grid: Grid, labels: NDArray[np.uint8]) -> Bools:
-    """Unmeasured faces (m,): no measurement around them, or no frame saw the space before them.
+    """Whether each face (m,) is unmeasured: no measured voxel is near, or the voxel in front is unknown.
 
-    Nothing around: no voxel within 1.5 voxels of a face's middle has the label surface (along each axis,
-    from the voxels' middles: none of 27 voxels). Right before: the voxel 1.5 voxels out from its middle is
-    unknown. Else the far side of a wall as thin as a measurement's shell would count as seen (chosen here; a
-    bin open at the top has 11 % of the faces without the second part, 35 % with it; .333 to
-    .336 of them have the unknown before them at 1 to 2.5 voxels).
+    Near: one of the 27 voxels around the face's middle has the label SURFACE. In front: the voxel 1.5 voxel
+    edges outward from the middle has the label UNKNOWN. Without the second condition, the far side of a wall
+    as thin as the shell of a measurement would count as measured (chosen here: for a bin open at the top it
+    raises the unmeasured share from 11 % to 35 %; the share of faces with unknown space in front is .333 to
+    .336 for distances of 1 to 2.5 voxels).
 
     Args:
         mesh_world: closed surface of the object, world frame, metres.
-        grid: of its voxels.
-        labels: of the grid's shape, a `Label` for each voxel.
+        grid: grid of the object's voxels.
+        labels: a `Label` for each voxel, in the grid's shape.
     """
     corners_world = mesh_world.vertices[mesh_world.faces]
     middles_world = corners_world.mean(axis=1)

@@ -1,4 +1,4 @@
-"""reconstruction.json of `build/<recording>/reconstruction/`: the depth range that was fused, and the rest.
+"""reconstruction.json of `build/<recording>/reconstruction/`: the depth range of the fusion, and warnings.
 
 mesh.ply beside it is binary PLY (`core.geometry.mesh`); volume.npz belongs to the stage `fuse`.
 """
@@ -31,7 +31,7 @@ class DepthRangePart(StoredPart):
 
 
 class ReconstructionFile(Stored):
-    """reconstruction.json: facts about the fused scene."""
+    """reconstruction.json: the depth range and the warnings of the fused scene."""
 
     FILE: ClassVar[str] = "reconstruction.json"
 

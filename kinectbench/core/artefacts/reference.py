@@ -1,4 +1,4 @@
-"""reference.json beside an object: how it compares with a mesh that somebody else measured or drew."""
+"""reference.json beside an object: how it compares with meshes that somebody else measured or modelled."""
 
 from collections.abc import Sequence
 from pathlib import PurePosixPath
@@ -19,7 +19,7 @@ IOU = "IoU of the solids, where the truth is known; null: the mesh is open"
 
 
 class RunnerUpPart(ScaledPart):
-    """The best pose of the reference beside the one that was chosen."""
+    """The second-best pose of the reference mesh, after the chosen one."""
 
     residual_m: float = Field(alias="residual_m", description="of it, metres")
     turn_rad: DegreesInFile = Field(description="from the chosen pose to it, degrees")
@@ -28,7 +28,7 @@ class RunnerUpPart(ScaledPart):
 
 
 class DirectionPart(StoredPart):
-    """Distances of the measured surface from the reference, of faces that look one way."""
+    """Distances from the measured surface to the reference mesh, over faces that point one way."""
 
     share: float = Field(description="of the measured surface, that looks so")
     mean_m: float | None = Field(description="mean signed distance, > 0: the truth is too far out; metres")
@@ -36,7 +36,7 @@ class DirectionPart(StoredPart):
 
 
 class DirectionsPart(StoredPart):
-    """Distances by direction: up and down are within 45 degrees of the vertical."""
+    """Distances to the reference mesh for faces that point up or down (within 45 degrees) or sideways."""
 
     up: DirectionPart = Field(description="of faces that look up")
     down: DirectionPart = Field(description="of faces that look down")
@@ -56,7 +56,7 @@ class ReferenceInfo(StoredPart):
 
 
 class ComparedMesh(StoredPart):
-    """A mesh beside an object."""
+    """The comparison of an object with one mesh: pose, scores, and distances of the surfaces."""
 
     reference: str = Field(description=MESH_PATH)
     sha256: str = Field(description="of its bytes")
@@ -89,7 +89,7 @@ class ComparedMesh(StoredPart):
 
     @property
     def info(self) -> ReferenceInfo:
-        """What a release says of it."""
+        """The part of the comparison that a release publishes, with the mesh's file name only."""
         keys = [key for key in ReferenceInfo.model_fields if key != "itself" or self.itself]
         values = {key: getattr(self, key) for key in keys}
         # A release does not say where its maker keeps the mesh.
@@ -97,9 +97,9 @@ class ComparedMesh(StoredPart):
 
 
 class ReferenceFile(Stored, ComparedMesh):
-    """build/<recording>/reference.json: the mesh that was accepted last, and beside it the others.
+    """build/<recording>/reference.json: the comparison with the mesh accepted last, and `others`.
 
-    A mesh that is the truth itself, or was refused, stands there where there is no better one.
+    Without an accepted mesh, the first comparison is with a mesh that is the truth itself, or was refused.
     """
 
     FILE: ClassVar[str] = "reference.json"
@@ -114,18 +114,18 @@ class ReferenceFile(Stored, ComparedMesh):
 
     @property
     def all(self) -> tuple[ComparedMesh, ...]:
-        """All comparisons, this one first."""
+        """All comparisons; the one at the top level of the file comes first."""
         return (self, *self.others)
 
     @classmethod
     def of(cls, compared: Sequence[ComparedMesh], object_fingerprint: str) -> Self:
-        """The file of some comparisons with one object, the last one first."""
+        """Make the file from comparisons with one object, ordered from the last to the first."""
         first, *others = sorted(compared, key=lambda each: (each.refused is not None, bool(each.itself)))
         values = given(first) | {"object_fingerprint": object_fingerprint}
         return cls(**(values | {"others": tuple(others)} if others else values))
 
     def with_new(self, new: ComparedMesh) -> Self:
-        """The file after another comparison, which takes the place of an earlier one of the same mesh."""
+        """Return the file with another comparison, which replaces an earlier one of the same mesh."""
         earlier = [
             ComparedMesh(**{key: value for key, value in given(each).items() if key not in OF_FILE})
             for each in self.all
@@ -139,5 +139,5 @@ OF_FILE = ReferenceFile.model_fields.keys() - ComparedMesh.model_fields.keys()
 
 
 def given(part: ComparedMesh) -> dict[str, Any]:
-    """The values of a comparison that were given."""
+    """The fields of a comparison that were set, by name; fields at their defaults are left out."""
     return {key: getattr(part, key) for key in part.model_fields_set}

@@ -1,7 +1,7 @@
-"""rows.npz: the rows of a score table that has too many for its scores.json, a column for each figure.
+"""rows.npz: the rows of a score table that are too many for scores.json, as one array per column.
 
-A row takes 0.95 kB as JSON and 4.8 kB to be read, as columns 0.4 kB. A figure that is null is NaN. A text is
-an index into a list of the texts that occur, since a hundred thousand pairs have few categories.
+A row takes 0.95 kB as JSON and 4.8 kB while it is read, but 0.4 kB as columns. A null figure is NaN. A text
+is an index into a list of the different texts, since a hundred thousand pairs have few categories.
 """
 
 import hashlib
@@ -56,25 +56,25 @@ class RowsFile(StoredPart):
 
 
 def rows_as_json(rows: Sequence[ScoreRow]) -> Iterator[str]:
-    """The list of rows as canonical JSON, in parts: half a million in one text take gigabytes."""
+    """Yield the rows as a canonical JSON list, in pieces: as one text, half a million take gigabytes."""
     for at, row in enumerate(rows):
         yield f"{',' if at else '['}{canonical_json(_PLAIN_ROW.dump_python(row, mode='json'))}"
     yield "]" if rows else "[]"
 
 
 def write_rows(rows: Sequence[ScoreRow], folder: Path, *, over: bool) -> RowsFile | None:
-    """Write many rows as rows.npz into a folder.
+    """Write the rows of a score table as rows.npz if there are more than `ROWS_IN_JSON`.
 
     Args:
-        rows: of a table.
-        folder: of its JSON file.
-        over: whether other rows that lie there are replaced.
+        rows: rows of the table.
+        folder: folder of the table's JSON file.
+        over: whether to replace a rows.npz with other rows.
 
     Returns:
-        The entry for the JSON file; None where that holds the rows itself, because they are few.
+        The entry for the JSON file; None if the rows are few, and belong in the JSON file itself.
 
     Raises:
-        StorageError: other rows lie there, which are not to be replaced; or the disk is full or read-only.
+        StorageError: a rows.npz with other rows must not be replaced, or the disk is full or read-only.
     """
     path = folder / ROWS_NPZ
     if len(rows) <= ROWS_IN_JSON:
@@ -103,7 +103,7 @@ def remove_rows(folder: Path) -> None:
 
 
 def _columns(rows: Sequence[ScoreRow]) -> Arrays:
-    """The arrays of rows.npz."""
+    """Convert rows to the arrays of rows.npz, by name."""
     arrays: Arrays = {}
     for name in (*TEXTS, IN_SPACE):
         positions: dict[str, int] = {}
@@ -122,13 +122,13 @@ def _columns(rows: Sequence[ScoreRow]) -> Arrays:
 
 
 def _as_bytes(words: Sequence[str]) -> NDArray[np.uint8]:
-    """Texts of ASCII, as canonical JSON is, as (n, length of the longest): a quarter of their `np.str_`."""
+    """ASCII texts as uint8 (n, length of the longest), which take a quarter of the memory of `np.str_`."""
     padded = np.array([word.encode() for word in words], np.bytes_)
     return padded.view(np.uint8).reshape(len(words), padded.itemsize)
 
 
 def _text(row: ScoreRow, name: str) -> str:
-    """One row's value in a column of texts."""
+    """A row's value in a text column; in the column `IN_SPACE` the values of `InSpace` as JSON, or ""."""
     if name != IN_SPACE:
         return str(getattr(row, name))
     if row.part is None:
@@ -138,14 +138,14 @@ def _text(row: ScoreRow, name: str) -> str:
 
 
 def read_rows(folder: Path, stated: RowsFile) -> tuple[ScoreRow, ...]:
-    """Read rows.npz, which is untrusted.
+    """Read the untrusted rows.npz of a score table.
 
     Args:
-        folder: that it lies in.
-        stated: the entry in scores.json beside it.
+        folder: folder of the file.
+        stated: the entry for the file in scores.json.
 
     Raises:
-        StorageError: it is missing, damaged, larger than it may be, or not the file that is meant. One line.
+        StorageError: the file is missing, damaged, too large, or not the one that scores.json names.
     """
     path, count = folder / ROWS_NPZ, stated.rows
     try:
@@ -167,7 +167,7 @@ def read_rows(folder: Path, stated: RowsFile) -> tuple[ScoreRow, ...]:
 
 
 def _check(arrays: Arrays, count: int) -> None:
-    """Refuse columns of other shapes and types, and texts that are not listed; make bytes texts again."""
+    """Check shapes, types and text indices of the columns; decode texts and add later columns in place."""
     texts = (*TEXTS, *(name for name in (IN_SPACE,) if name in arrays))
     for name in (*texts, *NUMBERS, CURVE):
         # Tables of earlier versions lack figures of predictions in the camera frame.
@@ -189,7 +189,7 @@ def _check(arrays: Arrays, count: int) -> None:
 
 
 def _rows(arrays: Arrays, start: int) -> Iterator[ScoreRow]:
-    """Up to `AT_ONCE` rows from an index on; the caller checks their bounds."""
+    """Yield up to `AT_ONCE` rows from index `start` on, of arrays that `_check` has accepted."""
     batch = slice(start, start + AT_ONCE)
     columns: dict[str, list[object]] = {}
     for name in TEXTS:
@@ -207,7 +207,7 @@ def _rows(arrays: Arrays, start: int) -> Iterator[ScoreRow]:
 
 
 def _in_space(arrays: Arrays, batch: slice) -> list[dict[str, object]]:
-    """Values of some rows that have no column."""
+    """Parse the values of `InSpace`, which have no columns of their own, for some rows: a dict per row."""
     words = arrays[WORDS.format(IN_SPACE)]
     used = {at: words[at] for at in set(arrays[IN_SPACE][batch].tolist())}
     read = {at: vars(_PLAIN_IN_SPACE.validate_json(text)) if text else {} for at, text in used.items()}
@@ -215,5 +215,5 @@ def _in_space(arrays: Arrays, batch: slice) -> list[dict[str, object]]:
 
 
 def flat(value: object) -> object:
-    """A value for one cell of a table; figures that belong together as JSON."""
+    """Convert a value to one cell of a CSV table; several figures in a dataclass become JSON."""
     return canonical_json(asdict(value)) if is_dataclass(value) and not isinstance(value, type) else value

@@ -3,7 +3,7 @@
 Each metric is declared once, as a field of `VoxelMetrics` or `SurfaceMetrics`, with its meaning, unit, range,
 and whether more is better. Rows, averages, the JSON schema and the page's tables are made from these fields.
 
-The bases of a class are read from the right: the fields of the last base come first in the file.
+A dataclass takes fields from its last base first, which determines the order of the keys in the file.
 """
 
 from collections.abc import Iterable
@@ -30,24 +30,24 @@ FINITE = ConfigDict(allow_inf_nan=False)
 
 
 def _share(heading: str | None, meaning: str) -> Any:
-    """A metric in [0, 1], the higher the better.
+    """Declare a metric in [0, 1] of which higher values are better.
 
     Args:
-        heading: of its column on the page; None keeps it off the page.
-        meaning: in one sentence.
+        heading: heading of its column on the page; None keeps it off the page.
+        meaning: what it measures, in one sentence.
     """
     return Field(None, title=heading, description=meaning, json_schema_extra=SHARE)
 
 
 def _loss(heading: str | None, meaning: str, unit: str) -> Any:
-    """A metric that is 0 at best and has no upper bound; arguments as those of `_share`."""
+    """Declare a metric >= 0 without upper bound of which lower values are better; arguments as `_share`."""
     extra: dict[str, JsonValue] = {"minimum": 0, "unit": unit, "better": "lower"}
     return Field(None, title=heading, description=meaning, json_schema_extra=extra)
 
 
 @dataclass(frozen=True, config=FINITE)
 class VoxelMetrics:
-    """Metrics of voxels; precision, recall, F1 and IoU are at the row's threshold."""
+    """Metrics of voxels; precision, recall, F1 and IoU are computed at the row's threshold."""
 
     iou: float | None = _share("IoU", "intersection over union")
     ce: float | None = _loss("CE", "mean cross-entropy", "nats a voxel")
@@ -58,9 +58,9 @@ class VoxelMetrics:
 
 @dataclass(frozen=True, config=FINITE)
 class SurfaceMetrics:
-    """Metrics of surfaces; one that was not requested, or is not of the row's protocol, is None.
+    """Metrics of surfaces; None for a metric that was not requested, or that the row's protocol lacks.
 
-    Predicted grids are binarised at the row's threshold; predictions in the camera frame have none.
+    Predicted grids are binarised at the row's threshold; predictions in the camera frame have no threshold.
     """
 
     chamfer_mm: float | None = _loss(
@@ -89,12 +89,12 @@ class SurfaceMetrics:
 
 
 def any_in_space(protocols: Iterable[str]) -> bool:
-    """Whether protocols are of predictions in the camera frame, which have no thresholds."""
+    """Whether any of the protocols scores predictions in the camera frame, which have no thresholds."""
     return any(protocol in IN_SPACE for protocol in protocols)
 
 
 def fields_of(kind: type) -> dict[str, FieldInfo]:
-    """The fields of a class of figures, in file order."""
+    """The pydantic fields of a class of figures by name, in the order of the file."""
     fields: dict[str, FieldInfo] = vars(kind)["__pydantic_fields__"]
     return fields
 
@@ -113,7 +113,7 @@ SHARES = frozenset(
 
 @dataclass(frozen=True, config=FINITE)
 class Context:
-    """The context needed to interpret the metrics of a pair, or their averages."""
+    """Values needed to interpret the metrics of a pair, or their averages."""
 
     base_rate_ce: Annotated[float | None, Field(json_schema_extra={"minimum": 0})] = Field(
         default=None, description="cross-entropy of the category's base-rate constant, nats a voxel"
@@ -145,7 +145,7 @@ class ScoredPair:
 
 @dataclass(frozen=True, config=FINITE)
 class Resolution:
-    """The resolution of a prediction, and the best score that it allows."""
+    """The resolution of a prediction, and the best IoU that it allows."""
 
     cells: int = Field(
         default=256,
@@ -159,7 +159,7 @@ class Resolution:
 
 @dataclass(frozen=True, config=FINITE)
 class Unknown:
-    """The unknown share of a pair's truth, independent of the protocol."""
+    """The share of a pair's true shape that is unknown; it does not depend on the protocol."""
 
     unknown_share: OptionalUnitRange = Field(default=None, description="of the true shape, not known")
 
@@ -282,7 +282,7 @@ class InSpace:
 
 @dataclass(frozen=True, config=FINITE)
 class ByThreshold:
-    """The IoU of a pair at every threshold, whichever was chosen; it is no column of scores.csv."""
+    """The IoU of a pair at every threshold, not only the chosen one; scores.csv leaves it out."""
 
     iou_by_threshold: Annotated[
         tuple[float, ...] | None,
@@ -298,14 +298,14 @@ class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Contex
 
     @property
     def pair(self) -> str:
-        """`<recording>/<view>`."""
+        """The name of the pair, `<recording>/<view>`."""
         return f"{self.recording}/{self.view}"
 
     @property
     def heading(self) -> str:
-        """The group of its averages and comparisons: the protocol and variant.
+        """The name of the group that the row is averaged in: protocol and variant.
 
-        `known`, `camera`, `camera-occluded`, `aligned-t+s` or `camera-best-of-5`, for example.
+        Examples are `known`, `camera`, `camera-occluded`, `aligned-t+s` and `camera-best-of-5`.
         """
         words = [self.protocol]
         if self.alignment is not None:
@@ -318,23 +318,23 @@ class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Contex
 
     @property
     def in_space(self) -> bool:
-        """Whether it is of a prediction in the camera frame, which has no thresholds."""
+        """Whether the row scores a prediction in the camera frame, which has no threshold."""
         return self.protocol in IN_SPACE
 
     @property
     def counts(self) -> bool:
-        """Whether it has figures; else all its voxels are unknown there."""
+        """Whether the row has metrics; without them, all its voxels are unknown under the protocol."""
         return self.iou is not None or self.chamfer_l1_m is not None
 
 
 @dataclass(frozen=True, config=FINITE)
 class Averages(Context, SurfaceMetrics, VoxelMetrics):
-    """Means of the rows' figures; one that is not known of every row is None."""
+    """Means of figures over rows; a figure that one of the rows lacks is None."""
 
     ceiling_iou: OptionalUnitRange = Field(default=None, description="mean of the rows' ceilings")
 
     def __getitem__(self, key: str) -> Any:
-        """A figure by its key in the file, such as "iou"."""
+        """The value of a figure by its key in the file, such as "iou"."""
         return getattr(self, key)
 
 

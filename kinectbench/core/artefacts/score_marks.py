@@ -1,4 +1,4 @@
-"""Caveats of a table: marks, and whether it was rechecked."""
+"""Caveats of a score table: marks, and whether its predictions were scored again with the same result."""
 
 from typing import Annotated, Final, Literal
 
@@ -59,5 +59,5 @@ class Verified(StoredPart):
 
     @property
     def words(self) -> str:
-        """The date and the version in words, such as `verified 2026-11-25, kinectbench 0.1.0`."""
+        """Date and version in words, such as `verified 2026-11-25, kinectbench 0.1.0`."""
         return f"verified {self.date}, kinectbench {self.package_version}"

@@ -165,14 +165,14 @@ class Hashes(StoredPart):
 
 
 def _without_nulls(content: object) -> object:
-    """The keys with a value of an untrusted object; null stands for no keys."""
+    """Drop the keys of an untrusted JSON object whose value is null; null itself becomes {}."""
     if not isinstance(content, Mapping):
         return {} if content is None else content
     return {key: value for key, value in content.items() if value is not None}
 
 
 def _lines(content: object) -> object:
-    """The tuple in a list of JSON; null stands for an empty one."""
+    """Convert a JSON list to a tuple; null becomes ()."""
     return tuple(content) if isinstance(content, list) else () if content is None else content
 
 
@@ -253,11 +253,11 @@ class ScoreTable(Stored):
 
     @property
     def standing(self) -> str:
-        """`verified DATE, kinectbench VERSION`, or `reported`."""
+        """How far the scores were checked: `verified DATE, kinectbench VERSION`, or `reported`."""
         return REPORTED if self.verified is None else self.verified.words
 
     def facts_sha256(self) -> str:
-        """SHA-256 of all that a recheck finds equal: everything but what follows from it, and `verified`."""
+        """SHA-256 of what a recheck must reproduce: all keys but derived ones and `verified`."""
         content = self.model_copy(update={"rows": ()}).json_value()
         digest, sign = hashlib.sha256(), "{"
         for key in sorted(set(content) - NO_FACTS):
@@ -277,27 +277,27 @@ class ScoreTable(Stored):
     def counted_by(self) -> str:
         """How predictions were counted, as text; tables with different values are not compared.
 
-        `missing` is no part of it: with any choice a pair that is predicted has the same numbers.
+        The setting `missing` is left out, because it does not change the numbers of predicted pairs.
         """
         return f"score version {self.score_version}, upsampling {self.settings.upsampling or 'unknown'}"
 
     @property
     def score_version(self) -> int:
-        """The version of `score` that counted; 1 if the table does not state it, as in early ones."""
+        """The version of `score` that computed the table; 1 if it is not stated, as in early tables."""
         return self.settings.score_version or 1
 
     def averages(self, protocol: str) -> dict[str, CategoryAverages | OverallAverages]:
-        """The averages under a protocol by category, and over all categories under `OVERALL`."""
+        """The averages under a protocol by category; those over all categories have the key `OVERALL`."""
         values: dict[str, CategoryAverages | OverallAverages] = {**(self.by_category or {}).get(protocol, {})}
         over_all = (self.overall or {}).get(protocol)
         return values if over_all is None else {**values, OVERALL: over_all}
 
     def pairs(self, protocol: str) -> list[ScoreRow]:
-        """The rows under a heading (`ScoreRow.heading`), which of most protocols is their name."""
+        """The rows whose `ScoreRow.heading` is `protocol`; for most protocols this is their name."""
         return [row for row in self.rows if row.heading == protocol]
 
     def left_out_line(self, protocol: str) -> str:
-        """The number of pairs that a protocol leaves out, as a sentence; "" if none."""
+        """A sentence on the number of pairs that a protocol leaves out; "" if it leaves out none."""
         count, pairs = len(self.all_unknown_pairs.get(protocol, ())), len(self.pairs(protocol))
         if not count:
             return ""
@@ -307,7 +307,7 @@ class ScoreTable(Stored):
         )
 
     def csv(self) -> str:
-        """scores.csv as text: the rows, each behind the method's name."""
+        """The text of scores.csv: a line for each row, with the method's name in the first column."""
         columns = tuple(name for name in fields_of(ScoreRow) if name not in fields_of(ByThreshold))
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")
@@ -317,16 +317,16 @@ class ScoreTable(Stored):
         return buffer.getvalue()
 
     def write(self, folder: Path, name: str = SCORES_JSON) -> None:
-        """Write scores.json and scores.csv into a folder, each atomically.
+        """Write scores.json and scores.csv into a folder, each atomically; many rows go to rows.npz.
 
         Args:
-            folder: made if it is not there.
-            name: of the JSON file, if it is another one; then there is no scores.csv, and the rows.npz of a
-                scores.json that lies there stays.
+            folder: created if missing.
+            name: name of the JSON file. Under another name than scores.json there is no scores.csv, and the
+                rows.npz of a scores.json in the folder stays.
 
         Raises:
-            StorageError: the table has many rows, and those of scores.json lie there: nothing is replaced; or
-                the disk is full or read-only.
+            StorageError: the table has many rows, but the folder has a scores.json with other ones, so that
+                nothing is replaced; or the disk is full or read-only.
         """
         is_own = name == SCORES_JSON
         over = is_own or not (folder / SCORES_JSON).exists()
@@ -342,7 +342,7 @@ class ScoreTable(Stored):
 
     @classmethod
     def read_file(cls, path: Path) -> Self:
-        """Read a table, and the rows that lie beside it; errors as of `Stored.read_file`."""
+        """Read a table, with the rows in rows.npz beside it, if any; errors as of `Stored.read_file`."""
         table = super().read_file(path)
         if table.rows_file is None:
             return table
@@ -383,7 +383,7 @@ LATER = {*LATER_KEYS, *LATER_AVERAGES, *LATER_ROWS}
 
 
 def scores_schema() -> dict[str, Any]:
-    """The JSON schema of scores.json, of every version."""
+    """A JSON schema that the scores.json of every version satisfies."""
     schema = ScoreTable.model_json_schema(by_alias=True)
     for part in (
         schema,

@@ -64,7 +64,7 @@ class CameraFile(Stored):
 
     @property
     def damaged(self) -> int:
-        """The number of frames that could not be read, and are not among `frames`."""
+        """The number of frames that could not be read; `frames` does not count them."""
         return sum(line.startswith(DAMAGED_FRAME) for line in self.warnings)
 
     @property
@@ -102,5 +102,5 @@ class FramesFile(Bare):
 
     @property
     def recorded(self) -> tuple[int, ...]:
-        """Number of each frame in the recording."""
+        """The number of each frame in the original recording, where damaged frames count."""
         return tuple(row.index if row.recorded is None else row.recorded for row in self.rows)

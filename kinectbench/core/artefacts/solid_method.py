@@ -24,7 +24,7 @@ class AirMethod(StoredPart):
 
     @property
     def limits(self) -> SensorLimits:
-        """Limits of the sensor."""
+        """The same lengths as `SensorLimits`."""
         return SensorLimits(self.line_width_m, self.near_m, self.camera_size_m, self.camera_height_m)
 
 

@@ -1,4 +1,4 @@
-"""Records of a recipe's fetch beside sources.yaml, and the list of scans from a source."""
+"""sources.lock beside a recipe's sources.yaml, and index.json, the list of scans that a source offers."""
 
 from typing import ClassVar
 
@@ -10,14 +10,14 @@ from kinectbench.core.names import Name
 
 
 class LockedFile(StoredPart):
-    """A file at its first download."""
+    """Size and hash of a file at its first download."""
 
     bytes: int = Field(ge=0, description="its size")
     sha256: str = Field(pattern="^[0-9a-f]{64}$", description="of its content")
 
 
 class SourcesLock(Stored):
-    """sources.lock of a recipe: each file at its first download; later downloads must equal it."""
+    """sources.lock of a recipe: size and hash of each file; later downloads must equal the first."""
 
     FILE: ClassVar[str] = "sources.lock"
     ADVICE: ClassVar[str] = "take it from where the recipe is from, or remove it to lock what comes next"
@@ -28,7 +28,7 @@ class SourcesLock(Stored):
 
 
 class ScanIndex(Bare):
-    """A source's own list: the ids of its scans by category."""
+    """index.json: the ids of a source's scans by category, in the source's own words."""
 
     FILE: ClassVar[str] = "index.json"
     ADVICE: ClassVar[str] = 'wanted {"category": ["id", …]}; correct `index` in sources.yaml'

@@ -1,8 +1,8 @@
 """Base of all stored JSON files: writes a typed value to a file and reads it back.
 
-Inside the package every length is in metres and every angle in radians, and unknown values are None. Some
-keys of the files are in millimetres or degrees, for people who open them. Such a field is named for what it
-holds in memory; its model is a `ScaledPart`, which makes the key: `shift_m: MillimetresInFile` is `shift_mm`.
+Inside the package every length is in metres and every angle in radians, and unknown values are None. In the
+files some keys are in millimetres or degrees, for people who open them. A field always has the unit and the
+name of its value in memory. The model `ScaledPart` makes the key: `shift_m: MillimetresInFile` is `shift_mm`.
 """
 
 import math
@@ -69,8 +69,8 @@ def _leave_early(schema: object) -> None:
 class StoredPart(BaseModel):
     """A part of a stored file: frozen, without NaN or infinity; unknown keys are kept.
 
-    Newer versions may write more keys, and what reads a file and writes it again must not lose them. Nor does
-    it add any: a key whose default is None or () is written only if it was given, as null for example.
+    Newer versions may write more keys, and these must survive if a file is read and written again. No keys
+    are added: a key whose default is None or () is written only if it was given, even if only as null.
     """
 
     model_config = ConfigDict(
@@ -105,14 +105,14 @@ class StoredPart(BaseModel):
 
 
 class Stored(StoredPart):
-    """A whole file.
+    """A whole JSON file.
 
     Attributes:
-        FILE: its name, relative to the folder it lies in.
-        ADVICE: the advice if it is damaged.
-        ERROR: the exception if it is damaged.
-        MAX_BYTES: a larger file is not read: it is untrusted.
-        MAX_VALUES: one of more values is not, either.
+        FILE: name of the file, relative to its folder.
+        ADVICE: what an error advises if the file is damaged.
+        ERROR: the exception for a missing or damaged file.
+        MAX_BYTES: a larger file is refused before it is read, because files are untrusted.
+        MAX_VALUES: a file with more JSON values is refused, too.
     """
 
     FILE: ClassVar[str]
@@ -122,7 +122,7 @@ class Stored(StoredPart):
     MAX_VALUES: ClassVar[int] = MOST_VALUES
 
     def text(self) -> str:
-        """The file's content."""
+        """The JSON text of the file."""
         return pretty_json(self.json_value())
 
     def write(self, folder: Path) -> None:
@@ -139,7 +139,7 @@ class Stored(StoredPart):
         """Read a file of this kind, whatever its name is.
 
         Raises:
-            KinectBenchError: `cls.ERROR`, if it is missing, too large, damaged or of another kind.
+            KinectBenchError: `cls.ERROR`, if the file is missing, too large, damaged or of another kind.
         """
         try:
             text = read_plain_text(path, cls.MAX_BYTES)
@@ -151,16 +151,16 @@ class Stored(StoredPart):
 
     @classmethod
     def read_if_there(cls, folder: Path) -> Self | None:
-        """`read`; None if there is no such file."""
+        """Read the file in a folder; None if there is no such file."""
         return cls.read(folder) if (folder / cls.FILE).is_file() else None
 
     @classmethod
     def parse(cls, text: str, where: str) -> Self:
-        """The value in a file's text; types are strict: a number written as text is refused.
+        """Parse the text of a file of this kind; types are strict: a number written as text is refused.
 
         Args:
             text: JSON.
-            where: what an error's line begins with, such as the path.
+            where: start of the error message, such as the path.
 
         Raises:
             KinectBenchError: `cls.ERROR`, in one line that names the first key that is wrong.
@@ -184,7 +184,7 @@ class Stored(StoredPart):
 
     @classmethod
     def _missing(cls, content: object) -> str:
-        """The first key that an object lacks, or ""."""
+        """The first required key that an object lacks, or ""."""
         keys = (field.alias or name for name, field in cls.model_fields.items() if field.is_required())
         return next((key for key in keys if isinstance(content, dict) and key not in content), "")
 
@@ -195,7 +195,7 @@ class Stored(StoredPart):
 
 
 class Bare(Stored):
-    """A whole file that is the value of the model's one field, such as a list of rows without a key."""
+    """A whole file that holds only the value of the model's one field, such as a list of rows."""
 
     @classmethod
     def _missing(cls, content: object) -> str:
@@ -203,7 +203,7 @@ class Bare(Stored):
 
     @classmethod
     def validated(cls, text: str) -> Self:
-        """The value of the one field, from the whole text."""
+        """Parse the whole text as the value of the model's one field."""
         ((name, field),) = cls.model_fields.items()
         early: Any = Annotated[field.rebuild_annotation(), FailFast()]
         kind: TypeAdapter[object] = TypeAdapter(early)
@@ -217,7 +217,7 @@ class Bare(Stored):
 
 
 def known(value: float | np.floating[Any], decimals: int | None = None) -> float | None:
-    """A number for a model: None for NaN, else a float, rounded on request."""
+    """Convert a number for a model: None for NaN or infinity, else a float, rounded on request."""
     if not np.isfinite(value):
         return None
     return float(value) if decimals is None else round(float(value), decimals)
@@ -229,9 +229,9 @@ def number(value: float | None) -> float:
 
 
 def _scaled_in_file(factor: float, decimals: int) -> tuple[object, ...]:
-    """Annotations of a number that the file holds `factor` times larger, rounded to `decimals`.
+    """Annotations of a number that is multiplied by `factor` and rounded to `decimals` in the file.
 
-    The value in memory is rounded, too, so that it equals the value that is read.
+    The value in memory is rounded accordingly, so that it equals the value that is read back.
     """
 
     def from_file(value: object, info: ValidationInfo) -> object:
@@ -258,8 +258,8 @@ DegreesInFile = Annotated[float, *_scaled_in_file(180.0 / np.pi, 2)]
 class ScaledPart(StoredPart):
     """A part whose lengths in metres and angles in radians are in millimetres and degrees in the file.
 
-    A field `x_m` has the key `x_mm`, and `x_rad` the key `x_deg`, unless it has an alias of its own. The
-    key is that of JSON alone: a value in memory is given by the field's name, and refused by the key.
+    A field `x_m` has the key `x_mm`, and `x_rad` the key `x_deg`, unless it has an alias of its own. Only
+    JSON uses these keys: code must pass a value by the field's name.
     """
 
     model_config = ConfigDict(
@@ -277,11 +277,11 @@ class ScaledPart(StoredPart):
 
 
 def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[object, ...]:
-    """Annotations of a numpy array of this shape and type, finite; nested lists in the file."""
+    """Annotations of a field with a finite numpy array of this shape and type; nested lists in the file."""
     number_type = Integral if np.issubdtype(dtype, np.integer) else Real
 
     def checked(value: object) -> NDArray[np.generic]:
-        """The array, read-only; ValueError if it is of another shape, or not of finite numbers."""
+        """Convert a value to a read-only array; ValueError for another shape or non-finite numbers."""
         refusal = ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
         # Numpy would take texts and booleans for numbers.
         given = np.array(value, dtype=object)

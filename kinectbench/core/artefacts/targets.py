@@ -1,9 +1,9 @@
 """targets.csv, the pairs to predict; splits.json; and SHA256SUMS.
 
 SHA256SUMS has a line for every file but itself, in the format of `sha256sum -c`, sorted by path.
-`benchmark_sha256` is the SHA-256 of SHA256SUMS without the line of benchmark.json, which can therefore hold
-it, and of what benchmark.json says beside its hashes. Earlier releases, whose benchmark.json has no
-`benchmark_sha256_version`, have that of the list alone: `grep -v '  benchmark.json$' SHA256SUMS | sha256sum`.
+`benchmark_sha256` is the SHA-256 of SHA256SUMS without the line of benchmark.json, followed by the content of
+benchmark.json without its hashes, so that benchmark.json can hold it. In earlier releases, without
+`benchmark_sha256_version`, it covers the list alone: `grep -v '  benchmark.json$' SHA256SUMS | sha256sum`.
 """
 
 import csv
@@ -42,7 +42,7 @@ _SAFE_PATH = re.compile(r"(?!\.)[A-Za-z0-9._-]+(/(?!\.)[A-Za-z0-9._-]+)*")
 
 
 def _column(description: str) -> Any:
-    """A column of targets.csv with its description."""
+    """Declare a column of targets.csv with its description."""
     return field(metadata={"description": description})
 
 
@@ -69,7 +69,7 @@ class Target:
 
     @property
     def name(self) -> str:
-        """`<recording>/<view>`, its name in messages."""
+        """The name of the pair in messages, `<recording>/<view>`."""
         return f"{self.recording}/{self.view}"
 
 
@@ -86,10 +86,10 @@ EARLIER_COLUMNS = tuple(name for name in COLUMNS if name not in NUMBER_COLUMNS)
 def parse_targets(text: str, where: str) -> tuple[Target, ...]:
     """Parse targets.csv; every name and path is safe to join to a folder.
 
-    Tables published before pairs stated their share of unknown are read, too.
+    Older tables, without the column `unknown_share`, are accepted.
 
     Raises:
-        ReleaseError: a malformed, repeated, unsafe or too long line; it names the line.
+        ReleaseError: a line is malformed, repeated, unsafe or too long; the message names it.
     """
     try:
         rows = csv_rows(text)
@@ -111,14 +111,14 @@ def parse_targets(text: str, where: str) -> tuple[Target, ...]:
 
 
 def _target(row: list[str]) -> Target:
-    """A line of targets.csv that has no problem."""
+    """Convert the cells of a line of targets.csv."""
     values: dict[str, Any] = dict(zip(ALL_COLUMNS, row, strict=False))
     share = values.get("unknown_share")
     return Target(**values | {"unknown_share": float(share) if share else None})
 
 
 def _row_problem(row: list[str], columns: int) -> str | None:
-    """The fault of a line of targets.csv with this number of columns, or None."""
+    """What is wrong with a line of targets.csv that must have `columns` columns; None if nothing is."""
     if len(row) != columns:
         return f"{len(row)} columns instead of {columns}"
     share = row[len(EARLIER_COLUMNS)] if len(row) > len(EARLIER_COLUMNS) else ""
@@ -139,12 +139,12 @@ def _row_problem(row: list[str], columns: int) -> str | None:
 
 
 def columns_of(targets: Iterable[Target]) -> tuple[str, ...]:
-    """The columns of a table of targets: `truth` is one of them where it is a reference mesh of some."""
+    """The columns of targets.csv; they include `truth` only if some target's truth is a reference mesh."""
     return tuple(ALL_COLUMNS if any(target.truth for target in targets) else COLUMNS)
 
 
 def targets_text(targets: Sequence[Target], columns: Sequence[str] = ()) -> str:
-    """targets.csv, or the table of one split in targets/, as text; earlier releases have fewer columns."""
+    """The text of targets.csv, or of one split's table in targets/; earlier releases have fewer columns."""
     columns = columns or columns_of(targets)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -165,7 +165,7 @@ def check_names(targets: Sequence[Target], where: str) -> None:
     """Refuse contradictory names, categories named like a mean, and an object in two splits.
 
     Raises:
-        ReleaseError: one line that says which.
+        ReleaseError: one line that names the problem.
     """
     rows = [Named(*row) for row in dict.fromkeys((t.recording, t.object, t.category) for t in targets)]
     clash = first_clash(rows)
@@ -194,14 +194,14 @@ class Splits(ReleaseFile):
 
     @classmethod
     def of(cls, targets: Sequence[Target]) -> "Splits":
-        """The recordings of some targets by their splits."""
+        """Group the recordings of targets by split."""
         return cls(
             **{split: tuple(sorted({t.recording for t in targets if t.split == split})) for split in SPLITS}
         )
 
 
 def sums_text(sums: Mapping[str, str]) -> str:
-    """SHA256SUMS of {relative path: SHA-256}."""
+    """The text of SHA256SUMS for {relative path: SHA-256}."""
     return "".join(f"{sha256}  {name}\n" for name, sha256 in sorted(sums.items()))
 
 
@@ -209,7 +209,7 @@ def parse_sums(text: str, where: str) -> dict[str, str]:
     """Parse SHA256SUMS: {relative path: SHA-256}; every path is safe to join to the release's folder.
 
     Raises:
-        ReleaseError: a malformed, repeated, unsafe or too long line; it names the line.
+        ReleaseError: a line is malformed, repeated, unsafe or too long; the message names it.
     """
     sums: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), start=1):
@@ -229,14 +229,14 @@ def list_of_files(sums: str) -> str:
 
 
 def benchmark_sha256(sums: str, stated: str) -> str:
-    """The identity of a release, by the version that its benchmark.json names.
+    """Compute the hash that identifies a release, by the version that its benchmark.json states.
 
     Args:
         sums: the text of SHA256SUMS.
-        stated: the text of benchmark.json, which was parsed before.
+        stated: the text of a valid benchmark.json.
 
     Raises:
-        ValueError, RecursionError: it is not JSON.
+        ValueError, RecursionError: `stated` is not JSON.
     """
     content: dict[str, object] = strict_json(stated)
     if content.get(SHA256_VERSION_KEY) is None:

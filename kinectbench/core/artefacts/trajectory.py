@@ -38,7 +38,7 @@ class LostStretch(StoredPart):
 
 
 class Jump(StoredPart):
-    """A step of the camera that is faster by far than the others."""
+    """A step between frames in which the camera moves far faster than in the other steps."""
 
     from_frame: int = Field(description="the frame before it")
     to_frame: int = Field(description="the next frame with a pose")
@@ -67,7 +67,7 @@ class ConstraintCounts(StoredPart):
 
 
 class LoopClosure(ScaledPart):
-    """Two keyframes that saw the same place, registered to each other."""
+    """Two keyframes that see the same place again, and the result of their registration."""
 
     a: int = Field(description="frame of the one keyframe")
     b: int = Field(description="of the other")
@@ -81,7 +81,7 @@ class LoopClosure(ScaledPart):
 
 
 class GivenFigures(ScaledPart):
-    """How a given trajectory agrees with the depth."""
+    """How well a given trajectory agrees with the depth."""
 
     disagreeing: tuple[int, ...] = Field((), description="frames whose depth disagrees with it")
     median_shift_m: Millimetres = Field(None, description="disagreement with near frames, mm")
@@ -96,14 +96,14 @@ class GivenFigures(ScaledPart):
 
 
 class Covisibility(StoredPart):
-    """Which points keyframes share."""
+    """For pairs of keyframes, the share of the first one's points that the second one sees."""
 
     keyframes: tuple[int, ...] = Field((), description="up to 60 keyframes with a pose")
     share: list[list[float]] = Field([], description="[i][j]: share of the points of keyframe i that j sees")
 
 
 class FrameHealth(ScaledPart):
-    """One frame; unknown values are null."""
+    """Tracking figures of one frame; unknown values are null."""
 
     frame: int = Field(description="its index")
     state: FrameState = Field("tracked", description="whether it has a pose, and if not, why")
@@ -187,7 +187,7 @@ class TrajectoryHealth(ScaledPart, Stored):
         return self
 
     def pose_sigma_m(self) -> Float64:
-        """(n,) standard deviation of each frame's position, metres; NaN if unknown."""
+        """Standard deviation of each frame's pose (n,), as a shift of its points, metres; NaN if unknown."""
         sigma_m = np.full(self.frames, np.nan)
         for row in self.per_frame:
             sigma_m[row.frame] = np.nan if row.shift_m is None else row.shift_m
@@ -195,7 +195,7 @@ class TrajectoryHealth(ScaledPart, Stored):
 
 
 class StoredDepthCalibration(Stored):
-    """depth_calibration.json: the correction of the recording's depth that the poses were found with."""
+    """depth_calibration.json: the depth correction with which the poses were estimated."""
 
     FILE: ClassVar[str] = "depth_calibration.json"
 
@@ -215,5 +215,5 @@ class StoredDepthCalibration(Stored):
 
     @property
     def calibration(self) -> DepthCalibration:
-        """The correction itself."""
+        """The stored correction as a `DepthCalibration`."""
         return DepthCalibration(np.array(self.coefficients_per_m, np.float64))

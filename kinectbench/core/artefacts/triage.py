@@ -38,7 +38,7 @@ class TriageRow(StoredPart):
 
 
 class SameObject(StoredPart):
-    """Two recordings whose built objects have one shape, though they have different names."""
+    """Two recordings whose built objects have the same shape, but different object names."""
 
     recordings: tuple[str, str] = Field(description="their ids")
     agreement: float = Field(
@@ -49,7 +49,7 @@ class SameObject(StoredPart):
 
     @property
     def line(self) -> str:
-        """The row as a printed line."""
+        """A sentence to print: which recordings agree, and what to write in benchmark.yaml."""
         a, b = self.recordings
         apart = self.splits[0] != self.splits[1]
         where = f", and stand in the splits {self.splits[0]} and {self.splits[1]}" if apart else ""

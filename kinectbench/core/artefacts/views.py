@@ -20,7 +20,7 @@ Angles = tuple[float, float, float]
 
 
 def _must(what: str, is_so: Callable[[object], bool]) -> AfterValidator:
-    """Refuse a value that is not as it must be, by this message."""
+    """A validator that raises ValueError("must " + what) for a value that `is_so` rejects."""
 
     def checked(value: object) -> object:
         if not is_so(value):
@@ -102,7 +102,7 @@ class ViewsFile(Stored):
 
 
 class PairRow(StoredPart):
-    """The figures of one pair."""
+    """The figures of one pair of a partial view and the full shape."""
 
     view: ViewName = Field(description="zero-padded index")
     frame: int | None = Field(None, description="index of the frame in the recording")
@@ -117,7 +117,7 @@ class PairRow(StoredPart):
 
 
 class PairsFile(Stored):
-    """pairs/pairs.json."""
+    """pairs/pairs.json: the pairs of a recording, and the views without a pair."""
 
     FILE = "pairs.json"
 

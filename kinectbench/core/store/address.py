@@ -29,7 +29,7 @@ ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT")
 
 
 def url_of(path: str | Path) -> str | None:
-    """The URL that a path stands for, without trailing slash; None for a local path."""
+    """The URL that a path argument stands for, without trailing slash; None for a local path."""
     match = _URL.fullmatch(str(path))
     if match is None:
         return None
@@ -48,9 +48,9 @@ def other_scheme(path: str | Path) -> str | None:
 
 
 def unusable(text: str) -> str | None:
-    """What is wrong with a URL as typed; None if it is right or no URL.
+    """What is wrong with a URL as the user typed it; None if it is valid or the text is no URL.
 
-    Check this before the text becomes a path: a path merges slashes, so `s3:///x` would name the bucket x.
+    Call this before the text becomes a Path, which merges slashes, so that `s3:///x` would name the bucket x.
     """
     written = _WRITTEN.fullmatch(text)
     if written is None or (written[3] and len(written[2]) < 2):
@@ -97,14 +97,14 @@ def _shown(url: str) -> str:
 
 
 def require_usable(url: str, place: str) -> None:
-    """Raise an error for a problem that a retry cannot solve.
+    """Check for problems that a retry cannot solve: no obstore, an unusable URL, or a bad endpoint.
 
     Args:
         url: URL of the store.
-        place: the URL that the error names.
+        place: the URL as messages show it.
 
     Raises:
-        SettingsError: obstore is not installed, the URL has no bucket or host, or the endpoint is no URL.
+        SettingsError: one of these problems.
     """
     try:
         import obstore  # noqa: F401

@@ -1,4 +1,4 @@
-"""Retries while a store may recover; and one message for each kind of failure."""
+"""Retry calls to a store while it may recover, and make one error message for each kind of failure."""
 
 import logging
 import math
@@ -64,11 +64,11 @@ class StoreGoneError(StorageError):
 
 
 class StoppedError(Exception):
-    """Waiting was ended by an error of another call, or by an interrupt."""
+    """Retries were ended because another call failed, or by an interrupt."""
 
 
 class UnsettledError(Exception):
-    """The data is inconsistent because another process is writing: retry."""
+    """The result is incomplete or inconsistent for now, as while another process writes: retry."""
 
 
 def patience_s() -> float:
@@ -103,7 +103,7 @@ _answered: set[str] = set()
 
 
 def wait_until(stop: threading.Event) -> None:
-    """End this thread's retries when the event is set."""
+    """Make this thread stop its retries once the event is set."""
     _thread.stop = stop
 
 
@@ -116,7 +116,7 @@ def _pause(seconds: float) -> None:
 
 
 def check_stopped() -> None:
-    """Raise an error if the event of `wait_until` is set.
+    """Raise an error if the event that `wait_until` registered is set.
 
     Raises:
         StoppedError: the event is set.
@@ -146,12 +146,12 @@ def patiently(
     progress: Callable[[], object] = lambda: None,
     answers: Callable[[], object] | None = None,
 ) -> T:
-    """Repeat a call until it succeeds, fails for good, or fails for too long.
+    """Call repeatedly until it succeeds, fails for good, or fails for too long; return the result.
 
     Args:
         place: the URL that errors name.
         call: the call; repeated after each failure that may pass.
-        progress: returns how far the calls have come; the limit of time restarts when the value changes.
+        progress: returns how far the call has come; if the value changes, the time limit starts again.
         answers: a small call to the same store; if it succeeds, only this file fails, not the store.
 
     Raises:
@@ -181,7 +181,7 @@ def patiently(
 
 
 def _tell(place: str, host: str, failed_s: float, left_s: float, error: Exception) -> None:
-    """Print one warning per store and process, because a user may be waiting."""
+    """Warn once per store and process that it does not answer well, because a user may be waiting."""
     if failed_s >= TELL_AFTER_S and host not in _reported:
         _reported.add(host)
         _log.warning(
@@ -240,7 +240,7 @@ def _has_answer(place: str, answers: Callable[[], object] | None) -> bool:
 
 
 def _raise_if_lasting(place: str, error: Exception, *, known: bool = False) -> None:
-    """Raise an error that a retry cannot solve; `known`: the store has answered before."""
+    """Raise an error if a retry cannot solve it; `known`: the host has answered before, so it exists."""
     if isinstance(error, UnsettledError):
         return
     if "NoSuchBucket" in str(error):
@@ -296,7 +296,7 @@ def _lasting(place: str, error: Exception) -> StorageError:
 
 
 def _reason(error: Exception) -> str:
-    """The reason in a few words: HTTP status and the store's error code, or the start of the first line."""
+    """Shorten an error: HTTP status and the store's error code, or the start of its first line."""
     text = str(error)
     status, code = _STATUS.search(text), _CODE.search(text)
     if status:

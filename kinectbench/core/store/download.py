@@ -46,7 +46,7 @@ ENDING = ".part"
 
 
 class Content(NamedTuple):
-    """The expected content of a file: its size in bytes, and its SHA-256 as hex."""
+    """Size of a file in bytes, and its SHA-256 as hex."""
 
     size: int
     sha256: str
@@ -76,8 +76,8 @@ def download(
 ) -> Content:
     """Download a file; it appears at `path` when it is complete and verified.
 
-    A partial download lies beside `path`, and the next call resumes it. Addresses are tried in order and in
-    turn, until the time limit of a failing store (`attempts.patience_s`).
+    A partial download lies beside `path`, and the next call resumes it. The addresses are tried in turn, over
+    and over until `attempts.patience_s` has passed without progress.
 
     Args:
         urls: addresses of the same file.
@@ -86,7 +86,7 @@ def download(
         size: expected bytes; None: unknown.
         check: called with the complete file; if it raises, the next address is tried.
         most_bytes: a larger file is refused.
-        room: called in advance with the bytes still to come; if it raises, the download ends.
+        room: called before the download with the number of bytes to come; may raise to refuse it.
 
     Raises:
         StoreGoneError: no server answers; the message has the reasons.
@@ -100,7 +100,7 @@ def download(
         furthest = max(furthest, at // LEAST_BYTES)
 
     def attempt() -> Content:
-        """Download the file from the first address that delivers it."""
+        """Try each address once, and return the content from the first one that delivers the file."""
         refused, broken, unknown = list[str](), list[str](), 0
         for url in tuple(order):
             try:
@@ -125,7 +125,7 @@ def download(
 
 
 def partial_downloads(path: Path) -> list[Path]:
-    """Partial downloads beside a file's place."""
+    """The partial downloads of a file, which lie beside its final path."""
     names = path.parent.glob("*" + ENDING) if path.parent.is_dir() else ()
     return [each for each in names if each.name.startswith(f"{path.name}.")]
 
@@ -144,7 +144,7 @@ class _Download:
     come: Callable[[int], None]
 
     def run(self) -> Content:
-        """Download the file to its place.
+        """Download the file to its final path.
 
         Raises:
             _RefusedError, _BrokenError: this address does not deliver the file.
@@ -178,7 +178,7 @@ class _Download:
         return size
 
     def _goes_on(self, answer: http.client.HTTPResponse, at: int, size: int) -> int:
-        """The offset at which an answer starts in the file; 0 if the server ignores the requested range."""
+        """The offset in the file at which a response begins; 0 if the server ignores the requested range."""
         if answer.status == http.HTTPStatus.OK:
             if self._checked_size(answer) != size:
                 raise _BrokenError("changed while it was fetched")
@@ -189,7 +189,7 @@ class _Download:
         return at
 
     def _copy(self, answer: http.client.HTTPResponse, part: Path, at: int, size: int) -> None:
-        """Append the bytes of an answer to a partial file, from offset `at` up to the expected size."""
+        """Append the bytes of a response to a partial file, from offset `at` up to the expected size."""
         with storage_errors(self.path), part.open("ab" if at else "wb") as out:
             since, then = time.monotonic(), at
             while at < size:
@@ -227,7 +227,7 @@ class _Download:
 
 
 def _mark(answer: http.client.HTTPResponse) -> str:
-    """The validator of the content: changes if the content does (RFC 9110, 8.8); "" if there is none."""
+    """The HTTP validator, which changes if the content does (RFC 9110, 8.8); "" if the server gives none."""
     tag = str(answer.headers.get("ETag", ""))
     return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
 
@@ -266,7 +266,7 @@ def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[http.client.HTTPR
 
 
 def _any_answers(urls: Sequence[str]) -> None:
-    """Check that at least one server answers at all.
+    """Check that at least one of the servers responds to a HEAD request.
 
     Raises:
         _BrokenError: no server answers.
@@ -279,7 +279,7 @@ def _any_answers(urls: Sequence[str]) -> None:
 
 
 def _next(url: str, answer: http.client.HTTPResponse) -> str | None:
-    """The target of a redirect; None if the answer is the file."""
+    """The target URL of a redirect; None if the response is the file itself."""
     status = answer.status
     if status in (http.HTTPStatus.OK, http.HTTPStatus.PARTIAL_CONTENT):
         return None
@@ -335,10 +335,10 @@ def _why(error: Exception) -> str:
 
 
 class _Bounded(http.client.HTTPConnection):
-    """A connection with a time limit for all headers together, not for each byte."""
+    """An HTTP connection with a time limit for all headers together, not only for each read."""
 
     def getresponse(self) -> http.client.HTTPResponse:
-        """The answer with its headers."""
+        """Read the status and headers of the response; close the connection after `HEADERS_S`."""
         timer = threading.Timer(HEADERS_S, self._cut)
         timer.daemon = True
         timer.start()

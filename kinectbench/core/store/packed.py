@@ -11,7 +11,7 @@ from kinectbench.core.untrusted import below, copy_bounded, open_plain, printabl
 
 
 def pack_files(folder: Path, names: list[str], archive: Path) -> None:
-    """Write files of a folder into a tar, in this order, without their times, owners and rights."""
+    """Write files of a folder into a tar, in the given order, without times, owners and permissions."""
     with storage_errors(archive), tarfile.open(archive, "w", format=tarfile.PAX_FORMAT) as tar:
         for name in names:
             entry = tarfile.TarInfo(name)

@@ -66,8 +66,8 @@ class StoredObject:
 class Store:
     """A folder in an object store, on a web server (read-only) or on a disk; can be pickled.
 
-    Every file appears whole or not at all. A failed call is repeated for some minutes, unless that cannot
-    help; then a `StorageError` is raised.
+    Every file appears whole or not at all. A failed call is retried for some minutes, unless a retry
+    cannot help. After that a `StorageError` is raised.
 
     Attributes:
         url: URL without trailing slash.
@@ -127,9 +127,9 @@ class Store:
         self._try(name, put)
 
     def put_new(self, name: str, content: bytes, same: Callable[[bytes, bytes], bool] = bytes.__eq__) -> bool:
-        """Create a file unless it exists with equal content; of several concurrent writers one succeeds.
+        """Create a file, but never replace one; of several concurrent writers only one succeeds.
 
-        If the store's answer is lost, the call succeeds if the file exists with equal content.
+        An existing file with equal content is no error: the store's answer to an earlier attempt may be lost.
 
         Args:
             name: name of the file.
@@ -138,7 +138,7 @@ class Store:
                 equivalent.
 
         Returns:
-            Whether this call wrote the file.
+            Whether this call wrote the file; False if it existed with equal content.
 
         Raises:
             StorageError: the file has other content, or cannot be written.
@@ -176,7 +176,7 @@ class Store:
             self._try("", lambda: _obstore().delete(self._opened(), found))
 
     def _try(self, name: str, call: Callable[[], T]) -> T:
-        """Run a call that writes; if it fails for too long, the store counts as gone."""
+        """Run a call that writes, with retries; if it fails for too long, the store counts as gone."""
         require_usable(self.url, self.place(name))
         return patiently(self.place(name), call)
 
@@ -189,7 +189,7 @@ class Store:
         return next(self._chunks(None, None, 1), None)
 
     def _chunks(self, below: str | None, after: str | None, at_once: int) -> Iterator[Sequence["ObjectMeta"]]:
-        """Yield a listing in batches; each request has a time limit.
+        """Yield the listing of a folder in batches; each request has a time limit.
 
         Raises:
             StorageError: the next batch does not arrive in time.
@@ -243,7 +243,7 @@ class Store:
         return True
 
     def _append(self, name: str, out: IO[bytes], first: list["ObjectMeta"], most_bytes: int) -> None:
-        """Download the rest of a file; `first` keeps the metadata of the first answer."""
+        """Download the rest of a file into `out`; `first` keeps the metadata of the first response."""
         at = out.tell()
         if first and at == first[0]["size"]:
             return
@@ -268,7 +268,7 @@ class Store:
             )
 
     def _list_on(self, below: str, most: int, listed: list[StoredObject]) -> None:
-        """Append the next part of a listing; start again if the store does not list in order."""
+        """Append the rest of a listing to `listed`; begin again if the store does not list in order."""
         try:
             self._opened()
         except FileNotFoundError:  # a missing local folder holds nothing
@@ -295,7 +295,7 @@ class Store:
 def in_parallel(
     calls: Iterable[Callable[[], T]], done: Callable[[int], None] = lambda count: None, at_once: int = AT_ONCE
 ) -> list[T]:
-    """Run calls in parallel. The first error cancels the calls that have not started.
+    """Run calls in parallel and return their results in order; the first error cancels waiting calls.
 
     Args:
         calls: methods of `Store` with arguments, by `functools.partial`.
@@ -320,10 +320,10 @@ def in_parallel(
 
 
 async def _next(pages: AsyncIterator[Sequence["ObjectMeta"]]) -> Sequence["ObjectMeta"] | None:
-    """The next objects of a listing; None at the end.
+    """The next batch of a listing; None at the end.
 
     Raises:
-        TimeoutError: the objects do not arrive in time.
+        TimeoutError: the batch does not arrive in time.
     """
     return await asyncio.wait_for(anext(pages, None), LISTED_S)
 
@@ -368,5 +368,5 @@ def _opened(url: str, make: bool, process: int) -> "ObjectStore":
 def fetch_all(
     store: Store, files: Iterable[tuple[str, Path, int]], done: Callable[[int], None] = lambda count: None
 ) -> None:
-    """Download files in parallel: for each its name in the store, local path, and most bytes."""
+    """Download files in parallel; each is given as (name in the store, local path, most bytes)."""
     in_parallel((partial(store.fetch, name, path, most) for name, path, most in files), done)

@@ -1,1 +1,1 @@
-"""Poses over time: their value, their files, and how two trajectories compare."""
+"""Poses over time: the trajectory as a value, its files, and the comparison of two trajectories."""

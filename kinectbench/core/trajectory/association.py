@@ -21,7 +21,7 @@ MISSING_STEPS = 1.5
 
 
 class _Matching(NamedTuple):
-    """The best pairs so far, as a linked list; compared by (pairs, -total gap)."""
+    """The best pairs so far, as a linked list; the better of two has more pairs, then a smaller total gap."""
 
     pairs: int
     minus_gap_ns: int
@@ -75,16 +75,16 @@ def associate(
 
 
 def half_step_ns(stamps_ns: Sequence[int] | Int64) -> int:
-    """Half the median step of a stream, nanoseconds; `TOLERANCE_NS` for fewer than two stamps."""
+    """Half the median interval between stamps, nanoseconds; `TOLERANCE_NS` for fewer than two stamps."""
     steps = np.diff(np.unique(np.asarray(stamps_ns, np.int64)))
     return int(np.median(steps)) // 2 if len(steps) else TOLERANCE_NS
 
 
 def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int] | Int64) -> int:
-    """Largest time difference of the depth and the colour image of one frame, nanoseconds.
+    """Largest accepted time difference between a frame's depth and colour image, nanoseconds.
 
-    It is half a frame of the faster stream plus half the jitter of either stream, at most `TOLERANCE_NS`. The
-    nearest image is always within it, and the next frame's image mostly is not.
+    It is half a frame interval of the faster stream plus half the larger jitter of the two streams, at most
+    `TOLERANCE_NS`. The nearest image is always within it, and the next frame's image mostly is not.
 
     Args:
         depth_ns: stamps of depth, nanoseconds, in any order.
@@ -101,15 +101,15 @@ def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int
 
 
 def poses_at(given: GivenTrajectory, stamps_ns: Int64, max_gap_s: float) -> Float64:
-    """T_world_camera at each stamp, by slerp between the two poses around it.
+    """Interpolate T_world_camera at each stamp, by slerp between the poses before and after it.
 
     Args:
         given: the trajectory.
-        stamps_ns: (n,) int64, the frames.
-        max_gap_s: no pose is interpolated between two poses farther apart than this.
+        stamps_ns: (n,) int64, stamps of the frames, nanoseconds.
+        max_gap_s: largest time between two poses to interpolate, seconds.
 
     Returns:
-        (n, 4, 4) float64; NaN where no pose is near. A pose at exactly the stamp needs no interpolation.
+        (n, 4, 4) float64; NaN where the gap is larger. A pose at exactly the stamp is used as it is.
     """
     poses = np.full((len(stamps_ns), 4, 4), np.nan)
     known_ns = given.stamps_ns

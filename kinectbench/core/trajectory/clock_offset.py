@@ -31,8 +31,9 @@ class ClockOffset:
     """The offset of a trajectory's clock.
 
     Attributes:
-        late_s: delay of the trajectory's stamps, seconds; < 0: they are early.
-        ate_m: absolute trajectory error (rmse) without correction, over the frames with a pose at every lag.
+        late_s: by how much the trajectory's stamps are late, seconds; < 0: they are early.
+        ate_m: absolute trajectory error (rmse), metres, without correction, over the frames that the
+            reference covers at every lag.
         ate_moved_m: the same error after the stamps are moved back by `late_s`.
     """
 
@@ -76,7 +77,7 @@ def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTraj
 
 
 def _best_ns(squares: Float64) -> int | None:
-    """The lag with the least mean of `squares` (lags, frames), refined by a parabola."""
+    """The lag with the least mean of `squares` (lags, frames), refined by a parabola; None at either end."""
     means = squares.mean(axis=1)
     best = int(np.argmin(means))
     if best in (0, len(means) - 1):
@@ -85,7 +86,7 @@ def _best_ns(squares: Float64) -> int | None:
 
 
 def steps_to_vertex(values: Float64, best: int) -> float:
-    """The offset in steps from the extremum of evenly spaced values to the vertex of the parabola there.
+    """The distance in steps from the extremum of evenly spaced values to the vertex of a parabola there.
 
     Args:
         values: (n,), with a minimum or maximum at `best`.
@@ -100,7 +101,7 @@ def steps_to_vertex(values: Float64, best: int) -> float:
 
 
 def _squares(frames_ns: Int64, positions: Float64, reference: GivenTrajectory, lags_ns: Int64) -> Float64:
-    """Square distances (lags, k), m^2, for the k frames that have a position at every lag."""
+    """Squared distances (lags, k), m^2, between the reference and k frames that it covers at every lag."""
     # Times relative to the first, because nanoseconds since 1970 exceed the precision of a float.
     known_ns = reference.stamps_ns - reference.stamps_ns[0]
     wanted_ns = frames_ns - reference.stamps_ns[0] + lags_ns[:, None]

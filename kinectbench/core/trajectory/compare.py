@@ -62,7 +62,7 @@ class TrajectoryError:
 
 
 def has_pose(T: Float64) -> Bools:
-    """Which of the transforms (n, 4, 4) are finite: bool (n,)."""
+    """Whether each transform (n, 4, 4) is finite: (n,) bool."""
     return np.asarray(np.isfinite(T).all(axis=(1, 2)))
 
 
@@ -96,7 +96,7 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
 
 
 def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
-    """Absolute and relative errors of matched poses.
+    """Compute the absolute and relative trajectory errors of matched poses.
 
     ATE: the distances |p_i - S q_i| of the positions, with the rigid least-squares S (Sturm et al., "A
     benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, eq. 2; Umeyama 1991 without scale). RPE:
@@ -105,7 +105,7 @@ def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
 
     Args:
         T_estimate: (n, 4, 4) `T_world_camera`, n >= 3, in the order of time.
-        T_reference: (n, 4, 4).
+        T_reference: (n, 4, 4), the reference pose for each of these.
 
     Raises:
         TrackingError: fewer than three poses.
@@ -150,14 +150,14 @@ def align_positions(points_b: Float64, points_a: Float64) -> Float64:
 
 
 def align_worlds(T_estimate: Float64, T_reference: Float64) -> Float64:
-    """The transform from the estimate's world to the reference's, also for degenerate positions.
+    """The rigid transform from the estimate's world to the reference's, also for degenerate positions.
 
-    The alignment is that of ATE. With fewer than three poses, or if the cameras stand still or move along a
-    line (less than 5 cm rms about it), the rotation comes from the orientations.
+    It aligns the positions, as for the ATE. With fewer than three poses, or if the cameras stand still or
+    move along a line (less than 5 cm rms about it), the rotation comes from the orientations.
 
     Args:
         T_estimate: (n, 4, 4) `T_world_camera`, n > 0.
-        T_reference: (n, 4, 4), the same cameras.
+        T_reference: (n, 4, 4), poses of the same cameras in the reference's world.
     """
     points_estimate, points_reference = T_estimate[:, :3, 3], T_reference[:, :3, 3]
     centred = points_reference - points_reference.mean(axis=0)
@@ -170,7 +170,7 @@ def align_worlds(T_estimate: Float64, T_reference: Float64) -> Float64:
 
 
 def statistics(errors: Float64) -> ErrorStatistics:
-    """Root mean square, mean, median and maximum of errors (n,), n > 0, in their unit."""
+    """Root mean square, mean, median and maximum of errors (n,), n > 0, in the unit of the errors."""
     return ErrorStatistics(
         rmse=float(np.sqrt(np.mean(errors**2))),
         mean=float(errors.mean()),
@@ -190,7 +190,7 @@ def _relative_errors(
 
 
 def _pieces(positions: Float64) -> tuple[Int64, Int64]:
-    """Pairs (first, last): for each pose the pose closest to 1 m of path ahead, if within a tenth."""
+    """Index arrays (first, last): for each pose, the pose closest to 1 m of path ahead, if 0.9 to 1.1 m."""
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     first = np.arange(len(path_m) - 1)

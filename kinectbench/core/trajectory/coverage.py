@@ -1,4 +1,4 @@
-"""Coverage of a trajectory: where the optical axes meet, the arc around it, and covisibility."""
+"""Coverage of a trajectory: the point that the cameras look at, the arc around it, and covisibility."""
 
 from collections.abc import Iterable
 
@@ -66,7 +66,7 @@ def convergence_point(T_world_camera: Float64) -> Float64:
 
 
 def from_above(T_world_camera: Float64) -> Float64:
-    """R_above_world (3, 3): z is up, y is the viewing direction of the first camera.
+    """Rotation R_above_world (3, 3) to an upright frame: z up, y along the first camera's viewing direction.
 
     Up is the mean up vector of the cameras, made as perpendicular as possible to their image rows. Cameras
     that look down at an object are pitched forward, but are held level.
@@ -89,14 +89,14 @@ def from_above(T_world_camera: Float64) -> Float64:
 
 
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
-    """`middle_depth_m` of a fixed selection of frames (n,), all with a pose."""
+    """`middle_depth_m` of up to 40 of the frames (n,), evenly spaced; every frame given must have a pose."""
     some = frames[evenly(len(frames), MIDDLE_FRAMES)]
     thin = slice(None, None, MIDDLE_STEP_PX)
     return middle_depth_m(sequence.depth_m(int(frame))[thin, thin] for frame in some)
 
 
 def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
-    """The median depth in the middle of images, metres; None without depth.
+    """The median depth in the middle third of images, metres; None if none has depth there.
 
     Args:
         depths_m: (height, width) each, metres, 0 = none.
@@ -115,8 +115,8 @@ def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
 
     The axes of a camera that hardly turns may cross anywhere, even in empty space close to it. Then the
     result is the mean of the points ahead of each camera, at the median depth in the middle of the images.
-    Axes that turn as far as the cameras' arc around their meeting point do not meet by chance, whatever the
-    depth there: for a slender object, or one with gaps, the middle of most images shows the wall.
+    Axes that turn as far as the cameras' arc around their meeting point do not meet by chance, even if the
+    depth disagrees: with a slender object, or one with gaps, the middle of most images shows the wall.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
@@ -170,7 +170,7 @@ def _looking_at(point: Float64, T_world_camera: Float64) -> Bools:
 
 
 def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
-    """The full circle minus the largest gap between directions (m, 3), m > 0, seen from above."""
+    """Arc that directions (m, 3), m > 0, cover from above: the full circle minus the largest gap, radians."""
     right, forward, _ = from_above(T_world_camera) @ directions_world.T
     angles = np.sort(np.arctan2(forward, right))
     gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
@@ -178,7 +178,7 @@ def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
 
 
 def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> Float64:
-    """Covisibility of pairs of frames, from their depth and poses.
+    """Ratio of the points of each frame that each other frame sees, from their depth and poses.
 
     A frame sees a point if the depth at the point's pixel agrees with the point within 5 %.
 
@@ -209,7 +209,7 @@ def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> 
 
 
 def _seen(points_camera: Float64, depth_m: Float32, sequence: Sequence, step: int) -> Bools:
-    """Whether each point (m, 3) agrees with the depth, read at every `step`-th pixel: (m,)."""
+    """Whether each point (m, 3) agrees with a depth image of every `step`-th pixel: (m,) bool."""
     height, width = depth_m.shape
     before = points_camera[:, 2] > 0
     pixels = np.full((len(points_camera), 2), -1.0)

@@ -56,7 +56,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
 
 
 def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
-    """Check by the steps between images that stamps are in seconds.
+    """Check by the intervals between images that stamps were in seconds, as they should be.
 
     Args:
         stamps_ns: stamps in the order of recording, as read.
@@ -79,7 +79,7 @@ def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
 
 
 def no_times(stamps_ns: Sequence[int]) -> str:
-    """Why stamps are no times of frames, such as the steps since the previous frame; "" if they are times.
+    """Why stamps cannot be the times of frames (they may be time steps, for example); "" if they can.
 
     Args:
         stamps_ns: of images, in the order of recording, nanoseconds.
@@ -98,12 +98,12 @@ def no_times(stamps_ns: Sequence[int]) -> str:
 
 
 def are_of_today(stamps_ns: Sequence[int]) -> bool:
-    """Whether all stamps, nanoseconds, count from 1970; then they are times, in whatever order."""
+    """Whether all stamps, nanoseconds, count from 1970, so that they are times even if out of order."""
     return all(TODAY_NS[0] <= stamp_ns < TODAY_NS[1] for stamp_ns in stamps_ns)
 
 
 def counted_ns(count: int) -> list[int]:
-    """Stamps, nanoseconds, for frames without stamps: they count whole seconds."""
+    """Make stamps, nanoseconds, for frames without times: frame i has the stamp i seconds."""
     return [index * NS_PER_S for index in range(count)]
 
 
@@ -133,13 +133,13 @@ def first_by_stamp(stamps_ns: Sequence[int], where: str, what: str) -> tuple[lis
 
 @dataclass(frozen=True)
 class StampFaults:
-    """Faults in the stamps of a stream, as indices in the order of recording.
+    """Faults in the stamps of a stream; frames are indexed in the order of recording.
 
     Attributes:
-        repeated: frames with the stamp of the previous frame.
-        backwards: frames up to a second earlier than the previous frame.
-        jumps: frames before which time jumps ahead by more than a few dropped frames.
-        resets: frames before which the clock goes back by more than a second.
+        repeated: number of frames with the stamp of the previous frame.
+        backwards: number of frames up to a second earlier than the previous frame.
+        jumps: indices of frames before which time jumps ahead by more than a few dropped frames.
+        resets: indices of frames before which the clock goes back by more than a second.
     """
 
     repeated: int
@@ -181,5 +181,5 @@ def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
 
 
 def find_doubled(digests: Sequence[bytes]) -> tuple[int, ...]:
-    """Frames with the same digest as the frame before: the driver delivered the image twice."""
+    """Indices of frames with the digest of the frame before: the driver delivered the same image twice."""
     return tuple(i for i in range(1, len(digests)) if digests[i] == digests[i - 1])

@@ -89,7 +89,7 @@ def read_numbers(path: Path) -> list[float]:
 
 
 def read_matrix(path: Path, side: int) -> Float64:
-    """Read a square matrix (side, side) from a text file, row by row; NaN and infinity are accepted.
+    """Read a (side, side) matrix from a text file, stored row by row; NaN and infinity are accepted.
 
     Raises:
         RecordingError: the file cannot be read, or does not hold side x side numbers.

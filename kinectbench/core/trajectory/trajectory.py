@@ -1,4 +1,4 @@
-"""The camera's trajectory, one pose per frame or the reason for none; and its files."""
+"""The camera's trajectory with one pose per frame, NaN where there is none; and its files."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -51,9 +51,9 @@ class Trajectory:
 
     @cached_property
     def shutter(self) -> RollingShutter | None:
-        """The readout time and colour delay that tracking corrected, with the camera's motion; or None.
+        """The rolling shutter that tracking found: readout time, colour delay, camera motion; or None.
 
-        The motion is computed from these poses.
+        The motion is computed from the poses of this trajectory.
         """
         if self.health is None or not (self.health.readout_s or self.health.color_delay_s):
             return None
@@ -80,7 +80,7 @@ def write_trajectory(trajectory: Trajectory, folder: Path) -> None:
     """Write trajectory.txt (the good frames), depth_calibration.json and, if known, health.json.
 
     Args:
-        trajectory: its `pose_sigma_m` is stored only in the health.
+        trajectory: the trajectory; its `pose_sigma_m` is stored only as part of health.json.
         folder: an existing folder.
     """
     good = trajectory.good_frames

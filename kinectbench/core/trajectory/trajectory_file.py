@@ -24,7 +24,7 @@ FARTHEST_M = 1e7
 
 
 class TimedPose(NamedTuple):
-    """One row: stamp (ns), translation (m), quaternion, and the place (file and line)."""
+    """One pose of a file: stamp (ns), translation (m), quaternion, and the file and line for messages."""
 
     stamp_ns: int
     translation_m: tuple[float, ...]
@@ -35,7 +35,7 @@ class TimedPose(NamedTuple):
 def read_given(
     read: Callable[[], tuple[GivenTrajectory | None, list[str]]],
 ) -> tuple[GivenTrajectory | None, list[str], str]:
-    """Read a recording's trajectory; an unusable trajectory is no error, as the frames do not need it.
+    """Call a reader of given poses; turn its error into a reason, because frames are usable without poses.
 
     Args:
         read: returns the trajectory and warnings.
@@ -112,7 +112,7 @@ def trajectory_from_poses(rows: Sequence[TimedPose], name: str) -> tuple[GivenTr
 
 
 def _refuse_values(rows: Sequence[TimedPose], values: Float64) -> None:
-    """Refuse the first row that is no pose; values (n, 7) are its translation and quaternion."""
+    """Raise an error for the first row that is no valid pose; values (n, 7): translation, quaternion."""
     unknown = np.asarray(~np.isfinite(values).all(axis=1))
     largest = np.abs(np.where(unknown[:, None], 0, values)).max(axis=1)
     far = largest > FARTHEST_M
