@@ -164,7 +164,7 @@ class _Builder:
         return pairs
 
     def _try(self, pairs: Iterable[tuple[int, int, Float64 | None]]) -> None:
-        """Register keyframes b to a, from T_a_b if known; skip repeated pairs; keep accepted ones."""
+        """Register pairs (a, b, T_a_b or None) not tried before; store accepted and refused constraints."""
         fresh = []
         for a, b, T_a_b in pairs:
             frames = self.keyframes[a], self.keyframes[b]
