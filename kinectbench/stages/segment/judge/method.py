@@ -45,10 +45,10 @@ def _air(rules: Rules) -> AirMethod:
 
 
 def method(rules: Rules) -> SolidMethod:
-    """The constants of a solid.
+    """The constants by which a solid is made.
 
     Args:
-        rules: those of the object, not enlarged.
+        rules: the object's rules, not enlarged.
     """
     return SolidMethod(
         name="carving + air is what some camera could see + floor contact + smoothing",
