@@ -155,7 +155,7 @@ def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _beyond(height, up, least):  # type: ignore[no-untyped-def]
-    """Distance to the farthest possible camera beyond the grid, for a voxel of this height, metres."""
+    """Distance of the farthest camera beyond the grid for a voxel of this height, metres; negative: none."""
     if up > _LEVEL:
         return _FAR
     if up > -_LEVEL:

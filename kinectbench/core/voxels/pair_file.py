@@ -288,7 +288,7 @@ def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
 
 
 def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
-    """What is wrong with a pair file's format version, in words, or None."""
+    """What is wrong with a pair file's format version, in words; None if nothing is."""
     version = values.get(VERSION_KEY, np.asarray(0))
     if version.shape != () or version.item() != FORMAT_VERSION:
         return f"written in another format version; this package reads {FORMAT_VERSION}"
@@ -296,7 +296,7 @@ def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
 
 
 def _fault_in(values: Mapping[str, NDArray[np.generic]], names: Collection[str]) -> str | None:
-    """What is wrong with the first bad value among `names`, in words, or None."""
+    """What is wrong with the first bad value among `names`, in words; None if all are right."""
     for name, shape in PACKED_SHAPES.items():
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"

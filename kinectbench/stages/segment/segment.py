@@ -41,7 +41,7 @@ from kinectbench.stages.segment.solid.solid import Solids, SolidShape, make_soli
 
 @dataclass(frozen=True)
 class GivenObject:
-    """What a person says of the object; nothing by default.
+    """What a person states about the object; nothing by default.
 
     Attributes:
         box: around it, floor frame; None: it is the piece that the cameras look at.

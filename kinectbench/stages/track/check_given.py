@@ -63,7 +63,7 @@ class GivenCheck:
 def check_given(
     sequence: Sequence, T_given: Float64, settings: TrackingSettings, progress: Progress | None = None
 ) -> GivenCheck:
-    """Compare the depth of frames that see the same place under the given poses.
+    """Check given poses by comparing the depth of frames that see the same place.
 
     Args:
         sequence: the recording, n frames.

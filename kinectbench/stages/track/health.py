@@ -257,7 +257,7 @@ def _open_gap_s(case: _Case, closed: Bools) -> float | None:
 
 
 def _arc_rad(case: _Case) -> float | None:
-    """The arc of directions from which the posed frames see their common focus."""
+    """The arc, radians, of the directions from which the posed frames see their common focus."""
     frames = np.flatnonzero(case.posed)
     depth_m = median_middle_depth_m(case.sequence, frames)
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)

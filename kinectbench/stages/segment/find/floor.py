@@ -85,7 +85,7 @@ class Floor:
             held; NaN if it is not known.
         found: False if it is not a measured plane but `level_floor`.
         scale: `distance_scale`, by which the cuts of the settings are multiplied.
-        choice: the planes among which it was chosen; none for a given plane.
+        choice: the planes among which it was chosen; none if a person gave the plane.
         given: whether a person gave the plane.
         against: objections to a given plane, or to cameras upside down, one line each.
     """
@@ -150,7 +150,7 @@ def find_floor(
         T_world_camera: (m, 4, 4) poses of the good frames.
         focus_world: (3,) where the cameras look.
         seed: seed of RANSAC.
-        hint: gravity, and a given plane.
+        hint: gravity, and the plane that a person gave.
 
     Raises:
         SegmentationError: no plane can be the floor, or the cameras are below the given plane.
@@ -198,8 +198,8 @@ def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_wo
 def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
     """Whether a plane that was found by turning the cameras by 180 degrees is clearly the floor.
 
-    It has enough surface, and enough cameras above it. The cameras do not look down steeply: a wall seen from
-    above looks like a floor seen steeply and upside down.
+    It must have enough surface, and enough cameras above it, which must not look down steeply: a wall seen
+    from above looks like a floor seen steeply and upside down.
     """
     upright = float(np.median(-T_world_camera[:, :3, 1] @ chosen.plane[:3]))
     seen = chosen.inlier_share >= LEAST_UPSIDE_DOWN and chosen.above_share >= REPORTED_ABOVE_SHARE

@@ -166,7 +166,7 @@ NO_CHOICE = PlaneChoice(None, ())
 def choose_plane(
     surface: SceneSurface, T_world_camera: Float64, up_world: Float64 | None, seed: int
 ) -> PlaneChoice:
-    """Choose the plane that the object stands on, of up to six for each way of holding the cameras.
+    """Choose the plane that the object stands on, from up to six for each way of holding the cameras.
 
     The plane with most evidence decides which way is up, even if it is the top of something. Of the planes
     that face up that way and have hardly any surface below them, the one with most evidence is the floor; but

@@ -39,8 +39,8 @@ class FloorHint:
 
     Attributes:
         up_world: (3,) unit, up by gravity, or None.
-        plane_world: (4,) a given plane: a, b, c, d with unit (a, b, c) up and a x + b y + c z + d = 0,
-            metres; or None.
+        plane_world: (4,) the plane that a person gave: a, b, c, d with unit (a, b, c) up and a x + b y + c z
+            + d = 0, metres; or None.
         middle_depth_m: median depth in the middle of the images, at which the cameras look (`looked_at`);
             None: they look at where their axes meet.
         picked_world: (3,) a point on the object that a person picked; it replaces where the cameras look.
@@ -83,7 +83,7 @@ def floor_hint(
     plane: Sequence[float] | None = None,
     picked_world: Float64 | None = None,
 ) -> FloorHint:
-    """`hint_of` a recording, completed by the depth in the middle of its images and a picked point."""
+    """The hint from `hint_of`, with the depth in the middle of the images and a picked point added."""
     good = trajectory.good_frames
     hint = hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
     middle_depth_m = median_middle_depth_m(sequence, good)
@@ -93,7 +93,7 @@ def floor_hint(
 def hint_of(
     known: KnowsUp, stamps_ns: Int64, T_world_camera: Float64, plane: Sequence[float] | None = None
 ) -> FloorHint:
-    """The hint by a recording's gravity and a given plane, in the world of the poses.
+    """Make a hint from a recording's gravity and a person's plane, in the world of the poses.
 
     Gravity is converted frame by frame, so that it holds where given poses were refined or ignored. Some
     drivers give acceleration the opposite sign: it is ignored if the cameras would be upside down.
@@ -102,7 +102,7 @@ def hint_of(
         known: the recording, with its given trajectory, if any.
         stamps_ns: (n,) of the frames with a pose.
         T_world_camera: (n, 4, 4) their poses.
-        plane: a given plane (a, b, c, d) in that world, its normal of any length but 0.
+        plane: the plane (a, b, c, d) that a person gave in that world, its normal of any length but 0.
     """
     plane_world = None if plane is None else np.array(plane) / np.linalg.norm(plane[:3])
     if known.up_world is not None and known.given_trajectory is not None:

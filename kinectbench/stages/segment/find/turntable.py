@@ -168,11 +168,11 @@ def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
 def _plate_m(
     floor: Floor, watched: Watched, camera: Camera, moving_floor: Float64, center: Float64, radius_m: float
 ) -> float:
-    """Height of the support of the turning object above the plane of the floor, metres.
+    """Height of the support of the turning object above the plane `floor`, metres.
 
-    The support is a round plate, which is level and looks still, and below whose top nothing moves; or the
-    floor, where a plane fitted to the floor and a low plate passes below the object. `moving_floor` (n, 3)
-    are the moving points, `center` (2,) is their middle, both in the floor frame.
+    The support is the top of a round plate, which is level and looks still, and below which nothing moves; or
+    it is the floor itself, as a plane fitted to the floor and a low plate together may pass below the object.
+    `moving_floor` (n, 3) are the moving points, `center` (2,) is their middle, both in the floor frame.
     """
     lowest_m = float(np.quantile(moving_floor[:, 2], LOWEST_SHARE))
     surface = camera.backproject(watched.still_m)

@@ -125,10 +125,10 @@ def find_frontiers(
 ) -> tuple[Frontier, ...]:
     """Find every frontier above a minimum area, the one with the largest volume behind it first.
 
-    A frontier is the boundary of a piece of unknown voxels (26 neighbours) with free space. `look_from` is,
-    of the directions that show most of the piece or nearly so, the nearest to hand-held cameras. Unknown
-    layers thinner than a line of sight have no frontier, except undersides. `T_floor_grid` (4, 4) is that of
-    the solid's grid.
+    A frontier is the boundary of a piece of unknown voxels (26 neighbours) with free space. Of the directions
+    that show most of the piece or nearly so, it is looked into along the one most like hand-held cameras'.
+    Unknown layers thinner than a line of sight have no frontier, except undersides. `T_floor_grid` (4, 4)
+    maps the solid's grid to the floor frame.
     """
     from scipy import ndimage
 
@@ -172,7 +172,7 @@ def find_frontiers(
 def _large_pieces(
     shape: SolidShape, region: Bools, limits: SensorLimits, underside: bool
 ) -> tuple[NDArray[np.int32], int]:
-    """The number of each voxel's piece, from 1, 0: in no large piece; and the number of large pieces."""
+    """The piece of each voxel, numbered from 1 (0: in no large piece), and the number of pieces."""
     from scipy import ndimage
 
     cells = max(1, round(limits.line_width_m / shape.grid.voxel_size_m))

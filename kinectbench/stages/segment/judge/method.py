@@ -25,7 +25,7 @@ from kinectbench.stages.segment.solid.evidence import Rules
 
 
 def _curve(at: NDArray[np.floating], share: NDArray[np.floating]) -> Curve:
-    """Support points and values of an interpolated probability, for the record."""
+    """An interpolated probability as pairs (x, probability), rounded for quality.json."""
     return tuple((round(float(x), 4), round(float(y), 4)) for x, y in zip(at, share, strict=True))
 
 

@@ -144,7 +144,7 @@ def _between(one: Sampled, T_one: Float64, other: Sampled, T_other: Float64) -> 
 
 
 def _lies_across(mesh: TriangleMesh) -> bool:
-    """Whether so many faces of a mesh overlap that computing distances from it might never end."""
+    """Whether so many faces of a mesh overlap that computing distances from it may take far too long."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     cells = (mesh.vertices - low) * (FULL_CELLS / max(float((high - low).max()), 1e-9))
     return costs_too_much(cells[:, :2], mesh.faces, (FULL_CELLS, FULL_CELLS))

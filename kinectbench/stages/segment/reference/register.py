@@ -251,10 +251,10 @@ def about(axis: Float64, angle_rad: float) -> Float64:
 
 
 def residual_m(ours: Sampled, theirs: Sampled, T: Float64, samples: int, exact: bool = True) -> float:
-    """Mean distance of object and reference in both directions, metres, where both were measured.
+    """Mean distance between object and reference in both directions, where the object was measured, metres.
 
-    It is that from the object's measured samples, and from those samples of the reference whose nearest
-    sample of the object was measured and faces the same way.
+    It is the mean of two: of the object's measured samples from the reference, and back from those samples of
+    the reference whose nearest sample of the object was measured and faces the same way.
 
     Args:
         ours: the object.

@@ -51,8 +51,6 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
         RecordingError: the mesh cannot be read.
         ShapeError: it is open, or cannot be voxelised.
         SegmentationError: it is that of another object.
-        ShapeError: it is open, or cannot be voxelised.
-        SegmentationError: it is that of another object.
     """
     reference = read_reference(path)
     if not reference.closed:

@@ -36,10 +36,10 @@ NARROWER = 0.5
 
 @dataclass(frozen=True)
 class FloorLayers:
-    """Layers of an upright grid about the floor, from the grid's bottom up.
+    """Numbers of layers of an upright grid about the floor, from the grid's bottom up.
 
     Attributes:
-        below: layers below the floor.
+        below: number of layers below the floor.
         contact: layers above it in which the floor and the object look the same.
         low: layers above those. A surface there belongs to the object only if it continues above them.
     """
