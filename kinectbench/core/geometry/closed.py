@@ -9,10 +9,10 @@ SAME_PLACE_M = 1e-8
 
 
 def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
-    """The mesh with vertices at the same place joined into one, without the faces that collapse by that.
+    """The mesh with vertices at the same place joined into one, and without faces that collapse by that.
 
-    Such a face has no area, and its edges have no partner. Marching cubes makes them where a value is exactly
-    that of the surface, and the poles of a sphere of latitudes have them.
+    A collapsed face has no area, and its edges have no partner. Marching cubes makes such faces where a value
+    lies exactly on the level, and a sphere of latitudes and longitudes has them at its poles.
     """
     places = np.round(vertices / SAME_PLACE_M).astype(np.int64)
     order = np.lexsort(places.T).astype(np.int32)
@@ -33,7 +33,7 @@ def three_corners(faces: Int32) -> Bools:
 def is_closed(faces: Int32) -> bool:
     """Whether each edge belongs to exactly two triangles that run along it in opposite directions.
 
-    No faces are not closed.
+    A mesh without faces is not closed.
     """
     from kinectbench.core.geometry.pieces import sorted_edges
 

@@ -78,8 +78,8 @@ TOO_FAR = f"depth beyond {MOST_MM / 1000:g} m"
 def depth_in_mm(depth_m: Float32) -> NDArray[np.uint16]:
     """Depth of any shape in metres as whole millimetres, 0 = no measurement.
 
-    Depth beyond 65.535 m does not fit into 16 bits and becomes 0. The largest value instead would be a
-    surface that was never measured.
+    Depth beyond 65.535 m does not fit into 16 bits and becomes 0. Clamping it would create a surface that was
+    never measured.
     """
     depth_mm = np.rint(depth_m * 1000)
     return np.where((depth_mm > 0) & (depth_mm <= MOST_MM), depth_mm, 0).astype(np.uint16)
@@ -92,7 +92,7 @@ def too_far_for_mm(depth_m: Float32) -> float:
 
 
 def legendre_terms(u: NDArray[np.floating], v: NDArray[np.floating], width: int, height: int) -> Float64:
-    """Products of Legendre polynomials at pixels mapped to -1 ... 1: (m, number of terms)."""
+    """Products of Legendre polynomials at pixels (m,), mapped to -1 ... 1: (m, number of terms)."""
     columns = np.polynomial.legendre.legvander(2 * (u + 0.5) / width - 1, DEGREE)
     rows = np.polynomial.legendre.legvander(2 * (v + 0.5) / height - 1, DEGREE)
     return np.stack([columns[:, i] * rows[:, j] for i, j in TERMS], axis=1)

@@ -28,7 +28,7 @@ class NormalEquations:
 
     @classmethod
     def of_prior(cls, information: Float64, state: Float64) -> "NormalEquations":
-        """Equations of a prior: the state (n,) is 0 with information (n, n); maximum a posteriori."""
+        """Equations of the prior that the state (n,) is 0 with information (n, n); maximum a posteriori."""
         return cls(information, -information @ state)
 
     @classmethod
@@ -86,8 +86,9 @@ def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int
 def eliminated(products: Float64, first: int, information: Float64) -> tuple[Float64, Float64]:
     """Eliminate the first unknowns from `weighted_products` (n, n), residual last, by the Schur complement.
 
-    The eliminated unknowns have a prior with information (first, first). With the second result F, of shape
-    (first, n - first), they follow from the remaining unknowns x: F[:, -1] - F[:, :-1] x.
+    The eliminated unknowns have a prior with information (first, first). Returns the products of the
+    remaining unknowns x, and F, of shape (first, n - first), by which the eliminated ones follow: F[:, -1] -
+    F[:, :-1] x.
     """
     own = products[:first, :first] + information
     follows = np.asarray(np.linalg.solve(own, products[:first, first:]), np.float64)

@@ -157,7 +157,7 @@ def poisson_surface(points: Float64, normals: Float64, depth: int, cube: float) 
     """Screened Poisson surface reconstruction (M. Kazhdan and H. Hoppe 2013; Open3D).
 
     Args:
-        points: (n, 3), not all at the same place.
+        points: (n, 3), not all at one point.
         normals: (n, 3) of length 1, outward.
         depth: depth of the octree: at most 2^depth cells along the cube, which bounds time and memory.
         cube: edge of the cube relative to the points' box; a surface that reaches the cube is open there.

@@ -29,13 +29,13 @@ def ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, in
 
 
 def refine(points: Float64, plane: Float64, reach_m: float, inlier_m: float) -> Float64:
-    """Fit a plane to its inliers by least squares, eight times, with new inliers within 3 robust deviations.
+    """Fit a plane (4,) to its inliers by least squares, eight times; inliers are chosen again each time.
 
     Args:
         points: (n, 3), metres.
         plane: (4,) the initial plane.
         reach_m: largest distance of an inlier in the first fit.
-        inlier_m: in later fits, the largest distance of an inlier is half to twice this.
+        inlier_m: in later fits, inliers lie within 3 robust deviations, limited to half to twice this.
     """
     for _ in range(8):
         distance_m = points @ plane[:3] + plane[3]

@@ -30,7 +30,7 @@ def rigid(rotation: ArrayLike, translation_m: ArrayLike) -> Float64:
 
 
 def is_rigid(T: Float64) -> bool:
-    """Whether a (4, 4) matrix is a rotation (orthonormal, determinant +1) and a shift."""
+    """Whether a (4, 4) matrix is a rotation (orthonormal, determinant +1) and a translation."""
     R = T[:3, :3]
     return bool(
         np.allclose(R @ R.T, np.eye(3), rtol=0, atol=ORTHONORMAL_TOLERANCE)
@@ -157,7 +157,7 @@ def rigid_from_twist(twist: NDArray[np.floating]) -> Float64:
 
 
 def on_so3(T: Float64) -> Float64:
-    """Project the rotation of T (4, 4) onto SO(3): products of many transforms drift off, ever faster."""
+    """Project the rotation of T (4, 4) onto SO(3), from which products of many transforms drift away."""
     return rigid(closest_rotation(T[:3, :3]), T[:3, 3])
 
 

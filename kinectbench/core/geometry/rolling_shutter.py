@@ -138,7 +138,7 @@ def _ascending(stamps_s: Float64) -> Float64:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
-    """Where a point (x, y, 1) / over_z at mid-readout is `since_s` later, in camera axes, times over_z."""
+    """A point (x, y, 1) / over_z at mid-readout, in the axes of the camera `since_s` later, times over_z."""
     half_s = 0.5 * since_s
     ax = since_s * (motion[0] + half_s * motion[6])
     ay = since_s * (motion[1] + half_s * motion[7])
@@ -157,7 +157,7 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
-    """The source pixel of each pixel of the corrected image: u and v, (height, width) each."""
+    """The pixel of the recorded image for each pixel of the corrected one: u and v, (height, width) each."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     at_u, at_v = np.empty((height, width), np.float32), np.empty((height, width), np.float32)

@@ -12,8 +12,8 @@ TOLERANCE_CELLS = 1e-7
 def filled_hull(occupied: Bools) -> Bools:
     """Fill the convex hull of the set cells' centres: (n, n, n) bool in and out.
 
-    A cell is set if its centre lies in the hull or on it. Where the set cells are flat, or fewer than four,
-    they are their own hull.
+    A cell is set if its centre lies in the hull or on it. Set cells that lie in a plane, or are fewer than
+    four, are returned unchanged.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -48,10 +48,10 @@ def _column_ends(occupied: Bools) -> NDArray[np.float64]:
 def _intervals(
     facets: NDArray[np.int64], planes: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-    """First and last cell along z between the lower and the upper facets, for columns that cross the hull.
+    """First and last cell along z, (nx, ny) each, between the lower and the upper facets of a hull.
 
-    A column meets one upper and one lower facet, which are the tightest bounds on it: each plane is only
-    applied to the columns in its facet's own rectangle.
+    They are valid for columns that cross the hull. Such a column meets one upper and one lower facet, which
+    are its tightest bounds, so each plane is only applied to the columns in its facet's bounding rectangle.
 
     Args:
         facets: (f, 3, 3) corners of the triangles, cells.

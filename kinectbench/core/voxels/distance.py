@@ -11,13 +11,14 @@ from kinectbench.core.types import Bools, Float32
 def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float32:
     """Distance of each voxel to the nearest set one: exact, and infinite beyond a limit.
 
-    Squared distances are separable: along each axis in turn, each voxel takes the least of its neighbours'
-    and of the way to them (Felzenszwalb, Huttenlocher: Distance Transforms of Sampled Functions, 2012). As
-    few neighbours count as the limit asks for, they are tried one by one. Of 11 M voxels as far as 15 of them
-    takes a tenth of the time of scipy's `distance_transform_edt`, whose distances have no limit.
+    Squared distances are separable: along each axis in turn, each voxel takes the minimum, over its
+    neighbours, of their value plus the squared distance to them (Felzenszwalb, Huttenlocher: Distance
+    Transforms of Sampled Functions, 2012). Only the few neighbours within the limit are tried, one by one.
+    For 11 M voxels and a limit of 15 voxels, this takes a tenth of the time of scipy's
+    `distance_transform_edt`, which has no limit.
 
     Args:
-        of: (nx, ny, nz) bool.
+        of: (nx, ny, nz) bool, the set voxels.
         voxel_size_m: edge of a voxel, metres.
         within_m: distances beyond it, cut to whole voxels, are infinite; metres.
 

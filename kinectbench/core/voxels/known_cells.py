@@ -61,7 +61,7 @@ def known_in(fine: KnownGrid, coarse: KnownGrid, grid: Grid) -> NDArray[np.uint8
 
 
 def _index_map(to: Grid, grid: Grid) -> Float64:
-    """(3, 4) affine map from half-integer cell coordinates of one grid to cell coordinates of another."""
+    """(3, 4) affine map from cell centres (i + 0.5, ...) of `grid` to coordinates in cells of `to`."""
     T = to.T_grid_world @ grid.T_world_grid
     scale = grid.voxel_size_m / to.voxel_size_m
     return np.concatenate([T[:3, :3] * scale, T[:3, 3:] / to.voxel_size_m], axis=1)
@@ -112,7 +112,7 @@ def _known_in(fine, coarse, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _block_state(level, i, j, k):  # type: ignore[no-untyped-def]
-    """The common state of all tiles below the centres of 8^3 cells, and whether all lie in the grid."""
+    """The common state, else MIXED, of the tiles that hold the centres of 8^3 cells; and if all exist."""
     known, tiles, M = level
     x0, x1, in_x = _reach(M[0], i, j, k, known.shape[0])
     y0, y1, in_y = _reach(M[1], i, j, k, known.shape[1])
@@ -131,7 +131,7 @@ def _block_state(level, i, j, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(row, i, j, k, count):  # type: ignore[no-untyped-def]
-    """Along one axis: first and last tile of a block (none: last < first), and if all is inside."""
+    """Along one axis: first and last tile of a block (none: last < first), and if the block is inside."""
     half = BLOCK / 2
     middle = row[0] * (i + half) + row[1] * (j + half) + row[2] * (k + half) + row[3]
     reach = (BLOCK - 1) / 2 * (abs(row[0]) + abs(row[1]) + abs(row[2])) + SLACK
@@ -144,7 +144,7 @@ def _reach(row, i, j, k, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
-    """The bytes (8, 8) of a block whose centres all lie in one grid, along z."""
+    """Set the bytes (8, 8), each 8 cells along z, of a block whose centres all lie in one grid."""
     known, _, M = level
     for a in range(BLOCK):
         for b in range(BLOCK):
@@ -160,7 +160,7 @@ def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
-    """The bytes (8, 8) of a block that crosses the end of a grid."""
+    """Set the bytes (8, 8), each 8 cells along z, of a block that crosses the border of a grid."""
     for a in range(BLOCK):
         for b in range(BLOCK):
             at_fine, at_coarse = _centre(fine[2], i + a, j + b, k), _centre(coarse[2], i + a, j + b, k)

@@ -1,7 +1,8 @@
 """Voxels of an upright grid that a camera sees along a straight line: sweeps over sampled directions.
 
-A sweep walks all lines of one direction at once, slice by slice from the cameras' end, and keeps for each
-the distance of the farthest camera behind it that nothing hides. So a direction costs one look at each voxel.
+A sweep follows all lines of one direction at once, slice by slice from the cameras' end. For each line it
+keeps the distance of the farthest camera from which nothing hides the line's current voxel. A direction thus
+visits each voxel once.
 """
 
 from collections.abc import Iterator
@@ -37,11 +38,12 @@ class Space:
     """Where lines of sight pass and cameras can be, on an upright grid.
 
     Attributes:
-        state: (nx, ny, nz) uint8, its last axis up: PASSABLE, PLACE or BLOCKED.
+        state: (nx, ny, nz) uint8, its last axis up: PASSABLE, PLACE (passable, and a camera can be there) or
+            BLOCKED.
         heights_m: (nz,) float32, of the layers' middles above the floor; infinite without one.
         voxel_size_m: edge of a voxel.
-        near_m: the camera's minimum range.
-        least_height_m: a camera beyond the grid is at least so high.
+        near_m: the camera's minimum range, metres.
+        least_height_m: least height of a camera beyond the grid above the floor, metres.
     """
 
     state: NDArray[np.uint8]
@@ -52,17 +54,17 @@ class Space:
 
     @property
     def lengths_m(self) -> tuple[np.float32, np.float32, np.float32]:
-        """Voxel size, least distance and least height, in the kernels' form."""
+        """Voxel size, minimum range and least height of a camera, metres, as float32 for the kernels."""
         return np.float32(self.voxel_size_m), np.float32(self.near_m), np.float32(self.least_height_m)
 
 
 def directions(count: int) -> Float64:
     """Unit vectors (n, 3), from a point to a camera: a Fibonacci lattice, and level and upright ones.
 
-    What stands on a floor has its narrow gaps along these.
+    Level and upright directions are added because the narrow gaps of objects on a floor run along them.
 
     Args:
-        count: of the lattice; as many are level as its spacing asks for.
+        count: number of directions of the lattice; level ones have the same spacing.
     """
     at = np.arange(count) + 0.5
     z = 1 - 2 * at / count
@@ -74,10 +76,10 @@ def directions(count: int) -> Float64:
 
 
 def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
-    """Visibility of each voxel along these directions, from cameras in some PLACE or beyond the grid.
+    """Visibility of each voxel along these directions, from cameras in a PLACE or beyond the grid.
 
-    Beyond the grid nothing hides a camera, and it can be wherever it is high enough. Lines are walked from
-    voxel to voxel: one slice of the grid along their main axis a step.
+    Beyond the grid nothing hides a camera, and it can be anywhere that is high enough. Lines are followed
+    from voxel to voxel, at each step by one slice of the grid along their main axis.
 
     Args:
         space: the voxels.
@@ -103,7 +105,7 @@ def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> N
         pieces: (nx, ny, nz), the number of each voxel's piece, from 1 to k; 0: of none.
 
     Returns:
-        (n, k + 1).
+        (n, k + 1), by direction and number of piece; column 0 is 0.
     """
     count = int(pieces.max()) + 1
     seen = np.zeros((len(to_camera), count), np.int64)
@@ -120,7 +122,7 @@ def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> N
 
 @dataclass(frozen=True)
 class _Turned:
-    """A space with one of its axes first, and the indices of directions whose main axis it is."""
+    """A space with one of its axes first, and the indices of the directions whose main axis that is."""
 
     space: Space
     state: NDArray[np.uint8]
@@ -128,7 +130,7 @@ class _Turned:
     ways: NDArray[np.int64]
 
     def seen_along(self, to_camera: Float64) -> NDArray[np.uint8]:
-        """The voxels seen along directions (n, 3), as the function has them, with the axes of `state`."""
+        """`seen_along` for directions (n, 3) with this main axis; the result has the axes of `state`."""
         seen = np.zeros(self.state.shape, np.uint8)
         flat, up_axis = (self.state.reshape(-1), seen.reshape(-1), seen.shape), self.order.index(2)
         n0, n1, n2 = self.state.shape
@@ -142,7 +144,7 @@ class _Turned:
 
 
 def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
-    """The space for each main axis that the directions (n, 3) have."""
+    """Yield the space, turned, for each axis that is the main axis of some of the directions (n, 3)."""
     main = np.argmax(np.abs(to_camera), axis=1)
     for axis in np.unique(main).tolist():
         # So that a slice lies in one piece, with the axis that varies fastest at its end.
@@ -153,7 +155,7 @@ def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _beyond(height, up, least):  # type: ignore[no-untyped-def]
-    """Farthest camera beyond the grid along a direction, for a voxel of this height."""
+    """Distance of the farthest camera beyond the grid for a voxel of this height, metres; negative: none."""
     if up > _LEVEL:
         return _FAR
     if up > -_LEVEL:
@@ -166,8 +168,8 @@ def _beyond(height, up, least):  # type: ignore[no-untyped-def]
 def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
     """Mark the voxels seen along directions (n, 3) whose main axis comes first; `state` and `seen` are flat.
 
-    `lines` (n, room) has a number for each line, as the voxels of the slice have it: 0 without a camera
-    behind it, 2 at a camera, and one more with each step, up to the number that is enough.
+    `lines` (n, room) has a counter for each line of each direction: 0 without a camera behind it, 2 at a
+    camera, and one more with each step, until it is enough for the camera's minimum range.
     """
     n0, n1, n2 = shape
     entering, enough = np.empty((len(ways), len(heights_m)), lines.dtype), np.empty(len(ways), lines.dtype)
@@ -203,7 +205,7 @@ def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m,
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Set the numbers of lines a step before they come in, by layer; returns the number that is enough."""
+    """Set, by layer, the counters of lines one step before they enter; returns the one that is enough."""
     enough = 2 + _steps(np.float32(0), step_m, near_m, slices)
     for layer in range(len(heights_m)):
         far_m = _beyond(heights_m[layer], up, least_m)
@@ -225,7 +227,7 @@ def _steps(far_m, step_m, near_m, most):  # type: ignore[no-untyped-def]
 # Runs on 32 voxels at once, if indices cannot be negative and no number is wider than in `lines`.
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no-untyped-def]
-    """Carry the lines of a slice a step farther, past its obstacles, and mark its visible voxels."""
+    """Advance the lines of a slice by one step: update their counters, and mark the visible voxels."""
     own, first, kind = np.uintp(begin), np.uintp(to), lines.dtype.type
     for n in range(count):
         at, line = own + np.uintp(n), first + np.uintp(n)
@@ -240,13 +242,13 @@ def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no
 def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
     """Refine visibility along further directions, only at the edge of the visible region.
 
-    Few directions pass a narrow gap. All points of a line up to its camera are seen, too: so new
-    voxels border on seen ones. Tests voxel by voxel, from the edge on.
+    Few directions pass a narrow gap. If a voxel is seen, so are all points between it and the camera; newly
+    seen voxels are therefore next to seen ones. Voxels are tested one by one, from that edge on.
 
     Args:
         space: the voxels.
-        seen: by `seen_along`.
-        to_camera: (n, 3) unit vectors, more of them.
+        seen: result of `seen_along`.
+        to_camera: (n, 3) unit vectors, from a point to a camera: the further directions.
 
     Returns:
         As `seen_along`.
@@ -312,7 +314,7 @@ def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ig
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sees(state, i, j, k, way, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Whether a voxel is seen along a direction."""
+    """Whether some camera sees a voxel (i, j, k) along a direction."""
     nx, ny, nz = state.shape
     along = max(abs(way[0]), abs(way[1]), abs(way[2]))
     dx, dy, dz = way[0] / along, way[1] / along, way[2] / along

@@ -56,7 +56,7 @@ def containment_of_cells(cells: Int64, full: Packed) -> float:
     """Share of a partial view's cells inside the full shape, dilated by one cell.
 
     Args:
-        cells: (n, 3) int64, cells of 4^3 of `full`, in any number each, also out of bounds.
+        cells: (n, 3) int64, blocks of 4^3 cells of `full`; they may repeat, and lie out of bounds.
         full: (m, m, m / 8) uint8, packed, over the same box.
 
     Returns:
@@ -115,10 +115,10 @@ def _shell(full):  # type: ignore[no-untyped-def]
 
 
 def opened(mask: Bools, size: Sequence[int]) -> Bools:
-    """Binary opening by a box: what some box of set cells covers.
+    """Binary opening by a box: the cells that lie in some box of set cells.
 
-    As `scipy.ndimage.binary_opening` with a structure of ones, several times as fast: a box is a run along
-    each axis, and a long run is two shorter ones.
+    The result is that of `scipy.ndimage.binary_opening` with a structure of ones, several times as fast: a
+    box is a run along each axis, and a long run is two shorter ones.
 
     Args:
         mask: bool; outside of it nothing is set.
@@ -137,7 +137,7 @@ def opened(mask: Bools, size: Sequence[int]) -> Bools:
 
 
 def broad(mask: Bools, cells: int) -> Bools:
-    """The parts of a mask that are at least so many cells thick: its opening by a cube, with the corners.
+    """The parts of a mask at least `cells` thick: its opening by a cube, with the corners that this cuts off.
 
     Args:
         mask: bool, of any shape.

@@ -58,17 +58,17 @@ def read_npy(
 
     Args:
         file: at its start; a zip's entry, for example.
-        size: bytes in it, as far as is known: the most that is allocated.
+        size: number of bytes in it, which its header must claim; no more is allocated.
         check: checks the header before allocation; its exceptions pass through.
 
     Returns:
-        A new array, in the shape, byte order and dtype that the header says. Of bytes in memory that nobody
-        else holds it is a view, which can be written.
+        An array in the shape, byte order and dtype of the header: a new one, or, for an `io.BytesIO`, a
+        writable view of its memory.
 
     Raises:
-        NpyError: not an npy stream, pickled objects, cut short, longer than it claims, or texts of what are
-            no characters.
-        OSError, EOFError, zlib.error, zipfile.BadZipFile: as the stream's own reader says.
+        NpyError: not an npy stream, pickled objects, cut short, longer than it claims, or texts with
+            invalid characters.
+        OSError, EOFError, zlib.error, zipfile.BadZipFile: from the stream's own reader.
     """
     header = read_npy_header(file)
     if check is not None:
@@ -101,7 +101,7 @@ def _copied(file: IO[bytes], header: NpyHeader) -> NDArray[np.generic]:
 def _in_place(file: io.BytesIO, header: NpyHeader) -> NDArray[np.generic]:
     """A flat view of data in memory.
 
-    To copy the grids of a pair takes as long as to inflate them: 3 ms, most of it for fresh pages.
+    Copying the grids of a pair would take as long as inflating them: 3 ms, most of it for fresh pages.
     """
     view = file.getbuffer()[file.tell() :]
     if len(view) < header.data_bytes:

@@ -44,7 +44,7 @@ def npz_bytes(arrays: Mapping[str, NDArray[np.generic]], level: int = 6) -> byte
 
     Args:
         arrays: name -> array, written in this order.
-        level: of the deflate compression, 1 (fast) to 9.
+        level: level of the deflate compression, 1 (fast) to 9.
     """
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=level) as archive:
@@ -63,15 +63,15 @@ def open_npz(file: IO[bytes], most_bytes: int, most_arrays: int = MOST_ARRAYS) -
     """Open an untrusted npz; all entries are checked before unpacking.
 
     Entries are plain `<name>.npy`, stored or deflated, not encrypted, none twice, and together within bounds.
-    To be read by `read_npy`, with the entry's `file_size`.
+    `read_npy` reads an entry, with its `file_size`.
 
     Args:
         file: open to read; it stays open.
-        most_bytes: that its arrays may claim together, unpacked.
-        most_arrays: that it may hold; their number is known from the archive's last bytes.
+        most_bytes: the most bytes that its arrays may claim together, unpacked.
+        most_arrays: the most arrays that it may hold; their number is known from the archive's last bytes.
 
     Raises:
-        NpyError: one of this is not so; the message says which.
+        NpyError: an entry breaks one of these rules; the message says which.
         zipfile.BadZipFile: it is not an npz, or damaged.
     """
     if file.read(len(MAGIC)) == MAGIC:
@@ -100,7 +100,8 @@ def load_arrays(path: Path, most_bytes: int = BUILD_BYTES) -> Arrays:
 
     Args:
         path: the file.
-        most_bytes: that its arrays may take together, unpacked; a larger file is not read either.
+        most_bytes: the most bytes that its arrays may take together, unpacked; a larger file is not read
+            either.
 
     Raises:
         UNREADABLE: one of these exceptions, if the file is missing, damaged, no npz, or larger.
@@ -119,9 +120,9 @@ def arrays_of(
 
     Args:
         file: open to read; it stays open.
-        most_bytes: that its arrays may take together, unpacked.
-        names: of those that are read; the others are not unpacked.
-        absent: what takes the place of an array that it does not hold.
+        most_bytes: the most bytes that its arrays may take together, unpacked.
+        names: names of the arrays to read; the others are not unpacked.
+        absent: default, by name, of arrays that the file does not hold.
 
     Raises:
         UNREADABLE: one of these exceptions, if it is damaged, no npz, or lacks one of the arrays.
@@ -142,7 +143,7 @@ def arrays_of(
 
 @cache
 def _reuse_memory() -> None:
-    """Let the C library keep up to twice this much freed memory for reuse.
+    """Let the C library keep up to twice `REUSED_BYTES` of freed memory for reuse.
 
     Fresh pages take longer than inflating: all grids of a pair are read in 5 ms, and in 10 ms without this.
     glibc goes by the largest block that was freed so far (mallopt(3), M_MMAP_THRESHOLD); others ignore it.
@@ -151,7 +152,7 @@ def _reuse_memory() -> None:
 
 
 def _read(file: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[np.generic]:
-    """The array of an entry that `open_npz` let pass."""
+    """The array of an entry that `open_npz` accepted."""
     large = max(entry.file_size, entry.compress_size) > AT_ONCE_BYTES
     if large or entry.compress_type != zipfile.ZIP_DEFLATED:
         with archive.open(entry) as stream:
@@ -202,7 +203,7 @@ _MADE_BY, _ATTRIBUTES = struct.pack("<H", 3 << 8 | 20), struct.pack("<3HI", 0, 0
 
 
 def packed_npz_bytes(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
-    """The same as `npz_bytes`, with matches of runs only (zlib's Z_RLE).
+    """`npz_bytes` for packed grids: deflate looks for runs of equal bytes only (zlib's Z_RLE).
 
     On packed solids it takes two thirds of the time of level 3 for the same size. The layout is that of
     PKWARE's APPNOTE, sections 4.3.7 (local header), 4.3.12 (directory) and 4.3.16 (its end).
@@ -236,7 +237,7 @@ def _entry(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
 
 @lru_cache(maxsize=8)
 def _constant_entry(shape: tuple[int, ...], value: int) -> tuple[bytes, bytes]:
-    """`known` of most synthetic pairs, which is constant and cached."""
+    """The entry of a constant array, cached: `known` of most synthetic pairs is one."""
     return _deflated(np.full(shape, value, np.uint8))
 
 
@@ -252,7 +253,7 @@ def _deflated(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
 
 @cache
 def _zlib() -> ModuleType:
-    """zlib-ng, three times as fast; it finds the same runs, so the bytes are the same as zlib's."""
+    """zlib-ng, three times as fast, or else zlib; both find the same runs, so the bytes are the same."""
     try:
         return import_module("zlib_ng.zlib_ng")
     except ImportError:

@@ -35,10 +35,9 @@ class Observation:
     Attributes:
         grid: the voxels.
         tsdf: float32, metres, positive in front of the surface; 0 where weight is 0.
-        weight: float32, 1/mm^2, as if frames that see a voxel hidden counted in full (`evident_weight`);
-            0 = never observed.
+        weight: float32, 1/mm^2, without the decay behind surfaces (`evident_weight`); 0 = never observed.
         free: uint16, frames that saw through; 65,535 stands for as many or more.
-        surface: uint16, frames that measured a surface there, or less than the truncation before it.
+        surface: uint16, frames that measured a surface there, or behind it by less than the truncation.
     """
 
     grid: Grid
@@ -49,7 +48,7 @@ class Observation:
 
 
 def merge(first: Observation, second: Observation) -> Observation:
-    """Merge two disjoint sets of frames: weighted mean of the TSDFs, sums of the votes.
+    """Merge observations from two disjoint sets of frames: weighted mean of the TSDFs, sums of the votes.
 
     A sum of votes is at most 65,535.
     """
@@ -98,10 +97,10 @@ def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) 
 
 
 def pose_reach_m(median_pose_sigma_m: float | None) -> float:
-    """Three sigmas of a usual pose that was checked, metres; 0 if none was (None).
+    """Three times the median pose error, metres; 0 if no pose was checked (None).
 
-    Without any figure the largest plausible error would set the truncation, in which thin parts vanish even
-    where the poses are right: with 75 mm, F at 5 mm of a simulated chair falls from 0.99 to 0.28.
+    Assuming the largest plausible error instead of 0 would widen the truncation so much that thin parts
+    vanish even where the poses are right: with 75 mm, F at 5 mm of a simulated chair falls from 0.99 to 0.28.
     """
     return 0.0 if median_pose_sigma_m is None else POSE_SIGMAS * median_pose_sigma_m
 
@@ -111,8 +110,8 @@ def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: f
 
     Args:
         camera: of the depth images.
-        median_pose_sigma_m: by how much a usual pose may be off, metres; None if no pose was checked.
-        distance_m: from the cameras.
+        median_pose_sigma_m: median error of the poses, metres; None if no pose was checked.
+        distance_m: distance from the cameras, metres.
     """
     return float(np.hypot(distance_m / camera.fx, pose_reach_m(median_pose_sigma_m)))
 
@@ -131,16 +130,16 @@ def without_fringe(
 ) -> Float32:
     """The TSDF without edge artefacts: raised where frames saw through voxels behind the mean surface.
 
-    Where hardly any frame measures a surface, as at an underside seen at a grazing angle, those that see the
-    voxel hidden outweigh them, fade as they may. Frames that see through it are evidence, however little they
-    weigh.
+    Where hardly any frame measures a surface, as at an underside seen at a grazing angle, the frames in which
+    the voxel is hidden outweigh those few, although their weight decays. Frames that see through the voxel
+    are evidence that it is free, however small their weight.
 
     Args:
         tsdf: signed distances, metres, positive in front of the surface.
         free: votes for `free`, of the same shape.
         surface: votes for `surface`, of the same shape.
         voxel_size_m: edge of a voxel.
-        trust: the share of the votes that counts, `trust_in_votes`.
+        trust: share of the votes that counts, from `trust_in_votes`.
     """
     share = seen_through_share(free, surface)
     behind = np.maximum(tsdf / np.float32(voxel_size_m) + np.float32(UNDECIDED_VOXELS), np.float32(0))

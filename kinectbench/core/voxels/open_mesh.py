@@ -1,4 +1,4 @@
-"""A triangle mesh that need not be closed to a solid voxel grid, by the paper authors' rule."""
+"""Convert a triangle mesh, which need not be closed, to a solid voxel grid by the paper authors' rule."""
 
 import numba
 import numpy as np
@@ -41,7 +41,7 @@ def voxelize_open(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[
 
 
 def voxelize_surface(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:
-    """Cells whose edges cross a face of the mesh; else as `voxelize_open`."""
+    """Cells whose edges cross a face of the mesh; arguments and result are those of `voxelize_open`."""
     fixed = snapped_cells(vertices_world, grid)
     triangles = np.ascontiguousarray(faces, dtype=np.int32)
     packed = np.zeros((grid.shape[0], grid.shape[1], grid.shape[2] // 8), np.uint8)
@@ -69,7 +69,7 @@ def _mark_edges(fixed, faces, axes, shape, packed):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
-    """For each row of cells along w, the first and the last one between its first and last crossing.
+    """For each row of cells along w, the first and the last cell centre between its outermost crossings.
 
     Returns:
         first, last: (nu, nv) int16; first > last where there is none.

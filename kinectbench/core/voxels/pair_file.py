@@ -48,8 +48,8 @@ class Pair:
     Grid axes are the view's optical axes. Packed grids are uint8, (64, 64, 8) of `partial` and (256, 256, 32)
     of the others; matrices are float64. By "winding" a cell of `full` is occupied if its centre is inside a
     closed mesh; by "seeable" also where no camera could see it; "six-rays" is the authors' rule for meshes
-    that are not watertight. `interior` and `said` say by what `known` is known; None where that is unknown,
-    as in files of earlier versions.
+    that are not watertight. `interior` and `said` mark the cells of `known` that were not measured; they are
+    None if that is not recorded, as in files of earlier versions.
     """
 
     partial: Packed = field(
@@ -111,7 +111,7 @@ class Pair:
 
     @property
     def stated_unknown_share(self) -> float:
-        """The same as files state it, rounded."""
+        """`unknown_share`, rounded as files state it."""
         return round(self.unknown_share, SHARE_DECIMALS)
 
 
@@ -208,7 +208,7 @@ def pair_values(content: bytes, where: str) -> Arrays:
     """The arrays of an untrusted pair file by key, unchecked.
 
     Raises:
-        PairError: damaged, or claiming to hold more than a pair; the line begins with `where`.
+        PairError: damaged, or claiming to hold more than a pair; the message begins with `where`.
     """
     try:
         return arrays_of(io.BytesIO(content), MAX_BYTES)
@@ -232,7 +232,7 @@ def pair_parts(content: bytes, names: Collection[str]) -> list[FileArray]:
 
 
 def checked_parts(values: Arrays, names: Collection[str]) -> Arrays:
-    """Some arrays of a pair, with those of `names` checked.
+    """Check the arrays of a pair that `names` lists, and return all of them.
 
     Raises:
         ValueError: one of them is wrong.
@@ -253,7 +253,7 @@ def pair_keys(content: bytes) -> tuple[str, ...]:
 
 
 def keys_there(names: Sequence[str], content: bytes) -> list[str]:
-    """Some keys, without those that not every pair file has and this one lacks.
+    """The given keys, without optional ones that this file lacks.
 
     Raises:
         UNREADABLE: one of these exceptions, if it is damaged.
@@ -263,7 +263,7 @@ def keys_there(names: Sequence[str], content: bytes) -> list[str]:
 
 
 def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[np.generic]], where: str) -> AnyPair:
-    """The values of a pair file as a pair or an input; every key, shape and dtype is checked.
+    """Make a pair or an input from the values of a pair file; every key, shape and dtype is checked.
 
     Raises:
         PairError: a key is missing or wrong, or the format version is another; the line begins with `where`.
@@ -288,7 +288,7 @@ def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
 
 
 def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
-    """The fault of a pair file's format version, or None."""
+    """What is wrong with a pair file's format version, in words; None if nothing is."""
     version = values.get(VERSION_KEY, np.asarray(0))
     if version.shape != () or version.item() != FORMAT_VERSION:
         return f"written in another format version; this package reads {FORMAT_VERSION}"
@@ -296,7 +296,7 @@ def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
 
 
 def _fault_in(values: Mapping[str, NDArray[np.generic]], names: Collection[str]) -> str | None:
-    """The first fault of a pair file's values, or None."""
+    """What is wrong with the first bad value among `names`, in words; None if all are right."""
     for name, shape in PACKED_SHAPES.items():
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"

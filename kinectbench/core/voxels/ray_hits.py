@@ -14,13 +14,13 @@ UNSEEN, OUTSIDE, INSIDE, NEUTRAL = range(4)
 
 @dataclass(frozen=True)
 class RayHits:
-    """Counts of the first states hit in 26 directions from each UNSEEN voxel; uint8, zeros elsewhere.
+    """Counts of what rays in 26 directions from each UNSEEN voxel hit first; uint8, zeros elsewhere.
 
     Attributes:
         inside: directions that meet INSIDE.
         outside: directions that meet OUTSIDE, or leave the grid.
-        level_outside: the same, of the 8 level directions.
-        sky: 1 where the direction straight up does.
+        level_outside: the same as `outside`, for the 8 level directions alone.
+        sky: 1 where the ray straight up meets OUTSIDE, or leaves the grid.
     """
 
     inside: NDArray[np.uint8]
@@ -35,7 +35,7 @@ class RayHits:
 
 
 def enclosed_shares() -> Float32:
-    """The share of INSIDE in INSIDE and OUTSIDE hits by both numbers: (27, 27) float32; 0 without hits."""
+    """Table (27, 27) float32 of INSIDE / (INSIDE + OUTSIDE) by both numbers of hits; 0 without hits."""
     inside, outside = np.indices((27, 27), np.float32)
     return np.asarray(inside / np.maximum(inside + outside, np.float32(1)), np.float32)
 
@@ -96,7 +96,7 @@ def _count_hits(own, hits, code, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _walk_column(own, hits, dz):  # type: ignore[no-untyped-def]
-    """Straight up or down, one voxel after the other."""
+    """Set the first hits of a column of voxels straight up or down, one voxel after the other."""
     n = len(own)
     for c in range(1, n - 1):
         k = n - 1 - c if dz > 0 else c

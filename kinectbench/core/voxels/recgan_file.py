@@ -1,4 +1,4 @@
-"""One file of the paper's authors: a grid of cells in their axes."""
+"""Read and write a file of the paper's authors (3D-RecGAN): a grid of cells in their axes."""
 
 from pathlib import Path
 
@@ -18,17 +18,17 @@ MAX_BYTES = MAX_CELLS**3 + (64 << 10)
 
 
 def recgan_file_bytes(cells: Bools) -> bytes:
-    """A grid (nx, ny, nz) bool in our axes in their format: `arr_0`, int8, (x, y, z, 1), x to the left, y up.
+    """Convert a grid (nx, ny, nz) bool in our axes to the bytes of the authors' file.
 
-    Their back-projection is x = -(u - w/2) z / f, y = -(v - h/2) z / f, so theirs is ours with x and y
-    reversed.
+    The file has the key `arr_0`: int8, (x, y, z, 1), x to the left, y up. Their back-projection is x = -(u -
+    w/2) z / f, y = -(v - h/2) z / f, so theirs is ours with x and y reversed.
     """
     theirs = np.ascontiguousarray(cells[::-1, ::-1, :, None]).view(np.int8)
     return npz_bytes({KEY: theirs}, level=LEVEL)
 
 
 def read_recgan_file(path: Path) -> Bools:
-    """Their file as a grid (256, 256, 256) bool in our axes.
+    """Read the authors' file as a grid (256, 256, 256) bool in our axes.
 
     Other sizes are centred as their readers do it: pad in front (256 - d) // 2, or crop (d - 256) // 2.
 

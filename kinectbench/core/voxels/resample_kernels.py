@@ -41,7 +41,7 @@ def plane_between(
         lower: (side,) of the rows, as for `expand_rows`.
         upper: likewise.
         weight: likewise.
-        out: (side, side), set.
+        out: (side, side), receives the result.
     """
     rows = np.empty(first.shape)
     for i in range(len(rows)):

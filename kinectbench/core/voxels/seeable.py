@@ -3,8 +3,8 @@
     Air is what some camera could see: a point is air if a straight line of the sensor's width reaches it,
     without crossing the object, from a place that a camera can be brought to.
 
-No ray can tell a shell on its rim from a solid dome. Where no camera could tell, this definition says object,
-of recordings, simulations and CAD models.
+No ray can distinguish a hollow shell that stands on its rim from a solid dome. Where no camera could see,
+space is object by this definition, in recordings, simulations and CAD models.
 """
 
 from dataclasses import dataclass, replace
@@ -52,23 +52,24 @@ def seen_from_outside(
     limits: SensorLimits,
     seen: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
-    """Voxels that some admissible line of sight reaches, and their viewpoints.
+    """Voxels that some admissible line of sight reaches, and whether its camera is above or below.
 
-    A line's middle keeps half its width from the obstacle and from the plane; the reached space is dilated
-    back by as much, never into the obstacle. Cameras are where a ball gets from beyond the grid.
+    The axis of a line keeps half its width from the obstacle and from the plane; the reached space is then
+    dilated by as much, but never into the obstacle. Cameras can be where a ball of their size gets from
+    beyond the grid.
 
     Args:
         obstacle: bool (nx, ny, nz), what lines and cameras do not cross; its last axis points up.
         heights_m: (nz,) float32, of the layers' middles above the plane it stands on; None: no plane.
         voxel_size_m: edge of a voxel.
         limits: of the sensor.
-        seen: the same for wider lines, if known, which narrower lines also reach.
+        seen: the result for wider lines, if known: narrower lines reach those voxels, too.
 
-    The answer is to a voxel: through a slot up to one voxel wider than a line none may lead.
+    The result is exact to a voxel: a slot up to one voxel wider than a line may count as closed.
 
     Returns:
         uint8 of the same shape: FROM_ABOVE (by a camera as high or higher), FROM_BELOW, both, or 0; 0 in the
-        obstacle. What is seen from above may be seen from below, too, without saying so.
+        obstacle. A voxel seen FROM_ABOVE may lack the bit FROM_BELOW.
     """
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     if seen is None:
@@ -89,7 +90,7 @@ class Sight:
         from_above: bool, by a level line or one that looks down, from a camera that did not rise through
             unseen space below an object.
         space: where lines pass and cameras can be.
-        lower: the same without those cameras.
+        lower: `space` without the cameras that rose through unseen space.
     """
 
     any_way: NDArray[np.uint8]
@@ -99,7 +100,7 @@ class Sight:
 
     @property
     def only_from_below(self) -> Bools:
-        """Reached, but only by lines that look up, or by cameras that rose through unseen space."""
+        """Voxels reached only by lines that look up, or by cameras that rose through unseen space."""
         below: Bools = (self.any_way > 0) & ~self.from_above
         return below
 
@@ -112,7 +113,7 @@ def swept_from_outside(
     limits: SensorLimits,
     to_camera: Float64,
 ) -> Sight:
-    """Like `seen_from_outside`, but only along the directions (n, 3): its time does not grow with gaps.
+    """Like `seen_from_outside`, but only along the given directions, so that narrow gaps cost no more time.
 
     Args:
         obstacle: bool (nx, ny, nz), as for `seen_from_outside`.
@@ -134,8 +135,8 @@ def swept_from_outside(
 def without_rising(space: Space, empty: Bools) -> Space:
     """The same space without the camera positions that are reached only by rising into an object from below.
 
-    A camera below an object on legs would rise through its unseen underside. Where walls stand around the
-    camera, it came in through a side, and may rise: a cabinet is higher than its door.
+    A camera below an object on legs could otherwise rise through its unseen underside. Where walls stand
+    around the camera, it came in through a side, and may rise: a cabinet is higher than its door.
 
     Args:
         space: where lines pass and cameras can be.
@@ -159,9 +160,10 @@ def without_rising(space: Space, empty: Bools) -> Space:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
-    """Camera positions reached from beyond the grid, with steps up only into what one may enter so.
+    """Camera positions reached from beyond the grid by steps to 6 neighbours, upwards only if `may_enter`.
 
-    Steps are to 6 neighbours. Through the grid's lowest layer a camera comes in where it may.
+    Cameras enter through the grid's lowest layer only where `may_enter` is set, and through its other sides
+    anywhere.
     """
     nx, ny, nz = place.shape
     reached = np.zeros(place.shape, np.bool_)
@@ -193,7 +195,7 @@ def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
-    """uint8: of the eight level rays along axes and diagonals those that meet no obstacle; 0 if not asked."""
+    """How many of eight level rays, along axes and diagonals, meet no obstacle: uint8; 0 if not `asked`."""
     nx, ny, nz = state.shape
     ways = np.zeros(state.shape, np.uint8)
     for i in range(nx):
@@ -229,7 +231,7 @@ def _open_below(state, ways):  # type: ignore[no-untyped-def]
 def line_space(
     obstacle: Bools, heights_m: Float32 | None, voxel_size_m: float, limits: SensorLimits
 ) -> Space:
-    """Voxels where the axes of lines of sight pass and cameras can be; as for `seen_from_outside`."""
+    """The space where axes of lines of sight pass and cameras can be; arguments as in `seen_from_outside`."""
     heights = np.full(obstacle.shape[2], np.inf, np.float32) if heights_m is None else heights_m
     half_m = limits.line_width_m / 2
     farthest_m = max(half_m, limits.camera_size_m / 2) + voxel_size_m
@@ -250,7 +252,7 @@ def _grown(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
-    """Voxels of `reached`, dilated by a ball around each, without the obstacle."""
+    """`reached`, dilated by a ball around each voxel, but not into the obstacle."""
     nx, ny, nz = reached.shape
     most = int(radius)
     grown = reached.copy()
@@ -272,16 +274,16 @@ def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class SeeableSolid:
-    """An exact solid under the definition, on an upright grid around it; arrays have the grid's shape.
+    """An exact solid and what is object around it by definition, on an upright grid; arrays have its shape.
 
     Attributes:
         limits: by which it was found.
         grid: upright; its lowest layer stands on the plane.
         exact_m3: volume of the exact solid.
-        solid: bool, the voxel's middle lies in it.
-        closed: bool, it does not, and no camera could tell: object by definition.
-        slit: bool, closed, and not judged: by lines of half the width the answer differs, or it is a wall
-            thinner than a voxel.
+        solid: bool, the voxel's centre lies in the exact solid.
+        closed: bool, it does not, but no camera could see the voxel: object by definition.
+        slit: bool, closed, but not scored: lines of half the width reach it, or it is a wall thinner than a
+            voxel.
     """
 
     limits: SensorLimits
@@ -298,7 +300,7 @@ class SeeableSolid:
 
     @property
     def slit_share(self) -> float:
-        """Volume that is not judged, over the exact solid's."""
+        """Volume that is not scored, relative to the exact solid."""
         return self._over_exact(self.slit)
 
     def _over_exact(self, voxels: Bools) -> float:
@@ -334,9 +336,9 @@ def _nearest(which, T_cells, nx, ny, nz):  # type: ignore[no-untyped-def]
 def seeable_solid(
     mesh_world: TriangleMesh, T_world_upright: Float64, limits: SensorLimits, *, stands: bool = True
 ) -> SeeableSolid:
-    """The parts in and around a closed mesh that are object under the definition.
+    """Find the space in and around a closed mesh that is object under the definition.
 
-    Walls thinner than a voxel, in which no voxel's middle lies, occlude like thick ones.
+    Walls thinner than a voxel, which contain no voxel's centre, occlude like thick ones.
 
     Args:
         mesh_world: closed, metres.

@@ -57,7 +57,7 @@ def _pixels(exact: Float64, count: int) -> NDArray[np.uint32]:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
-    """Layers of cells that each pixel sees, with one extra row and column for cells outside the image."""
+    """How many layers of cells each pixel sees; an extra row and column stand for outside the image."""
     reach = np.zeros((depth.shape[0] + 1, depth.shape[1] + 1), np.uint16)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
@@ -76,7 +76,7 @@ def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _tiles(reach):  # type: ignore[no-untyped-def]
-    """The least and the greatest range in each tile of pixels."""
+    """The least and the greatest `reach` in each tile of pixels."""
     height, width = reach.shape
     least = np.full(((height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1), 65535, np.uint16)
     greatest = np.zeros_like(least)
@@ -90,7 +90,7 @@ def _tiles(reach):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
-    """Block by block: mostly the pixels below a block of cells decide for all of them."""
+    """The seen cells, packed, block by block: mostly the tiles of pixels decide for a whole block."""
     nx, ny = len(columns), len(rows)
     packed = np.zeros((nx, ny, nz // BLOCK), np.uint8)
     lefts, rights = _ranges(columns)
@@ -113,7 +113,7 @@ def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _ranges(pixels):  # type: ignore[no-untyped-def]
-    """The first and the last pixel that each 8 x 8 cells fall on, those outside the image among them."""
+    """The least and the greatest pixel coordinate of each 8 x 8 cells, outside the image included."""
     first = np.empty((pixels.shape[0] // BLOCK, pixels.shape[1] // BLOCK), np.int64)
     last = np.empty_like(first)
     for i in range(first.shape[0]):
@@ -143,7 +143,7 @@ def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _set_cells(block, reach, columns, rows, first):  # type: ignore[no-untyped-def]
-    """The bytes (8, 8) of a block, cell by cell along z."""
+    """Set the bytes (8, 8) of a block, testing each of 8 cells along z."""
     for a in range(BLOCK):
         for b in range(BLOCK):
             bits = 0

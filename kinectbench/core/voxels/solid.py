@@ -1,6 +1,6 @@
-"""A closed triangle mesh to a solid voxel grid, by signed-winding scanlines.
+"""Convert a closed triangle mesh to a solid voxel grid, by signed-winding scanlines.
 
-The crossings of scanlines with triangles are also what `open_mesh` is made of.
+`open_mesh` uses the same crossings of scanlines with triangles.
 """
 
 import numba
@@ -137,7 +137,7 @@ def _longer(values, count, capacity):  # type: ignore[no-untyped-def]
 
 
 def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]) -> bool:
-    """Whether an untrusted mesh could cross more lines than any that is made of an object.
+    """Whether an untrusted mesh may cross more lines of a grid than any mesh of a real object does.
 
     The columns that each face can cross are bounded by its rectangle; faces outside cross none.
 
@@ -181,7 +181,7 @@ def _crossable(vertices, faces, shape):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _columns(a, b, c, most):  # type: ignore[no-untyped-def]
-    """The first and the last cell of three places along one side, from -1 to `most`."""
+    """The first and the last cell of three coordinates along one side, from -1 to `most`."""
     low, high = np.floor(min(a, b, c)), np.floor(max(a, b, c))
     return np.int64(min(max(low, -1.0), most)), np.int64(min(max(high, -1.0), most))
 

@@ -16,7 +16,7 @@ JUDGED_FACES = 20_000
 def spacing_m(mesh: TriangleMesh) -> float:
     """The distance between a mesh's neighbouring vertices, metres: 95 % of its edges are shorter.
 
-    Smaller cells would not touch, though the surface continues.
+    With smaller cells, neighbouring vertices of a continuous surface might not lie in touching cells.
     """
     corners = mesh.vertices[mesh.faces[:: max(1, len(mesh.faces) // JUDGED_FACES)]]
     edges_m = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)
@@ -31,7 +31,7 @@ class SurfacePoints:
         points: (n, 3) float64, metres: mean of the mesh vertices in the cell.
         normals: (n, 3) float64, unit: their mean normal.
         cells: (n, 3) int64, the cell each lies in.
-        owner: (v,) int64, the point that each vertex of the mesh belongs to.
+        owner: (v,) int64, the index of the point that each vertex of the mesh belongs to.
     """
 
     points: Float64
@@ -41,7 +41,7 @@ class SurfacePoints:
 
 
 def surface_points(mesh: TriangleMesh, cell_m: float) -> SurfacePoints:
-    """`thinned` vertices of a mesh; their normals count by the area of the faces around them."""
+    """The vertices of a mesh, `thinned`, with normals weighted by the area of the faces around them."""
     corners = mesh.vertices[mesh.faces]
     face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(mesh.vertices)
@@ -54,7 +54,7 @@ def surface_points(mesh: TriangleMesh, cell_m: float) -> SurfacePoints:
 
 
 def thinned(points_world: Float64, normals_world: Float64, cell_m: float) -> SurfacePoints:
-    """Thin points (n, 3) out to one per cell, so that area counts and their density does not.
+    """Thin points (n, 3) out to one per cell, so that their number measures area, not density.
 
     The length of each of the normals (n, 3) is its weight.
     """
@@ -74,13 +74,13 @@ def thinned(points_world: Float64, normals_world: Float64, cell_m: float) -> Sur
 def sample_surface(
     vertices: Float64, faces: NDArray[np.int32], count: int, rng: np.random.Generator
 ) -> tuple[Float64, Float64]:
-    """Points spread evenly by area over a mesh, one in each of `count` equal shares of it (stratified).
+    """Draw points evenly by area over a mesh, one from each of `count` equal shares of it (stratified).
 
     Args:
         vertices: (v, 3), metres.
         faces: (f, 3).
         count: number of points.
-        rng: draws them.
+        rng: draws the points.
 
     Returns:
         Points (count, 3) and their faces' unit normals (count, 3), in the mesh's frame.

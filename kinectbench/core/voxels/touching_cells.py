@@ -1,6 +1,7 @@
-"""Cells that touch, and the pieces that they make, in memory by the number of cells and not by their extent.
+"""Find cells that touch, and the connected pieces that they form, without a dense grid.
 
-One pose half a kilometre off would make a dense grid of a scene too large for the memory.
+The memory grows with the number of cells and not with their extent: one pose half a kilometre off would make
+a dense grid of a scene too large.
 """
 
 from itertools import product
@@ -55,7 +56,7 @@ def touching_cells(points: Float64, cell_m: float, through_faces: bool = False) 
 
 
 def pieces_of_cells(pairs: Int64, count: int) -> Int32:
-    """The number of the piece that each of `count` cells belongs to, from 0, by its first cell.
+    """The number (count,), from 0, of the piece that each cell belongs to, in the order of first cells.
 
     Args:
         pairs: (k, 2) numbers of cells that touch.
@@ -69,6 +70,6 @@ def pieces_of_cells(pairs: Int64, count: int) -> Int32:
 
 
 def far_apart(points: Float64, most_m: float) -> Bools:
-    """Points (n, 3), n > 0, of all groups but the largest; more than `most_m` lies between two groups."""
+    """Which points (n, 3), n > 0, are not in the largest group; groups are more than `most_m` apart."""
     label = connected(points, most_m)
     return np.asarray(label != np.argmax(np.bincount(label)))

@@ -32,8 +32,9 @@ def object_cube(vertices_world: Float64, T_world_camera: Float64) -> Grid:
 def view_cube(points_camera: NDArray[np.floating], T_world_camera: Float64) -> Grid:
     """Framing `view`: a cube from the partial view alone, which reveals nothing of the hidden part.
 
-    With the box of the partial's points in the view's axes (0.5 % left out on every side): side =
-    1.4 x its longest extent; centred on the box in x and y; in z it begins 0.1 side in front of it.
+    It is placed by the box of the view's points in the view's axes (0.5 % left out on every side). Its side
+    is 1.4 times the box's longest extent. It is centred on the box in x and y, and begins 0.1 side in front
+    of it in z.
 
     Args:
         points_camera: (n, 3) the view's points on the object, camera frame, metres.
@@ -49,7 +50,7 @@ def view_cube(points_camera: NDArray[np.floating], T_world_camera: Float64) -> G
 
 
 def _cube(centre_rotated: Float64, side_m: float, T_world_camera: Float64) -> Grid:
-    """A 256-cube in the view's axes around a centre given in those axes, origin at the world's."""
+    """A 256-cube in the view's axes; its centre is given along these axes, from the world's origin."""
     rotation = T_world_camera[:3, :3]
     corner_world = rotation @ (centre_rotated - side_m / 2)
     return Grid((FULL_CELLS,) * 3, side_m / FULL_CELLS, rigid(rotation, corner_world))
@@ -68,7 +69,7 @@ def _extent(points_world, T_world_camera):  # type: ignore[no-untyped-def]
 
 
 def depth_cells(depth_m: Float32, mask: Bools, camera: Camera, T_world_camera: Float64, grid: Grid) -> Int64:
-    """The cells, also beyond the grid's bounds, that each pixel of a view's masked depth falls into.
+    """The cell, even beyond the grid's bounds, that each pixel of a view's masked depth falls into.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
@@ -78,7 +79,7 @@ def depth_cells(depth_m: Float32, mask: Bools, camera: Camera, T_world_camera: F
         grid: any grid in the world.
 
     Returns:
-        (n, 3) int64, one row a pixel.
+        (n, 3) int64, one row per pixel with depth.
     """
     points_camera = camera.backproject(depth_m)[mask & (depth_m > 0)]
     points_grid = transform_points(grid.T_grid_world @ T_world_camera, points_camera)

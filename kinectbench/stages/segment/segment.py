@@ -41,7 +41,7 @@ from kinectbench.stages.segment.solid.solid import Solids, SolidShape, make_soli
 
 @dataclass(frozen=True)
 class GivenObject:
-    """What a person says of the object; nothing by default.
+    """What a person states about the object; nothing by default.
 
     Attributes:
         box: around it, floor frame; None: it is the piece that the cameras look at.
@@ -67,10 +67,10 @@ class _Found:
     Attributes:
         chosen: its floor, box and cells.
         grid: fine, around it.
-        scale: the rules for solids see it 1 / scale times as large (`ObjectResolution`).
+        scale: the solid is made in a world that is 1 / scale times as large (`ObjectResolution`).
         neighbours: bool in the grid's shape, near a neighbour's surface.
-        beyond_box: bool in the grid's shape, outside a person's box; None without one.
-        max_depth_m: depth makes surface in the grid up to this, metres.
+        beyond_box: bool in the grid's shape, outside a given box; None without one.
+        max_depth_m: depth up to this is fused into the grid, metres.
     """
 
     chosen: Segmentation
@@ -92,8 +92,8 @@ def segment(
 ) -> ObjectModel:
     """Find the object in the fused scene, make it a solid, and judge the solid.
 
-    The odd and the even frames are fused apart and then merged: the repeatability of the shape costs no
-    further pass over the frames.
+    The odd and the even frames are fused separately and then merged, so that measuring the repeatability of
+    the shape needs no further pass over the frames.
 
     Args:
         sequence: the recording.
@@ -177,7 +177,7 @@ def _rules(
 
 
 def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidShape:
-    """The solid by every second frame, for comparison."""
+    """The solid from the odd or the even frames alone, for comparison."""
     seen, larger = enlarged_observation(half, found.scale), rules.enlarged(found.scale)
     try:
         shape = solidify(seen, found.neighbours, larger, found.beyond_box)
@@ -189,7 +189,7 @@ def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidShape
 def _solid_of_all(
     together: Observation, found: _Found, rules: Rules
 ) -> tuple[SolidShape, tuple[Frontier, ...]]:
-    """The solid by all frames, enlarged as the rules want it, and the openings that no frame saw into."""
+    """The solid from all frames, made enlarged and scaled back, and the openings that no frame saw into."""
     scale, floor, larger = found.scale, found.chosen.floor, rules.enlarged(found.scale)
     evidence = classify_voxels(together, found.neighbours, larger, found.beyond_box)
     whole = make_solid(together, evidence, larger)

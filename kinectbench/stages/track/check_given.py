@@ -41,8 +41,8 @@ class GivenCheck:
         T_given: (n, 4, 4), NaN where a frame has no given pose.
         frames: each frame compared with its neighbours.
         distant: constraints between distant frames, registered from the given poses.
-        figures: figures for health.json. Without refined poses, the residual "with refined poses" between
-            distant frames is that of the pairwise registrations.
+        figures: figures for health.json. `refined_distant_residual_m` is measured at the refined poses or,
+            without these, at the poses of the pairwise registrations.
         sharpness: sharpness of the colour, by frame index, where colour was read.
         calibration: the depth correction under which the frames agree best; all figures use it.
     """
@@ -63,7 +63,7 @@ class GivenCheck:
 def check_given(
     sequence: Sequence, T_given: Float64, settings: TrackingSettings, progress: Progress | None = None
 ) -> GivenCheck:
-    """Compare the depth of frames that see the same place under the given poses.
+    """Check given poses by comparing the depth of frames that see the same place.
 
     Args:
         sequence: the recording, n frames.
@@ -94,7 +94,7 @@ def check_given(
 def as_refined(
     sequence: Sequence, checked: GivenCheck, T_refined: Float64, settings: TrackingSettings
 ) -> GivenCheck:
-    """Add the figures that compare the given poses with refined ones (n, 4, 4)."""
+    """Return the check with the figures that compare the given poses with refined ones (n, 4, 4)."""
     maps, every = MapCache(sequence), settings.check_stride_px
     maps.calibrate(checked.calibration)
     found_m = distant_residual_m(maps, checked.distant, every, T_refined)
@@ -105,7 +105,7 @@ def as_refined(
 
 
 def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
-    """The given poses, without those that the depth contradicts.
+    """Keep the given poses, without those of frames that disagree, are outliers, or have no depth.
 
     Raises:
         TrackingError: most frames disagree.

@@ -31,8 +31,8 @@ class TrajectoryComparison:
         """The figures as printed and written as JSON, in millimetres and degrees.
 
         Relative errors (rmse) are from one matched frame to the next, and over a metre of path; the latter
-        are None if the path is shorter. `clock_late_ms`, and `ate_rmse_moved_mm`, the error without the clock
-        offset, are None if no offset is found.
+        are None if the path is shorter. `ate_rmse_moved_mm` is the absolute error after the clock offset is
+        removed. It and `clock_late_ms` are None if no offset is found.
         """
         error, metre_m, metre_rad = self.error, self.error.rpe_metre_m, self.error.rpe_metre_rad
         return {
@@ -53,7 +53,7 @@ class TrajectoryComparison:
 
 
 def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[TrajectoryComparison, bytes]:
-    """Compare the poses of all frames that the reference has a pose for, too.
+    """Compare a trajectory with a reference, at the frames for which both have a pose.
 
     Returns:
         The figures, and a picture (PNG file).

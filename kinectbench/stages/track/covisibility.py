@@ -51,7 +51,7 @@ def keyframe_thumbnail(maps: FrameMaps) -> KeyframeThumbnail:
 
 
 def shared_view(a: KeyframeThumbnail, b: KeyframeThumbnail, T_a_b: Float64) -> float:
-    """Ratio of b's points that a sees, at about their depth and from the front; 0 to 1."""
+    """Fraction (0 to 1) of b's points that a sees: from the front, and at about their depth."""
     if not len(b.points):
         return 0.0
     return float(_shared(a.depth_m, a.intrinsics, b.points, np.ascontiguousarray(T_a_b)))
@@ -60,8 +60,8 @@ def shared_view(a: KeyframeThumbnail, b: KeyframeThumbnail, T_a_b: Float64) -> f
 def covisible(thumbnails: Sequence[KeyframeThumbnail], T_world: Float64) -> list[tuple[float, int, int]]:
     """Pairs of keyframes that see the same places: (shared view, i, j) with i < j.
 
-    Each keyframe is compared with at most 60 others that look at nearby places, so the cost grows linearly
-    with their number.
+    The shared view is the lesser of `shared_view` in both directions. Each keyframe is compared with at most
+    60 others that look at nearby places, so the cost grows linearly with their number.
 
     Args:
         thumbnails: thumbnails of the keyframes.

@@ -92,13 +92,16 @@ def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _accepted(sums: Sequence[Float64]) -> DepthCalibration:
-    """The correction, if the estimate from either half of the pairs improves the other half; else none."""
+    """The correction by all pairs, if that by each half of the pairs improves the other half; else none."""
     accepted = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
     return DepthCalibration(_solved(sums)) if accepted else NO_CALIBRATION
 
 
 def _left(solved: Sequence[Float64], judged: Sequence[Float64]) -> float:
-    """The worse cross-validated ratio of squared residuals, with to without correction, of the two halves."""
+    """Cross-validated ratio of squared residuals, with to without correction: the worse of two halves.
+
+    Each half of the products `judged` is corrected by the estimate from the other half of `solved`.
+    """
     half = len(solved) // 2
     return max(
         _falls_to(judged[half:], _solved(solved[:half])), _falls_to(judged[:half], _solved(solved[half:]))
@@ -122,9 +125,10 @@ def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[Float64, Float64]]
 
 
 def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
-    """Products (k + 1, k + 1) of a pair's rows, residual last: at its pose, and with its motion eliminated.
+    """Weighted products (k + 1, k + 1) of a pair's coefficients and residual (last), in two versions.
 
-    None if the frames overlap too little.
+    In the first, the pair's motion is fixed; in the second, it is eliminated. None if the frames overlap too
+    little.
     """
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)
@@ -135,7 +139,10 @@ def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
 
 
 def _linearised(view: CalibrationView) -> tuple[Float64, Float64, Float64]:
-    """Rows (m, 6 + k) with residual + row @ (twist, coefficients), the residuals (m,), and weights (m,)."""
+    """Linearise a pair's residuals (m,): to first order they become residuals + rows @ (twist, coefficients).
+
+    Returns the rows (m, 6 + k), the residuals, and the weights (m,).
+    """
     source, target = view.source, view.target
     every = max(1, len(source.points) // POINTS_PER_PAIR)
     points = source.points[::every].astype(np.float64)

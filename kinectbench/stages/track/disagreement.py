@@ -71,9 +71,10 @@ def check_pose(
     every: int,
     recheck_above_m: float = 0.0,
 ) -> Disagreement | None:
-    """Register a frame to others from its given pose; None if they overlap too little.
+    """Register a frame to others, starting at its given pose; None if they overlap too little.
 
-    A frame that moves far although it fitted as well before has slid along a surface; it does not disagree.
+    If the frame moves far but fits as well at its given pose, it has only slid along a surface: the result
+    then is no shift and no turn.
 
     Args:
         source: the frame.
@@ -97,11 +98,11 @@ def check_pose(
 def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
     """Whether a frame fits others at its given pose as well as at the registered one.
 
-    The overlap does not count: frames from two sides of an object overlap little and still fit.
+    The overlaps are not compared: frames from two sides of an object overlap little and still fit.
 
     Args:
         as_given: the figures at the given pose.
-        registration: the registration.
+        registration: the figures at the registered pose.
     """
     close_m = max(AS_CLOSE * registration.residual_m, WELL_BELOW_NOISE * as_given.noise_m)
     return (
@@ -115,7 +116,8 @@ def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
 def disagreement(source: FrameMaps, T_target_source: Float64, registration: Registration) -> Disagreement:
     """The difference between a registration and the frame's given pose.
 
-    The information matrix gives the certainty of a shift. Along an unobservable direction it is zero.
+    The certain part of the shift follows from the registration's information matrix. It is zero along an
+    unobservable direction.
 
     Args:
         source: the frame.
@@ -162,8 +164,8 @@ def distant_constraints(
         every: stride of the points used.
 
     Returns:
-        The accepted registrations, as loop constraints; the displacement (m,) of b's points from the given
-        pose by each, metres; and the ratio of pairs that should overlap but do not fit, NaN for few pairs.
+        The accepted registrations, as loop constraints; the displacement (m,) of frame b's points by each,
+        from the given pose, metres; and the ratio of the tried pairs that do not fit, NaN for few pairs.
     """
     apart = MIN_APART * len(T_given)
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_given[frames])

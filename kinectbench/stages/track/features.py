@@ -64,7 +64,7 @@ class FeatureCache(OrderedDict[int, Features]):
         self.maps = maps
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickled by its maps alone."""
+        """Pickle as the maps, which the constructor takes, and the features found so far."""
         return type(self), (self.maps,), None, None, iter(self.items())
 
     def __missing__(self, index: int) -> Features:
@@ -75,7 +75,7 @@ class FeatureCache(OrderedDict[int, Features]):
 
 
 def find_features(maps: FrameMaps) -> Features:
-    """Find ORB features with depth, in the intensity, or in the shaded depth without intensity."""
+    """Find ORB features that have depth, in the intensity image or, without one, in the shaded depth."""
     import cv2
 
     level = maps[0]

@@ -46,7 +46,7 @@ class FrameCheck:
     """How well a recording's frames agree under given poses; NaN if unknown.
 
     Attributes:
-        compared: (k,) the frames that all frames were compared with.
+        compared: (k,) the reference frames, with which all frames were compared.
         shift_m: (n,) displacement of each frame's points until it agrees with others, metres.
         turn_rad: (n,) rotation of the camera until the frame agrees, radians.
         residual_m: (n,) median absolute point-to-plane residual at the given pose, metres.
@@ -77,9 +77,10 @@ def check_frames(
 ) -> FrameCheck:
     """Compare every frame that has a pose with frames of similar views.
 
-    A frame that disagrees is checked again against agreeing frames before and after it in time; next to a
-    jump it agrees with one side. So one wrong frame does not make its correct neighbours disagree. Views in
-    no order of time are checked against the most similar views, and have no jumps.
+    A frame that disagrees is compared again with agreeing frames before and after it in time, so that one
+    wrong frame does not make its correct neighbours disagree. Agreement with either side is enough, because a
+    frame next to a jump agrees with one side only. Views in no order of time are compared again with the most
+    similar views, and have no jumps.
 
     Args:
         maps: maps of the recording, n frames.
@@ -101,7 +102,7 @@ def check_frames(
 
 
 def evenly_spread(frames: Int64) -> Int64:
-    """Choose from frames (k,) those that all frames are compared with."""
+    """Choose evenly, from frames (k,), the reference frames with which all frames are compared."""
     return frames[evenly(len(frames), COMPARED_FRAMES)]
 
 
@@ -119,7 +120,7 @@ class _Checker:
         self.blind = np.zeros(n, bool)
 
     def compare(self, frame: int) -> None:
-        """Compare a frame with the compared frames of the most similar views."""
+        """Compare a frame with the reference frames whose views are the most similar."""
         self.blind[frame] = len(self.maps[frame][0].points) == 0
         near = nearest_views(self.T, frame, self.compared)[: self.neighbours].tolist()
         checked = self._check(frame, near, coarsest=0) if near else None
@@ -131,13 +132,13 @@ class _Checker:
         self.noise_m[frame] = np.sqrt(2) * np.median(self.maps[frame][0].points[:, 6])
 
     def step(self, before: int, frame: int) -> None:
-        """Compare a frame with the previous frame."""
+        """Compare a frame with the previous frame, to find jumps."""
         checked = self._across(before, frame, coarsest=1)
         if checked is not None:
             self.step_m[frame] = checked.certain_shift_m
 
     def recheck(self, posed: Int64) -> None:
-        """Check again the frames that disagree, or that agree less well than is typical."""
+        """Check again the frames that disagree, agree less well than is typical, or were not compared."""
         # The first check runs at the finest level, which recovers only part of a large shift.
         median_m = np.median([checked.shift_m for checked in self.found.values()] or [0.0])
         recheck_above_m = max(self.max_shift_m / 2, RECHECK_TIMES * median_m)
@@ -176,7 +177,7 @@ class _Checker:
         return float(np.median(residuals)) if len(residuals) else np.nan
 
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
-        """The nearest agreeing frames before a frame and after it; for unordered views the most similar."""
+        """The nearest agreeing frames before and after a frame, a list each; unordered: the most similar."""
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
         if not self.ordered:
             sides = [nearest_views(self.T, frame, sound)[:NEXT_IN_TIME]]
@@ -188,9 +189,9 @@ class _Checker:
         return [each for each in checks if each is not None]
 
     def outlier(self, disagrees: Bools) -> Bools:
-        """Frames (n,) within the limits that agree far worse than nearly all others.
+        """Which frames (n,) are within the limits, but agree far worse than nearly all others.
 
-        Candidates are measured again against the frames before and after them; the better side counts. For a
+        Candidates are measured again against the frames before and after them, and the better side counts: a
         wrong frame makes its correct neighbours look worse, and next to a jump only one side agrees.
         """
         odd = find_outliers(self.residual_m / self.noise_m, ~disagrees)
@@ -202,7 +203,7 @@ class _Checker:
         return odd & find_outliers(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
-        """Search around the given and the nearest frame's pose; keep the result if clearly better."""
+        """Search around the given pose and the nearest frame's; a clearly better result replaces `best`."""
         others = sound[sound != frame]
         if self.ordered:
             near = int(others[np.argmin(np.abs(others - frame))])
@@ -222,7 +223,7 @@ class _Checker:
         )
 
     def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
-        """Compare a frame with an earlier frame; if not accepted, start again from zero motion."""
+        """Compare a frame with an earlier frame, from its given pose; if not accepted, from zero motion."""
         checked = self._check(frame, [before], coarsest)
         if checked is not None and is_accepted(checked.registration):
             return checked
@@ -244,7 +245,10 @@ class _Checker:
         return checked.certain_shift_m > self.max_shift_m or checked.registration.inlier_share < MIN_INLIERS
 
     def jumps(self, kept: Int64) -> tuple[tuple[int, float], ...]:
-        """Single wrong steps, confirmed by the frames on both sides; a wrong frame makes two."""
+        """Jumps (frame, metres) along frames (k,): single wrong steps, confirmed by the frames on both sides.
+
+        A wrong frame makes two wrong steps in a row, which are no jump.
+        """
         rows = np.arange(1, len(kept))
         off = np.concatenate([[False], self.step_m[kept[rows]] > self.max_shift_m, [False]])
         steps = []

@@ -176,7 +176,7 @@ class MapCache:
         return maps
 
     def upright(self, index: int, shutter: RollingShutter) -> FrameMaps:
-        """The maps of a frame with this shutter undone, from its own depth without averaging; not kept."""
+        """The maps of a frame with this shutter undone, from its own depth without averaging; not cached."""
         return self._made(index, shutter, None)
 
     def _made(

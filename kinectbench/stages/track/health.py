@@ -176,7 +176,7 @@ class _Case:
 
     @cached_property
     def held_out(self) -> Bools:
-        """Posed frames except keyframes, which are part of the model that frames are compared with."""
+        """Posed frames (n,) without keyframes, of which the model is made; all if none has a residual."""
         others = self.posed.copy()
         others[self.tracked.keyframes] = False
         return others if np.isfinite(self.residual_m[others]).any() else self.posed
@@ -257,7 +257,7 @@ def _open_gap_s(case: _Case, closed: Bools) -> float | None:
 
 
 def _arc_rad(case: _Case) -> float | None:
-    """The arc of directions from which the posed frames see their common focus."""
+    """The arc, radians, of the directions from which the posed frames see their common focus."""
     frames = np.flatnonzero(case.posed)
     depth_m = median_middle_depth_m(case.sequence, frames)
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)
@@ -266,8 +266,8 @@ def _arc_rad(case: _Case) -> float | None:
 def _loop_correction_m(loops: Iterable[ConstraintCorrection]) -> float | None:
     """Rms correction of the accepted loops, metres; None without loops.
 
-    A loop between views that hardly overlap may itself be wrong by decimetres. So up to one in twenty of the
-    largest corrections is left out, if it is within the error of its own loop.
+    A loop between views that hardly overlap may itself be wrong by decimetres. The largest corrections, of up
+    to one loop in twenty, are therefore left out where they are within the expected error of the loop itself.
     """
     believed = [each for each in loops if each.accepted and np.isfinite(each.shift_m)]
     believed.sort(key=lambda each: -each.shift_m)

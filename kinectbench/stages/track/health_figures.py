@@ -207,7 +207,7 @@ def sharpness(sequence: Sequence, known: Mapping[int, float]) -> Float64:
 
 
 def _frame_sharpness(sequence: Sequence, index: int) -> float:
-    """Sharpness of one frame: at the tracker's working resolution, or else at half the colour's own."""
+    """Sharpness of a frame's colour: at working resolution if registered to depth, else at half its size."""
     import cv2
 
     if sequence.color_registered:

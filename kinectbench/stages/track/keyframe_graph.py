@@ -54,7 +54,7 @@ class KeyframeGraph:
         T_world: (k, 4, 4), NaN where a keyframe's segment could not be joined.
         constraints: the accepted constraints, with their weights.
         refused: constraints that were tried and rejected, or switched off by the optimisation.
-        joined: indices of the segments that belong to the world.
+        joined: indices of the segments that were joined into the world.
         thumbnails: (k,) thumbnails of the keyframes.
         calibration: the depth calibration of the constraints.
     """
@@ -71,7 +71,7 @@ class KeyframeGraph:
 def build_graph(
     maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None = None
 ) -> KeyframeGraph:
-    """Find constraints, join segments and optimise, in rounds with improving poses.
+    """Find constraints between keyframes, join segments, and optimise the poses, in several rounds.
 
     Args:
         maps: maps of the frames.
@@ -126,7 +126,7 @@ class _Builder:
         return Constraint(each.a, each.b, registration, each.kind) if is_accepted(registration) else each
 
     def add_loop_candidates(self) -> None:
-        """Try keyframes of similar appearance that are not neighbours, and those on both sides of gaps."""
+        """Register keyframes that look similar but are not near in time, and those at segment borders."""
         similar = similarity(list(ahead(self.features.__getitem__, self.keyframes)))
         order = np.arange(len(self.keyframes))
         similar[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
@@ -140,7 +140,7 @@ class _Builder:
         self._try((a, b, None) for a, b in sorted(tries))
 
     def add_covisibility_constraints(self) -> None:
-        """Try pairs of keyframes with a predicted shared view, largest first."""
+        """Register pairs of keyframes whose poses predict a shared view; choose the largest views first."""
         tries: dict[int, int] = defaultdict(int)
         chosen = []
         pairs = sorted(self._covisible_pairs(), key=lambda pair: (-pair[0], pair[1:]))
@@ -164,7 +164,7 @@ class _Builder:
         return pairs
 
     def _try(self, pairs: Iterable[tuple[int, int, Float64 | None]]) -> None:
-        """Register keyframes b to a, from T_a_b if known; skip repeated pairs; keep accepted ones."""
+        """Register pairs (a, b, T_a_b or None) not tried before; store accepted and refused constraints."""
         fresh = []
         for a, b, T_a_b in pairs:
             frames = self.keyframes[a], self.keyframes[b]
@@ -176,7 +176,7 @@ class _Builder:
                 (self.constraints if made.weight else self.refused).append(made)
 
     def _constraint(self, pair: tuple[int, int, Float64 | None]) -> Constraint | None:
-        """Register keyframe b to a; the weight is 0 if not accepted, and the result None if impossible."""
+        """Register keyframe b to a: a constraint, of weight 0 if rejected; None without an initial pose."""
         a, b, T_a_b = pair
         frames = self.keyframes[a], self.keyframes[b]
         near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]
@@ -270,7 +270,7 @@ class _Builder:
         return between
 
     def _confirm_joins(self) -> None:
-        """Try the keyframes next to both ends of a joining constraint, which should overlap as well."""
+        """Register the neighbours of keyframes that join two groups, as these should overlap as well."""
         near = []
         for _, constraints in sorted(self._joining_constraints().items()):
             for each in constraints[:JOINS_CONFIRMED]:
@@ -282,10 +282,11 @@ class _Builder:
         self._try(near)
 
     def _join_groups(self) -> None:
-        """Join two groups if two constraints agree on their relative pose, or one spans a gap in time.
+        """Join two groups if two constraints agree on their relative pose.
 
-        Joins by consecutive frames come first. Opposite sides of a symmetric object also fit each other, and
-        more often: constraints that contradict a join by consecutive frames are refused.
+        One constraint suffices between consecutive keyframes, or for a group of one keyframe. Joins of
+        consecutive keyframes, between which the camera was never lost, come first. Opposite sides of a
+        symmetric object also fit each other, and more often: loops that contradict such a join are refused.
         """
         while True:
             candidates = []
@@ -318,7 +319,7 @@ class _Builder:
         return b == a + 1 and not self.lost[each.a : each.b].any()
 
     def _agreed(self, constraints: Sequence[Constraint]) -> tuple[int, Constraint] | None:
-        """The constraint that most others confirm, and the number that confirm it; None if too few do."""
+        """How many constraints agree on a relative pose, and the one most agree with; None if too few do."""
         relative = [self._T_group_group(each) for each in constraints]
         best: tuple[int, Constraint] | None = None
         for each, T in zip(constraints, relative, strict=True):
@@ -337,13 +338,13 @@ class _Builder:
         return best if best[0] >= 2 or b == a + 1 or small else None
 
     def _T_group_group(self, each: Constraint) -> Float64:
-        """Relative pose of two groups by one constraint, from the higher to the lower group number."""
+        """T_low_high (4, 4) by one constraint, from the world of the higher group number to the lower's."""
         a, b = self._ends(each)
         T = self.T_world[a] @ each.T_a_b @ invert_rigid(self.T_world[b])
         return T if self.group[a] < self.group[b] else invert_rigid(T)
 
     def _join(self, each: Constraint, groups: tuple[int, int]) -> None:
-        """Move the smaller group into the world of the larger one."""
+        """Move the smaller of two groups into the world of the larger one, by a constraint between them."""
         T_low_high = self._T_group_group(each)
         low, high = (np.flatnonzero(self.group == group) for group in groups)
         if len(low) >= len(high):
@@ -354,7 +355,7 @@ class _Builder:
             self.group[low] = groups[1]
 
     def _place_groups_as_given(self) -> None:
-        """Place all segments in the world of the given poses, each by its middle posed keyframe."""
+        """Move each segment into the world of the given poses, by its middle keyframe with a given pose."""
         if self.T_given is None:
             return
         for segment in np.unique(self.segments):

@@ -4,8 +4,7 @@ Geometry: Chen & Medioni 1991, Rusinkiewicz & Levoy 2001; residuals n . (q - T p
 measurement at the pixel of T p, and n the mean of both normals (Rusinkiewicz 2019). Photometry:
 Steinbruecker, Sturm & Cremers 2011, Park, Zhou & Koltun 2017; residuals I_target(T p) - gain I_source(p) -
 offset. Gain and offset are estimated too, because the exposure may change. Twists are (rotation, translation)
-in the source
-frame: T <- T exp(twist).
+in the source frame: T <- T exp(twist).
 """
 
 from dataclasses import dataclass
@@ -53,13 +52,12 @@ class LinearTerms:
         violations: number of points where the target sees through the point or sees another surface.
         residual_m: root mean square of the inliers' residuals.
         noise_m: the residual expected from the depth noise alone.
-        normal_information: (6, 6) sum of J J^T of the inliers, each divided by its squared normal-noise
-            factor depth / (sigma * cosine).
+        normal_information: (6, 6) sum of J J^T of the inliers, each multiplied by (depth / (sigma *
+            cosine))^2: divided by the squared noise of its normal, up to a common factor.
         moments: (4, 4) sum of p p^T of the inliers, p = (x, y, z, 1).
         intensity_correlation: weighted, -1 to 1; NaN without intensity.
         exposure: (2,) gain and offset before the step.
-        exposure_step: (2, 7) change of gain and offset by a step: a linear part, to be subtracted, and a
-            constant.
+        exposure_step: (2, 7), F: a step x (6,) adds F[:, 6] - F[:, :6] @ x to gain and offset.
     """
 
     geometric: Float64
@@ -100,7 +98,8 @@ def linearise(
         source: level with the points p.
         target: level into which the points are projected.
         T_target_source: (4, 4), the pose at which to linearise.
-        gate_m: largest distance along the ray between a point and its measurement, metres.
+        gate_m: largest difference in depth between a point and its measurement, in addition to three standard
+            deviations of noise, metres.
         exposure: (2,) gain and offset of intensity.
         with_observability: whether to sum `normal_information` and `moments`, which show unobservable
             directions; else they are 0.

@@ -27,7 +27,7 @@ POINT_COLUMNS = 8
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no-untyped-def]
-    """Reduce depth to blocks: the mean of each block's nearest surface, so that edges stay sharp."""
+    """Reduce depth by blocks of pixels: the mean of each block's nearest surface keeps edges sharp."""
     height, width = native.shape[0] // factor, native.shape[1] // factor
     out = np.zeros((height, width), np.uint16)
     low, high = MIN_DEPTH_M * depth_scale, MAX_DEPTH_M * depth_scale
@@ -151,8 +151,8 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
 def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: ignore[no-untyped-def]
     """Sample points evenly over their normals (normal-space sampling: Rusinkiewicz & Levoy 2001).
 
-    A floor fills most of the image but does not constrain motion along it. With uniform sampling the noise of
-    its normals would outweigh the few points that do, such as those on table legs.
+    A floor fills most of the image but does not constrain motion along it. With uniform sampling, the noise
+    of its normals would outweigh the few points that constrain that motion, such as those on table legs.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
@@ -217,7 +217,7 @@ def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cell(nx, ny):  # type: ignore[no-untyped-def]
-    """The cell of a normal on the half sphere, from an even division of its x and y."""
+    """The index of a normal's cell in an even grid over its x and y."""
     i = min(NORMAL_CELLS - 1, int((nx + 1) * 0.5 * NORMAL_CELLS))
     j = min(NORMAL_CELLS - 1, int((ny + 1) * 0.5 * NORMAL_CELLS))
     return i * NORMAL_CELLS + j

@@ -243,7 +243,7 @@ class Follower:
         return references
 
     def _register(self, reference: int, index: int) -> Followed | None:
-        """Register a frame to a reference from predicted poses; if none is good enough, search."""
+        """Register a frame to a reference from predicted poses, else by a search; None if it does not fit."""
         source, target, before = self.maps[index], self.maps[reference], self._followed(reference)
         every = point_stride(source)
         starts = self._predictions(reference, index)

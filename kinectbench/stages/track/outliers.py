@@ -25,13 +25,13 @@ FAR_APART_M = 16.0
 
 
 def find_outliers(residual: Float64, judged: Bools) -> Bools:
-    """Frames (n,) that agree far worse with their keyframes than nearly all frames do.
+    """Which frames (n,) agree far worse with their keyframes than nearly all frames do.
 
     A frame of a fast turn may pass registration although it is centimetres off. A residual within the noise
     never makes an outlier.
 
     Args:
-        residual: (n,) of each frame to keyframes, divided by the expected noise; NaN: unknown.
+        residual: (n,) residual of each frame to keyframes, divided by the expected noise; NaN: unknown.
         judged: (n,) bool, the frames to judge.
     """
     known = judged & np.isfinite(residual)
@@ -58,9 +58,9 @@ def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
 
 
 def far_warnings(T_world_camera: Float64) -> list[str]:
-    """A warning about frames so far from most others that these cannot show what they show; or none.
+    """A warning about frames whose cameras are too far from most others to see the same scene; or none.
 
-    Such a pose contradicts no other frame.
+    No other frame can contradict such a pose.
 
     Args:
         T_world_camera: (n, 4, 4), NaN where a frame has no pose.

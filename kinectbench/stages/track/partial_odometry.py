@@ -1,4 +1,4 @@
-"""Continue an odometry in a build that was started during the recording.
+"""Let a build continue an odometry that was started during the recording.
 
 The odometry of a frame depends only on the frames up to it, so it is the same whenever it is computed. An
 earlier odometry is used only if its frames equal those of the sequence byte by byte.
@@ -46,7 +46,7 @@ def using_partial_odometry(ask: Ask) -> Iterator[None]:
 
 
 def partial_odometry_of(sequence: Sequence) -> Follower | None:
-    """The earlier odometry of a sequence, reading its frames; None without one. It is returned once."""
+    """The earlier odometry, if its frames equal the sequence's; else None. Only the first call gets it."""
     ask, frames = _ask.get(), sequence.frames
     _ask.set(None)
     partial = ask() if ask and isinstance(frames, FolderFrames) else None

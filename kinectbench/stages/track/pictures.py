@@ -259,7 +259,7 @@ def _runs(states: Sequence[str], state: str) -> list[tuple[int, int]]:
 
 
 def _fit(axes: "Axes", points_m: Float64) -> None:
-    """Show all points (n, 2) with a margin; at least half a metre in all."""
+    """Set axis limits that show all points (n, 2), metres, with a margin; at least half a metre wide."""
     low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
     reach_m = np.maximum(0.56 * (high_m - low_m), MIN_REACH_M)
     left, bottom = (low_m + high_m) / 2 - reach_m

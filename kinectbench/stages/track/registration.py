@@ -106,7 +106,7 @@ def register(
         targets: one or more other frames.
         T_targets_source: (4, 4) for each target, the initial poses.
         coarsest: level to start at, 0 the finest.
-        prior: (6, 6) information of the start, in the same units as the measurements'.
+        prior: (6, 6) information of the initial pose, in the same units as the measurements'.
         every: stride of the points used at the finest level.
 
     Returns:
@@ -229,7 +229,8 @@ class Observability:
     Attributes:
         signal_to_noise: (6,) information of the normals along a direction, divided by that of their noise.
         motions: (6, 6) the directions as columns of twists; each moves the points by 1 m (root mean square).
-        metric: (6, 6), motions.T @ metric @ motions is the unit matrix.
+        metric: (6, 6), twist @ metric @ twist is the points' mean squared motion; motions.T @ metric @
+            motions is the unit matrix.
     """
 
     signal_to_noise: Float64
@@ -247,8 +248,9 @@ class Observability:
 def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Observability:
     """How well the normals constrain each direction of motion, relative to the noise of normals.
 
-    Noise of unit variance along each axis e adds J J^T with J = [p]x e, e: in sum [[p]x; 1] [[p]x; 1]^T. In
-    this metric the length of a twist is the motion of the points.
+    Noise of unit variance along each axis e of a normal adds J J^T, where J = ([p]x e, e). The sum over the
+    axes is [[p]x; 1] [[p]x; 1]^T. The mean of it over the points is the metric, in which the length of a
+    twist is the motion of the points.
 
     Args:
         parts: terms for each target, linearised `with_observability`.
@@ -274,7 +276,7 @@ def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence
 
 
 def registration_score(registration: Registration) -> float:
-    """The score of a registration: at most 1.25, or 1 without intensity."""
+    """Score by inliers, overlap and correlation of intensities: at most 1.25, or 1 without intensity."""
     return _score(registration.inlier_share, registration.overlap, registration.intensity_correlation)
 
 

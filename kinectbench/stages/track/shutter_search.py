@@ -50,7 +50,7 @@ class _Pair:
 
 
 def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
-    """Estimate the rolling shutter of a fast recording and the colour's delay; None without either.
+    """Estimate the rolling shutter and the colour's delay, if the camera moves fast; None without either.
 
     Args:
         maps: maps of the frames, without a shutter undone.
@@ -93,7 +93,7 @@ def flow_rad_per_s(rates: Float64, depth_m: float) -> Float64:
 
 
 def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> list[_Pair]:
-    """Pairs of frame and keyframe with different motion: the more informative half."""
+    """Pairs of a frame and its keyframe with different motions: the half that differs most; [] if too few."""
     frames = odometry.frames
     homes = np.array([index if frame is None else frame.keyframe for index, frame in enumerate(frames)])
     chosen_frames = evenly(len(frames), DEPTH_FRAMES).tolist()
@@ -116,7 +116,7 @@ def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> l
 
 
 class _Search:
-    """Measures how well pairs of frames fit under a shutter; large images are halved."""
+    """Measures how well pairs of frames fit if a rolling shutter is undone; large images are halved."""
 
     def __init__(self, maps: MapCache, pairs: Sequence[_Pair], motion: Float64) -> None:
         self.maps, self.pairs, self.motion = maps, pairs, motion

@@ -70,7 +70,7 @@ def second_differences(times_s: Float64) -> list[Float64]:
 
 
 def _spans(times_s: Float64) -> tuple[Float64, Float64, Float64]:
-    """Seconds before and after each inner frame, and their mean; equal stamps get a least step."""
+    """Seconds (n - 2,) before and after each inner frame, and their mean; short steps get a minimum."""
     steps = np.diff(times_s)
     steps = np.maximum(steps, LEAST_STEP * max(float(np.median(steps)), 1e-6))
     return steps[:-1], steps[1:], (steps[:-1] + steps[1:]) / 2

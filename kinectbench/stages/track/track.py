@@ -119,7 +119,7 @@ def _finished(
 
 
 def _refuse_far(T_given: Float64) -> None:
-    """Refuse given poses (n, 4, 4) whose world the scene's volume cannot hold."""
+    """Refuse given poses (n, 4, 4) farther from the world's origin than the scene's volume reaches."""
     off_m = np.nan_to_num(np.abs(T_given[:, :3, 3]).max(axis=1))
     frame = int(np.argmax(off_m))
     if off_m[frame] > WORLD_REACH_M:

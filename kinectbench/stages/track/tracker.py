@@ -129,7 +129,7 @@ class _Placed:
 
 @dataclass(frozen=True)
 class _FirstTry:
-    """A frame's predicted pose, the rows of nearby keyframes, and its registration to them from there."""
+    """A frame's predicted pose, the rows of nearby keyframes, and its registration to them from that pose."""
 
     state: State
     T_world_camera: Float64
@@ -160,7 +160,8 @@ class _Placer:
     def first_try(self, index: int) -> _Placed | _FirstTry:
         """Register a frame to the keyframes with the largest shared view, from its predicted pose.
 
-        The result is independent of other frames. If the frame cannot be registered, it is the reason.
+        The result is independent of other frames. It is final (`_Placed`) for a lost frame, with the reason,
+        and for a keyframe without neighbours.
         """
         frame = self.odometry.frames[index]
         if frame is None:
@@ -206,7 +207,7 @@ class _Placer:
         return (own + [k for _, k in sorted(shared)])[:NEIGHBOURS]
 
     def _registered(self, index: int, around: list[int], T_world: Float64) -> Registration:
-        """Measure a keyframe in place; register any other frame."""
+        """The registration to the keyframes around: a keyframe is measured at its pose, other frames move."""
         source = self.maps[index]
         targets = [self.maps[self.graph.keyframes[k]] for k in around]
         starts = [invert_rigid(self.graph.T_world[k]) @ T_world for k in around]

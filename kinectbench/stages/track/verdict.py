@@ -75,7 +75,8 @@ def recommend(given: GivenFigures, checked_share: float, rejected_share: float) 
     Ignore it if most frames disagree, or most cannot be compared. Refine it if near frames disagree by more
     than 10 mm, if a tenth of the frames disagrees, if it jumps, if it drifts, if many distant frames do not
     fit, or if refinement moves it far. It drifts if distant frames disagree by more than twice as much as
-    near frames plus 5 mm; if that is unknown, if near frames disagree by more than 5 mm.
+    near frames plus 5 mm. If the distant disagreement is unknown, it drifts if near frames disagree by more
+    than 5 mm.
 
     Args:
         given: figures of the given trajectory.
@@ -201,7 +202,7 @@ def _degenerate(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
 
 
 def _mm(value_m: float) -> str:
-    """Format millimetres with one decimal; the file has two."""
+    """Format metres as millimetres with one decimal, after rounding to two as in health.json."""
     return f"{round(1000 * value_m, 2):.1f} mm"
 
 

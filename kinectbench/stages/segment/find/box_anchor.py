@@ -31,7 +31,7 @@ DIGITS = 16
 
 
 def anchor_of(floor: Floor, trajectory: Trajectory, sequence: Sequence) -> BoxAnchor:
-    """The anchor of boxes in a floor frame: the middle frame with a pose, and its camera there."""
+    """The anchor of boxes in a floor frame: the middle frame with a pose, and its camera's pose there."""
     frames = trajectory.good_frames
     frame = int(frames[len(frames) // 2])
     pose = _pose(floor.T_floor_world @ trajectory.T_world_camera[frame])
@@ -39,10 +39,10 @@ def anchor_of(floor: Floor, trajectory: Trajectory, sequence: Sequence) -> BoxAn
 
 
 def reanchored(box: OrientedBox, sequence: Sequence) -> OrientedBox:
-    """The box with its anchor under the frame's present number: numbers change when a recording is cut.
+    """The box with the present number of its anchor frame, which changes when a recording is cut.
 
     Raises:
-        SegmentationError: no frame of the sequence has that depth.
+        SegmentationError: no frame of the sequence has the depth of the anchor frame.
     """
     if box.anchor is None or box.anchor.depth_sha256 is None:
         return box
@@ -64,11 +64,12 @@ def _depth_sha256(sequence: Sequence, frame: int) -> str:
 def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: float = 1.0) -> None:
     """Refuse a box that was chosen in another floor frame: with another trajectory, or on another plane.
 
-    A box without an anchor, written by hand, is accepted. No two measurements of a floor are equal: the
-    frame is the same if no corner moves by more than 6 cm, less in proportion to the `scale` of the scene.
+    A box without an anchor, written by hand, is accepted. No two measurements of a floor are equal: the frame
+    counts as the same if no corner of the box moves by more than 6 cm, times the `scale` of the scene.
 
     Raises:
-        SegmentationError: it was; the line has the box of the same place now, unless it would not be upright.
+        SegmentationError: it was, or the anchor frame has no pose. The message has the box converted to this
+        floor frame, if it stays upright.
     """
     if box.anchor is None:
         return
@@ -102,7 +103,7 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
 
 
 def _pose(T: Float64) -> Pose:
-    """A pose (4, 4) as the seven numbers of a row of a trajectory."""
+    """A pose (4, 4) as (x, y, z, qx, qy, qz, qw), as in a trajectory file."""
     x, y, z = (float(value) for value in T[:3, 3])
     qx, qy, qz, qw = (float(value) for value in quaternion_xyzw_from_rotation(T[:3, :3]))
     return x, y, z, qx, qy, qz, qw

@@ -1,4 +1,4 @@
-"""Boxes that a person may choose the object from."""
+"""Find boxes among which a person may choose the object."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,13 +37,13 @@ LARGE_M = 2.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """A thing on the floor, or a part of one that touches others.
+    """A possible object: a piece of surface on the floor, or one part of it where objects touch.
 
     Attributes:
         box: upright box around it, floor frame.
         points_floor: (n, 3) its points of the fused surface, floor frame, metres.
-        automatic: it is the choice without a box.
-        distance_m: from where the cameras look to its nearest point.
+        automatic: whether it is chosen if no box is given.
+        distance_m: from where the cameras look to its nearest point, metres.
     """
 
     box: OrientedBox
@@ -58,7 +58,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Candidates:
-    """The scene, and up to nine things in it: the automatic choice first, then by distance."""
+    """The scene and up to nine candidates: the automatic choice, then by distance; very large ones last."""
 
     scene: Scene
     candidates: tuple[Candidate, ...]
@@ -69,8 +69,9 @@ def find_candidates(
 ) -> Candidates:
     """Find objects on the floor of a fused scene: connected pieces, and their parts if separated by a gap.
 
-    The surface is cut into pieces thrice, at gaps of 60 mm, 40 mm and 15 mm, or what the mesh resolves; less
-    where cameras are nearer than 1 m. A piece that a finer cut leaves whole counts once.
+    The surface is split into pieces three times, at gaps of 60 mm, 40 mm and 15 mm, but no finer than the
+    mesh resolves. The gaps shrink where cameras are nearer than 1 m. A piece that a finer split leaves whole
+    counts once.
 
     Raises:
         SegmentationError: nothing that stands on the floor is large enough.
@@ -98,7 +99,7 @@ def find_candidates(
 
 
 def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least_m: float) -> list[Candidate]:
-    """The automatic choice without a box; nothing if it fails."""
+    """The automatic choice without a box, as a list; empty if no object is found."""
     if not scene.floor.found:
         return []
     try:
@@ -112,7 +113,7 @@ def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least
 
 
 def _pieces(points_floor: Float64, cell_m: float, through_faces: bool) -> list[Float64]:
-    """The points of each large piece that stands on the floor, at the scale of cameras 1 m or more away."""
+    """The points (k, 3) of each large piece on the floor; lengths as if cameras were 1 m or more away."""
     if len(points_floor) == 0:
         return []
     label = label_pieces(points_floor, cell_m, through_faces)
@@ -134,7 +135,7 @@ def _candidate(points_floor: Float64, scene: Scene, automatic: bool) -> Candidat
 
 
 def _same(one: Candidate, other: Candidate, within_m: float) -> bool:
-    """Whether the points of two candidates have about the same extents; their boxes may be turned."""
+    """Whether the points of two candidates have about the same extents; the yaw of their boxes may differ."""
     sides = [np.concatenate([c.points_floor.min(axis=0), c.points_floor.max(axis=0)]) for c in (one, other)]
     return bool(np.abs(sides[0] - sides[1]).max() < within_m)
 

@@ -37,8 +37,8 @@ class Selection:
         box: upright box around the object.
         given: whether a person gave the box.
         focus: (3,) where the cameras look.
-        cell_m: parts are apart if these cells leave a gap: 20 mm, or more if the surface is coarser.
-        scale: of the scene; all lengths above are metres over it.
+        cell_m: edge of the cells by which parts are separated: 20 mm, or more if the surface is coarser.
+        scale: of the scene; all lengths above are metres divided by it.
     """
 
     object_points: Float64
@@ -53,7 +53,7 @@ class Selection:
 def choice_warnings(selection: Selection) -> tuple[str, ...]:
     """Reasons why the choice may be wrong, one line each.
 
-    A person's box is only checked for several things in it, and for cutting what it holds.
+    For a given box, these are only that it holds several objects, or cuts through one.
     """
     parts = separate_parts(selection.object_points, selection.cell_m)
     if selection.given:
@@ -85,7 +85,7 @@ def choice_warnings(selection: Selection) -> tuple[str, ...]:
 
 
 def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
-    """The number of large parts on the floor into which points (n, 3) fall, in cells of this edge."""
+    """The number of large parts on the floor that points (n, 3) form, in cells of `cell_m`."""
     if not len(points_floor):
         return 0
     label = label_pieces(points_floor, cell_m)
@@ -95,7 +95,7 @@ def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 
 def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
-    """The number of parts of any size 0.1 m or more beside the largest one, seen from above."""
+    """The number of parts on the floor, even small ones, at least 0.1 m from the largest, seen from above."""
     if not len(points_floor):
         return 0
     label = label_pieces(points_floor, cell_m)
@@ -110,9 +110,9 @@ def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 
 def box_cut_share(selection: Selection) -> float:
-    """The share of the object's cells that has surface right beside it beyond the box.
+    """Share of the object's cells that have surface right beside them, outside the box.
 
-    A board below the box's content is not cut by it.
+    The board that the object stands on does not count.
     """
     from scipy.spatial import cKDTree
 

@@ -1,8 +1,8 @@
 """Scale lengths by the cameras' distance: cells, cuts and gaps shrink in close recordings.
 
-The rules of this stage were chosen on furniture recorded from 1 m and more. A depth camera's pixels shrink
-with the distance and its noise with its square (Nguyen et al. 2012), and so do the things that people hold it
-over.
+The lengths of this stage were chosen on furniture recorded from 1 m and more. At a shorter distance, a depth
+camera's pixels shrink in proportion, its noise shrinks with the square (Nguyen et al. 2012), and people
+record smaller objects.
 """
 
 import numpy as np
@@ -20,28 +20,28 @@ SPACINGS = 1.5
 
 
 def distance_scale(T_world_camera: Float64, focus_world: Float64) -> float:
-    """The factor of all lengths, 0.3 to 1: the cameras' (n, 4, 4) median distance from the focus over 1 m."""
+    """Factor of all lengths, 0.3 to 1: the median distance of cameras (n, 4, 4) from the focus, metres."""
     distance_m = float(np.median(np.linalg.norm(T_world_camera[:, :3, 3] - focus_world, axis=1)))
     return float(np.clip(distance_m, NEAREST_DISTANCE_M, REFERENCE_DISTANCE_M) / REFERENCE_DISTANCE_M)
 
 
 def cell_scale(scale: float, spacing_m: float, cell_m: float) -> float:
-    """`distance_scale`, but at least the surface's resolution.
+    """The scale, but large enough for the surface's resolution.
 
-    Its vertices, `spacing_m` apart, must touch in cells of `cell_m` after these shrink.
+    Vertices that are `spacing_m` apart must still touch in cells of `cell_m` times the result.
     """
     return max(scale, min(1.0, SPACINGS * spacing_m / cell_m))
 
 
 def enlarged_box(box: OrientedBox, factor: float) -> OrientedBox:
-    """A box in a floor frame whose lengths are multiplied."""
+    """The box with its centre and its size multiplied by a factor, without its anchor."""
     x, y, z = (factor * value for value in box.center_m)
     a, b, c = (factor * value for value in box.size_m)
     return OrientedBox((x, y, z), (a, b, c), box.yaw_rad)
 
 
 def enlarged_transform(T: Float64, scale: float) -> Float64:
-    """A rigid transform, or poses, (..., 4, 4), in a world that is 1 / scale times as large."""
+    """Rigid transforms (..., 4, 4) with translations divided by `scale`: in an enlarged world."""
     larger = T.copy()
     larger[..., :3, 3] /= scale
     return larger

@@ -1,4 +1,4 @@
-"""Find the floor: the plane that the cameras look down on, not the largest one; judge a given plane."""
+"""Find the floor: the plane that the cameras look down on, not just the largest; or judge a given plane."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -85,9 +85,9 @@ class Floor:
             held; NaN if it is not known.
         found: False if it is not a measured plane but `level_floor`.
         scale: `distance_scale`, by which the cuts of the settings are multiplied.
-        choice: the planes among which it was chosen; none for a person's plane.
-        given: whether it is a person's plane.
-        against: objections to a person's plane, or to cameras upside down, one line each.
+        choice: the planes among which it was chosen; none if a person gave the plane.
+        given: whether a person gave the plane.
+        against: objections to a given plane, or to cameras upside down, one line each.
     """
 
     plane_world: Float64
@@ -108,7 +108,7 @@ class Floor:
 
     @contextmanager
     def explained_in_errors(self) -> Iterator[None]:
-        """Within the block, a `SegmentationError` also states objections to a person's plane."""
+        """Within the block, a `SegmentationError` also states objections to a given plane."""
         try:
             yield
         except SegmentationError as error:
@@ -138,7 +138,7 @@ def find_floor(
     seed: int,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Floor:
-    """Find the floor among the planes of the scene (`choose_plane`), or judge a person's plane.
+    """Find the floor among the planes of the scene (`choose_plane`), or judge a given plane.
 
     The plane is refined by least squares within 1.2 m of the focus: farther floor has several times the
     noise, and a Kinect's depth bias grows with distance. Where cameras are nearer than 1 m, all these lengths
@@ -150,10 +150,10 @@ def find_floor(
         T_world_camera: (m, 4, 4) poses of the good frames.
         focus_world: (3,) where the cameras look.
         seed: seed of RANSAC.
-        hint: gravity, and a person's plane.
+        hint: gravity, and the plane that a person gave.
 
     Raises:
-        SegmentationError: no plane may be a floor, or the cameras are below a person's.
+        SegmentationError: no plane can be the floor, or the cameras are below the given plane.
     """
     scale = distance_scale(T_world_camera, focus_world)
     surface = SceneSurface(points_world / scale, normals_world, focus_world / scale, INLIER_M * scale)
@@ -178,8 +178,8 @@ def find_floor(
 def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
     """Find the floor among planes, in a world scaled so that cameras are at least 1 m from the focus.
 
-    There a floor's inliers lie closer still, as noise grows with the square of the distance: a board that
-    lies on the floor must not pass for floor.
+    The distance of inliers is scaled once more, as noise grows with the square of the distance; otherwise a
+    board that lies on the floor would pass as floor.
     """
     choice, against = choose_plane(surface, T_world_camera, up_world, seed), tuple[str, ...]()
     if choice.chosen is None and up_world is None:
@@ -196,9 +196,10 @@ def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_wo
 
 
 def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
-    """Whether a plane has so much surface, and so many cameras above, that it must be the floor.
+    """Whether a plane that was found by turning the cameras by 180 degrees is clearly the floor.
 
-    A wall that is looked at from above resembles a floor that is looked at steeply upside down: that is none.
+    It must have enough surface, and enough cameras above it, which must not look down steeply: a wall seen
+    from above looks like a floor seen steeply and upside down.
     """
     upright = float(np.median(-T_world_camera[:, :3, 1] @ chosen.plane[:3]))
     seen = chosen.inlier_share >= LEAST_UPSIDE_DOWN and chosen.above_share >= REPORTED_ABOVE_SHARE
@@ -212,7 +213,7 @@ def _given_floor(
     inlier_m: float,
     up_world: Float64 | None,
 ) -> Floor:
-    """The floor by a person's plane (4,)."""
+    """The floor at a given plane (4,); the points (n, 3) near it give its noise and inlier share."""
     above_m = T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]
     if np.median(above_m) <= 0:
         raise SegmentationError(ABOVE_CAMERAS, what="bad-plane")
@@ -225,9 +226,9 @@ def _given_floor(
 def level_floor(
     points_world: Float64, T_world_camera: Float64, up_world: Float64 | None = None, scale: float = 1.0
 ) -> Floor:
-    """A floor for a scene without one: level, at the lowest of the points (n, 3).
+    """A substitute for the floor: a level plane at the lowest of the points (n, 3).
 
-    It only serves a person's box, which is given in its frame. Without `up_world` (3,) it is level as the
+    It only defines a floor frame, in which a box can be given. Without `up_world` (3,), it is level as the
     cameras (m, 4, 4) were held.
     """
     up = from_above(T_world_camera)[2] if up_world is None else up_world
@@ -237,15 +238,15 @@ def level_floor(
 
 
 def floor_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """Surface up to this height is floor, metres: as the settings say, less for near cameras."""
+    """The height up to which surface is floor, metres: the setting, reduced for near cameras."""
     return settings.floor_cut_m * floor.scale
 
 
 def low_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """The height from which surface can belong to the object if it continues above the floor cut, metres.
+    """The height from which surface can be the object's, metres, if it continues above the floor cut.
 
-    It is `low_cut_m` of the settings, or four standard deviations of the floor if that is more, but at most
-    the floor cut; it is the floor cut where no floor was measured.
+    It is the setting `low_cut_m`, reduced for near cameras, or four standard deviations of the floor if that
+    is more, but at most the floor cut; it is the floor cut where no floor was measured.
     """
     cut_m = floor_cut_m(floor, settings)
     if not floor.found:
@@ -261,11 +262,11 @@ def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None)
 def against_plane(
     plane_world: Float64, surface: SceneSurface, up_world: Float64 | None, scale: float
 ) -> tuple[str, ...]:
-    """Objections to a person's plane (4,), one line each; advice follows after a semicolon.
+    """Objections to a given plane (4,), one line each; advice follows after a semicolon.
 
-    Only a plane within 0.1 m of the one given, and off by more than noise, speaks against it: where a table
-    and the floor are seen, a person says which is meant. The world is `scale` times as large as that of
-    `surface`.
+    The plane is not level, or the frames show another plane right beside it. That plane must be within 0.1 m
+    and differ by more than noise: where a table and the floor are seen, the person decides which is meant.
+    The world is `scale` times as large as that of `surface`.
     """
     gravity = against_gravity(plane_world, up_world)
     beside = _beside(plane_world * [1, 1, 1, 1 / scale], surface)
@@ -283,7 +284,7 @@ def against_plane(
 
 
 def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str, ...]:
-    """A line if a person's plane (4,) is not level by gravity, if `up_world` (3,) is known."""
+    """An objection if a given plane (4,) is not level by gravity; none if `up_world` (3,) is unknown."""
     if up_world is None or plane_world[:3] @ up_world >= MIN_GRAVITY_COSINE:
         return ()
     turn_deg = float(np.degrees(np.arccos(np.clip(plane_world[:3] @ up_world, -1, 1))))
@@ -294,9 +295,9 @@ def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str
 
 
 def _beside(plane: Float64, surface: SceneSurface) -> tuple[Float64, float, float] | None:
-    """A plane (4,) seen right beside another: its height above the other, and the angle in degrees.
+    """A measured plane (4,) right beside a given one, its height above it, and their angle in degrees.
 
-    None if the surface near the focus shows no plane, or the other plane itself.
+    None if the surface near the focus shows no plane, or shows the given one.
     """
     points, normals = surface.points_world, surface.normals_world
     near = normals @ plane[:3] > FLAT_COSINE

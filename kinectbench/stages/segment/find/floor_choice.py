@@ -84,8 +84,8 @@ class PlaneCandidate:
         below_share: share of the surface that lies lower.
         under_share: points right below the plane's own area, divided by the points on it.
         tilt_rad: between its normal and up by gravity, or else as the cameras were held.
-        way: by which way of holding the cameras (`facings`) its normal is up; 0: the usual one.
-        reason: why it is not the floor; "": it is.
+        way: index of the way of holding the cameras (`facings`) by which its normal is up; 0: the usual one.
+        reason: why it was not chosen as the floor; "": it was.
     """
 
     plane: Float64
@@ -100,10 +100,10 @@ class PlaneCandidate:
 
     @property
     def evidence(self) -> float:
-        """The evidence for it: a product of shares.
+        """The evidence that it is the floor: a product of three shares, less if cameras are held unusually.
 
-        They are the surface on it, the cameras above it, and the surface that does not lie lower. The product
-        is less if the cameras are not held as usual.
+        They are the shares of the surface on it, of the cameras above it, and of the surface that is not
+        below it.
         """
         return self.inlier_share * self.above_share * (1 - self.below_share) * FACING_WEIGHTS[self.way]
 
@@ -117,7 +117,7 @@ class PlaneChoice:
 
     @property
     def likeliest(self) -> str:
-        """Objections to the plane with most evidence if none was chosen; "" without one."""
+        """The objection to the plane with most evidence if none was chosen; "" without any plane."""
         best = max(self.candidates, key=lambda each: each.evidence, default=None)
         if best is None:
             return ""
@@ -166,16 +166,16 @@ NO_CHOICE = PlaneChoice(None, ())
 def choose_plane(
     surface: SceneSurface, T_world_camera: Float64, up_world: Float64 | None, seed: int
 ) -> PlaneChoice:
-    """Choose the plane that the object stands on among up to six for each way of holding the cameras.
+    """Choose the plane that the object stands on, from up to six for each way of holding the cameras.
 
-    The plane with most evidence decides which way is up, even if it is refused as a floor. Of the planes that
-    are up that way, and below which nothing is seen, the one with most evidence is the floor; but a parallel
-    plane at least 0.2 m lower is preferred, as a table top may fill more of the frames than the floor. A
-    higher plane takes its place if it carries what the cameras look at, whatever is seen below it.
+    The plane with most evidence decides which way is up, even if it is the top of something. Of the planes
+    that face up that way and have hardly any surface below them, the one with most evidence is the floor; but
+    a parallel plane at least 0.2 m lower is preferred, as a table top may fill more of the frames than the
+    floor. A higher plane takes its place if it carries what the cameras look at, whatever is seen below it.
 
     Args:
-        surface: of the scene, in a world in which the cameras are 1 m and more from what they look at.
-        T_world_camera: (m, 4, 4) poses of the good frames, in that world.
+        surface: the scene's surface, scaled so that the cameras are at least 1 m from what they look at.
+        T_world_camera: (m, 4, 4) poses of the good frames, in the scaled world.
         up_world: (3,) unit, by gravity, or None.
         seed: of RANSAC.
     """
@@ -201,7 +201,7 @@ def choose_plane(
 
 
 def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Float64, Bools]]:
-    """Up to six planes (4,) of the points whose normals may be up, and which points (n,) lie on each."""
+    """Up to six planes (4,) of points whose normals may be up, each with its points: (n,) bool."""
     points_world, normals_world, inlier_m = surface.points_world, surface.normals_world, surface.inlier_m
     rng = np.random.default_rng(seed)
     left = facing(normals_world)
@@ -221,7 +221,7 @@ def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Floa
 
 
 def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
-    """The noise of each point (n,) relative to what the cameras look at, at least 1."""
+    """The noise of each point (n,) relative to the noise at the focus, at least 1."""
     from scipy.spatial import cKDTree
 
     cameras = T_world_camera[:: max(1, len(T_world_camera) // SOME_CAMERAS), :3, 3]
@@ -253,7 +253,7 @@ def _candidate(
 
 
 def _refusal(candidate: PlaneCandidate, facing: Facing, surface: SceneSurface) -> Reason:
-    """Why a plane is no floor, or the top of something on it; "" without an objection."""
+    """Why a plane cannot be the floor, or is the top of something on it; "" without an objection."""
     if not facing(candidate.plane[None, :3])[0]:
         return "turned"
     if candidate.above_share < MIN_ABOVE_SHARE:
@@ -264,7 +264,7 @@ def _refusal(candidate: PlaneCandidate, facing: Facing, surface: SceneSurface) -
 
 
 def _lowest(planes: list[PlaneCandidate], surface: SceneSurface) -> PlaneCandidate:
-    """The plane with most evidence, or the lowest parallel one well below it."""
+    """The plane with most evidence, or the lowest flat plane that is parallel to it and well below."""
     most = max(planes, key=lambda each: each.evidence)
     lower = [
         each for each in planes if is_below(each.plane, most.plane, surface) and is_flat(each.plane, surface)
@@ -275,7 +275,7 @@ def _lowest(planes: list[PlaneCandidate], surface: SceneSurface) -> PlaneCandida
 def _support(
     planes: list[PlaneCandidate], floor: PlaneCandidate | None, surface: SceneSurface
 ) -> PlaneCandidate | None:
-    """The nearest plane above the floor that carries the object; None if the floor does."""
+    """The plane above the floor that carries the object, the nearest to the focus; None if none does."""
     higher = [each for each in planes if floor is None or is_below(floor.plane, each.plane, surface)]
     for each in sorted(higher, key=lambda each: surface.focus_above_m(each.plane)):
         if is_flat(each.plane, surface) and carries_what_is_looked_at(each.plane, surface):
@@ -301,7 +301,7 @@ def _with_reason(
 
 
 def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]:
-    """A plane refined near the focus, and the surface's noise about it, metres."""
+    """The plane (4,) refined near the focus, and the noise of the surface about it, metres."""
     points_world, inlier_m = surface.points_world, surface.inlier_m
     flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M
     flat &= surface.normals_world @ plane[:3] > FLAT_COSINE
@@ -313,7 +313,7 @@ def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]
 
 
 def _turn_deg(one: PlaneCandidate, other: PlaneCandidate) -> float:
-    """The angle between the normals of two planes."""
+    """The angle between the normals of two planes, degrees."""
     return float(np.degrees(np.arccos(np.clip(one.plane[:3] @ other.plane[:3], -1, 1))))
 
 

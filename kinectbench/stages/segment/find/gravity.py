@@ -35,15 +35,15 @@ Facing = Callable[[Float64], Bools]
 
 @dataclass(frozen=True)
 class FloorHint:
-    """Known facts about a floor before the search.
+    """What is known about the floor before the search.
 
     Attributes:
         up_world: (3,) unit, up by gravity, or None.
-        plane_world: (4,) a person's plane: a, b, c, d with unit (a, b, c) up and a x + b y + c z + d = 0,
-            metres; or None.
-        middle_depth_m: median depth in the middle of the images, which says where the cameras look
-            (`looked_at`); None: where their axes meet.
-        picked_world: (3,) a point on the object that a person picked: it stands for where the cameras look.
+        plane_world: (4,) the plane that a person gave: a, b, c, d with unit (a, b, c) up and a x + b y + c z
+            + d = 0, metres; or None.
+        middle_depth_m: median depth in the middle of the images, at which the cameras look (`looked_at`);
+            None: they look at where their axes meet.
+        picked_world: (3,) a point on the object that a person picked; it replaces where the cameras look.
     """
 
     up_world: Float64 | None = None
@@ -52,7 +52,7 @@ class FloorHint:
     picked_world: Float64 | None = None
 
     def focus_world(self, T_world_camera: Float64) -> Float64:
-        """Where the object is looked for (3,): the point that was picked, else where the cameras look."""
+        """The point (3,) at which to look for the object: the picked point, else where the cameras look."""
         if self.picked_world is not None:
             return self.picked_world
         return looked_at(T_world_camera, self.middle_depth_m)
@@ -62,7 +62,7 @@ NOTHING_KNOWN = FloorHint()
 
 
 class KnowsUp(Protocol):
-    """A recording or sequence with a known up direction."""
+    """A recording or sequence that may know which way is up."""
 
     @property
     def given_trajectory(self) -> GivenTrajectory | None:
@@ -70,11 +70,11 @@ class KnowsUp(Protocol):
 
     @property
     def up_world(self) -> Float64 | tuple[float, float, float] | None:
-        """(3,) unit: up in the frame of that trajectory, by gravity."""
+        """(3,) unit: up by gravity, in the frame of the given trajectory; None: unknown."""
 
     @property
     def up_cameras(self) -> tuple[UpSample, ...]:
-        """Up in some frames' own axes, by an accelerometer."""
+        """Up in the axes of some frames' cameras, by an accelerometer."""
 
 
 def floor_hint(
@@ -83,7 +83,7 @@ def floor_hint(
     plane: Sequence[float] | None = None,
     picked_world: Float64 | None = None,
 ) -> FloorHint:
-    """`hint_of` a recording with its poses, the depth in the middle of its images, and a picked point."""
+    """The hint from `hint_of`, with the depth in the middle of the images and a picked point added."""
     good = trajectory.good_frames
     hint = hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
     middle_depth_m = median_middle_depth_m(sequence, good)
@@ -93,16 +93,16 @@ def floor_hint(
 def hint_of(
     known: KnowsUp, stamps_ns: Int64, T_world_camera: Float64, plane: Sequence[float] | None = None
 ) -> FloorHint:
-    """A recording's and a person's facts about the floor, in the world of the poses.
+    """Make a hint from a recording's gravity and a person's plane, in the world of the poses.
 
     Gravity is converted frame by frame, so that it holds where given poses were refined or ignored. Some
-    drivers give an accelerometer the other sign: one that says that the cameras were upside down is ignored.
+    drivers give acceleration the opposite sign: it is ignored if the cameras would be upside down.
 
     Args:
         known: the recording, with its given trajectory, if any.
         stamps_ns: (n,) of the frames with a pose.
         T_world_camera: (n, 4, 4) their poses.
-        plane: a person's plane (a, b, c, d) in that world, its normal of any length but 0.
+        plane: the plane (a, b, c, d) that a person gave in that world, its normal of any length but 0.
     """
     plane_world = None if plane is None else np.array(plane) / np.linalg.norm(plane[:3])
     if known.up_world is not None and known.given_trajectory is not None:
@@ -122,19 +122,19 @@ def hint_of(
 
 
 def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
-    """The mean (3,), of length 1, of directions (n, 3) in the axes of cameras (n, 4, 4); or None."""
+    """The mean (3,), of unit length, of directions (n, 3) in the axes of n cameras; None if they disagree."""
     up = (T_world_camera[:, :3, :3] @ up_cameras[:, :, None])[:, :, 0].sum(axis=0)
     length = float(np.linalg.norm(up))
     return up / length if length > MIN_AGREEMENT * len(up_cameras) else None
 
 
 def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
-    """Functions that say which unit normals may be a floor's; the most likely way of holding cameras first.
+    """Tests of which unit normals may be a floor's, one for each way of holding cameras, the likeliest first.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
-        up_world: (3,) unit, by gravity. None: the cameras' upper edges are up; then an edge beside, as of a
-            phone held upright; then cameras that look down more steeply.
+        up_world: (3,) unit, by gravity. None: the upper edges of the images are up; then the right or left
+            edges, as with a phone held upright; then any of these, for cameras that look down steeply.
     """
     if up_world is not None:
         return [partial(_along, up_world, MIN_GRAVITY_COSINE)]
@@ -145,12 +145,12 @@ def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
 
 
 def _along(up: Float64, least: float, normals: Float64) -> Bools:
-    """Normals within an angle of a direction."""
+    """Which unit normals (n, 3) have a cosine above `least` to the direction `up`: (n,)."""
     return np.asarray(normals @ up > least)
 
 
 def _looked_down_on(axes: Float64, edges: Sequence[Float64], normals: Float64) -> Bools:
-    """Normals that most cameras face, tilted towards an edge of the image."""
+    """Which normals (n, 3) most cameras face, tilted towards an image edge: floors seen steeply."""
     against = np.median(-normals @ axes.T, axis=1) > MIN_DOWN_COSINE
     held: Bools = np.max([normals @ edge for edge in edges], axis=0) > MIN_HELD_COSINE
     return against & held

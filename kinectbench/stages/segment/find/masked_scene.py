@@ -36,8 +36,8 @@ def segment_masked_scene(
 ) -> Segmentation:
     """Take all fused surface as the object, except specks.
 
-    The floor frame is level by a person's plane, by gravity, or else as the cameras were held. A person's
-    plane is z = 0; else z = 0 lies below the measured surface.
+    The floor frame is level by a given plane, by gravity, or else as the cameras were held. A given plane is
+    z = 0; else z = 0 lies below the measured surface.
 
     Raises:
         SegmentationError: nothing was fused, or the box holds nothing of it.
@@ -70,7 +70,7 @@ def segment_masked_scene(
 
 
 def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scale: float) -> Floor:
-    """The plane z = 0: a person's, or a level one below the points (n, 3)."""
+    """The plane z = 0 as a floor: a given one, or a level one below the points (n, 3)."""
     if hint.plane_world is not None:
         against = against_gravity(hint.plane_world, hint.up_world)
         frame = floor_frame(hint.plane_world)

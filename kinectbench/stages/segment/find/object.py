@@ -52,7 +52,7 @@ class Scene:
     Attributes:
         floor: the floor.
         points_floor: (n, 3) points spread evenly over the surface, floor frame, metres.
-        owner: (v,) int64, the point that each vertex of the mesh belongs to.
+        owner: (v,) int64, the row in `points_floor` that each vertex of the mesh belongs to.
         focus_floor: (3,) where the cameras look.
         scale: factor of cells and gaps for near cameras (`cell_scale`).
         picked: whether the focus is a point that a person picked.
@@ -71,7 +71,8 @@ def find_scene(
 ) -> Scene:
     """Find the floor, and move the surface into its frame.
 
-    Without a floor, `floor_may_lack` takes the lowest surface, level by gravity or as cameras were held.
+    If no floor is found and `floor_may_lack` is set, a level plane at the lowest surface replaces it
+    (`level_floor`).
 
     Raises:
         SegmentationError: the scene is empty, or has no floor and must have one.
@@ -99,10 +100,10 @@ def find_scene(
 def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
     """Refuse an object more than 0.3 m beside the cameras' focus, seen from above.
 
-    The box and the focus (3,) are in the floor frame, in metres over `scale`.
+    The box and the focus (3,) are in the floor frame, in metres divided by `scale`.
 
     Raises:
-        SegmentationError: it does.
+        SegmentationError: the box is too far from the focus.
     """
     local = transform_points(invert_rigid(box.T_floor_box), focus_floor)[:2]
     beside_m = float(np.linalg.norm(np.maximum(np.abs(local) - np.array(box.size_m[:2]) / 2, 0)))
@@ -114,7 +115,7 @@ def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> N
 
 
 def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
-    """Points above the floor cut (n, 3) that belong to pieces that hardly rise above it: (n,) bool."""
+    """Which points (n, 3) above the floor cut belong to pieces that hardly rise above it: (n,) bool."""
     if not len(points_floor):
         return np.zeros(0, dtype=bool)
     label = label_pieces(points_floor, cell_m)
@@ -124,13 +125,13 @@ def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
 
 
 def low_parts(low_floor: Float64, object_floor: Float64, box: OrientedBox, cell_m: float) -> Bools:
-    """Low points that are connected to the object: (n,) bool.
+    """Which low points are connected to the object: (n,) bool.
 
     Args:
         low_floor: (n, 3) points of the surface between the low cut and the floor cut, and of low pieces,
             floor frame, metres.
         object_floor: (m, 3) points of the object above the floor cut, m > 0.
-        box: around these; points more than 0.3 m beyond it are left out.
+        box: around the object's points; low points more than 0.3 m outside it are left out.
         cell_m: cells of this edge that touch are connected.
     """
     held = box.grown(MAX_BEYOND_M).contains(low_floor)
@@ -146,8 +147,8 @@ class ObjectOnFloor:
     """The object as it was chosen in a scene.
 
     Attributes:
-        chosen: (n,) bool, the scene's points above the floor cut that are the object's.
-        feet: (v,) bool, the vertices that are low parts of it.
+        chosen: (n,) bool, which of the scene's points above the floor cut are the object's.
+        feet: (v,) bool, which vertices of the mesh are the object's below that cut, or in low pieces.
         box: upright box around both, floor frame.
     """
 
@@ -216,11 +217,11 @@ class Segmentation:
 
     @property
     def hangs(self) -> bool:
-        """Whether the space below the object is unknown."""
+        """Whether the object hangs or is held, so that no floor is known below it."""
         return self.how == "masks" and not self.floor.found
 
     def neighbours(self, grid: Grid) -> Bools:
-        """Where a neighbour's surface is and the object's is not: bool of an upright grid's shape."""
+        """Voxels of an upright grid near other surface and not near the object's: bool, the grid's shape."""
         ground_floor, heights_m = self._middles_floor(grid)
         cells = np.floor(ground_floor[..., :2] / self.cell_m).astype(np.int64)
         levels = np.floor(heights_m / self.cell_m).astype(np.int64)
@@ -231,7 +232,7 @@ class Segmentation:
         return np.asarray(foreign[x, y, levels - first[2]])
 
     def beyond_box(self, grid: Grid) -> Bools | None:
-        """Where a given box ends: bool of an upright grid's shape; None without a given box."""
+        """Voxels of an upright grid outside a given box: bool, the grid's shape; None without one."""
         if self.how != "box":
             return None
         ground_floor, heights_m = self._middles_floor(grid)
@@ -318,7 +319,7 @@ def _find_on_floor(
 
 
 def _object_in_box(scene: Scene, above: Bools, box: OrientedBox) -> ObjectOnFloor:
-    """The object in a person's box, among the scene's points above the floor (n,)."""
+    """The object in a given box; `above` (n,) says which points of the scene are above the floor."""
     points_floor = scene.points_floor[above]
     in_box = box.contains(points_floor)
     if not len(in_box):
@@ -337,7 +338,7 @@ def _object_in_box(scene: Scene, above: Bools, box: OrientedBox) -> ObjectOnFloo
 
 
 def _dilated(cells: Int64, first: Int64, shape: Int64) -> Bools:
-    """A dense grid with the cells and their 26 neighbours set."""
+    """Cells (n, 3) and their 26 neighbours, as a dense bool grid of `shape` that starts at cell `first`."""
     from scipy import ndimage
 
     local = cells - first

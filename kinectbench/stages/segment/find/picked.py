@@ -21,12 +21,12 @@ BESIDE_CELLS = 2
 
 
 class PickedPoint(NamedTuple):
-    """What a person picked.
+    """A point that a person picked in a frame.
 
     Attributes:
-        frame: its number in the recording.
+        frame: number of the frame in the recording.
         pixel: column and row.
-        point_world: (3,) what the pixel shows, metres.
+        point_world: (3,) the surface point that the pixel shows, metres.
     """
 
     frame: int
@@ -53,12 +53,12 @@ def point_under(depth_m: Float32, camera: Camera, pixel: tuple[int, int]) -> Flo
 def picked_point(
     sequence: Sequence, trajectory: Trajectory, frame: int, pixel: tuple[int, int]
 ) -> PickedPoint:
-    """The point that a pixel of a frame shows.
+    """The surface point that a pixel of a frame shows, or the nearest pixel with depth.
 
     Args:
         sequence: the recording.
-        trajectory: of it.
-        frame: its number among the recording's depth frames, from 0, where damaged ones count.
+        trajectory: the recording's poses.
+        frame: number of the frame among the recording's depth frames, from 0, damaged ones included.
         pixel: column and row.
 
     Raises:
@@ -83,10 +83,10 @@ def picked_point(
 
 
 def check_picked(picked: PickedPoint, chosen: Segmentation) -> None:
-    """Refuse an object that was chosen beside what was picked.
+    """Refuse an object that does not lie at the picked point.
 
     Raises:
-        SegmentationError: it was.
+        SegmentationError: it does not.
     """
     point_floor = transform_points(chosen.floor.T_floor_world, picked.point_world)
     middles_floor = (chosen.object_cells + 0.5) * chosen.cell_m

@@ -41,14 +41,14 @@ SPACINGS = 2.0
 
 @dataclass(frozen=True)
 class SceneSurface:
-    """The surface of a scene; lengths as if cameras were 1 m and more away.
+    """The surface of a scene, scaled so that the cameras are at least 1 m from the focus.
 
     Attributes:
         points_world: (n, 3) spread evenly, metres.
         normals_world: (n, 3) unit.
         focus_world: (3,) where the cameras look.
         inlier_m: points this near to a plane are on it.
-        times_noise: (n,) or one for all: how many times noisier a point is than what the cameras look at.
+        times_noise: (n,) or one for all: the noise of a point divided by that at the focus.
     """
 
     points_world: Float64
@@ -106,10 +106,11 @@ def _noise_m(distance_m: Float64, inlier_m: float) -> float:
 
 
 def carries_what_is_looked_at(plane: Float64, surface: SceneSurface) -> bool:
-    """Whether a plane (4,) carries a thing at the focus and is larger than it.
+    """Whether a plane (4,) carries the object at the focus and is larger than it.
 
-    The plane is twice as long as the thing; or it continues all around the thing, and the cameras look at the
-    thing. A thing that only reaches past a table, such as a lamp beside it, has its foot outside the plane.
+    The plane is twice as long as the object; or it extends all around the object, and the cameras look at the
+    object, not at the plane. The object must stand on the plane: a lamp that stands beside a table and
+    reaches over it does not.
     """
     height_m = surface.points_world @ plane[:3] + plane[3]
     focus_m = surface.focus_above_m(plane)
@@ -137,7 +138,7 @@ def carries_what_is_looked_at(plane: Float64, surface: SceneSurface) -> bool:
 
 
 def _surrounds(patch: Float64, thing: Float64) -> bool:
-    """Whether points (k, 2) extend farther out than others (n, 2) on most sides of the others' middle."""
+    """Whether the points `patch` (k, 2) reach farther than `thing` (n, 2) on most sides of its middle."""
     middle = (thing.min(axis=0) + thing.max(axis=0)) / 2
     reach_m = np.zeros((2, SIDES))
     for row, points in enumerate((patch - middle, thing - middle)):

@@ -1,4 +1,4 @@
-"""Find the floor in the frames themselves, before anything is fused; a build compares it with its own."""
+"""Find the floor in the frames themselves, before fusion; a build compares it with the floor of the scene."""
 
 from collections.abc import Sequence as Rows
 
@@ -50,7 +50,7 @@ def oriented(depth_m: Float32, camera: Camera) -> tuple[Float64, Float64]:
 def floor_of_frames(
     depths_m: Rows[Float32], camera: Camera, T_world_camera: Float64, hint: FloorHint
 ) -> tuple[Floor, list[Float64]]:
-    """The one floor of some frames, found as in a fused scene.
+    """The common floor of some frames, found as in a fused scene.
 
     Args:
         depths_m: (height, width) each, metres, 0 = none.
@@ -62,7 +62,7 @@ def floor_of_frames(
         The floor, and the points (k, 3) of each frame, world frame.
 
     Raises:
-        SegmentationError: there is none, or hardly any depth.
+        SegmentationError: there is no floor, or hardly any depth.
     """
     clouds, normals = [], []
     for depth_m, T in zip(depths_m, T_world_camera, strict=True):
@@ -81,9 +81,9 @@ def floor_of_frames(
 def other_floor(
     floor: Floor, sequence: Sequence, trajectory: Trajectory, hint: FloorHint, max_depth_m: float
 ) -> tuple[str, ...]:
-    """A line if single frames show another floor than the fused scene.
+    """A warning if single frames show another floor than the fused scene; else none.
 
-    Depth beyond `max_depth_m` is ignored. A person's plane was already judged by the scene (`find_floor`).
+    Depth beyond `max_depth_m` is ignored. A given plane is not compared here: `find_floor` judges it.
     """
     frames = trajectory.good_frames
     if hint.plane_world is not None or not floor.found or len(frames) < 2:

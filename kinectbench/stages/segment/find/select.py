@@ -45,18 +45,18 @@ def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = Fal
     on the floor.
 
     Args:
-        points_floor: (n, 3) points above the floor, at least one a cell, floor frame, metres; n > 0.
+        points_floor: (n, 3) points above the floor, at least one per cell, floor frame, metres; n > 0.
         cell_m: cells of this edge that touch are connected.
-        through_faces: they must share a face; else a corner suffices.
+        through_faces: connected cells must share a face; else a corner suffices.
 
     Returns:
-        (n,) int32, from 1; not every number need occur.
+        (n,) int32, from 1; some numbers may not occur.
     """
     return _with_floating_merged(connected(points_floor, cell_m, through_faces), points_floor)
 
 
 def standing(label: Int32, points_floor: Float64) -> Bools:
-    """Labels that reach down to the floor: (largest label + 1,) bool."""
+    """Whether the points of each label reach down to the floor: (largest label + 1,) bool."""
     lowest_m = np.full(int(label.max()) + 1, np.inf)
     np.minimum.at(lowest_m, label, points_floor[:, 2])
     return np.asarray(lowest_m <= GROUNDED_M)
@@ -81,9 +81,9 @@ def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
 
 
 def nearest_within(tree: "cKDTree", points: Float64, most_m: float) -> tuple[float, int | None]:
-    """Distance of points (n, k) to the nearest of a `cKDTree`, and its index.
+    """The least distance of points (n, k) from the points of a tree, and the index of the nearest of these.
 
-    They are inf and None where nothing is within `most_m`. A search without a bound visits most of the tree.
+    inf and None if no point is within `most_m`. A search without a bound would visit most of the tree.
     """
     least_m, nearest = np.inf, None
     for start in range(0, len(points), QUERY_BATCH):
@@ -98,7 +98,7 @@ def nearest_within(tree: "cKDTree", points: Float64, most_m: float) -> tuple[flo
 def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float64) -> Bools:
     """Choose the piece above the floor that lies nearest to a target point: (n,) bool.
 
-    Specks do not count, but a small piece right where the cameras look does.
+    Specks are ignored. A small piece is chosen only if it lies right where the cameras look.
 
     Args:
         points_floor: (n, 3) evenly spread surface points, floor frame, metres.
@@ -130,9 +130,9 @@ def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float
 
 
 def _small_one(label: Int32, points_floor: Float64, sizes: Int64, distance_m: Float64) -> int | None:
-    """The label of a small piece larger than a speck, by `SMALL_CELLS`; None if there is none.
+    """The label of a small piece, larger than a speck, right where the cameras look; None without one.
 
-    `sizes` and `distance_m`, to where the cameras look, are of each label.
+    `sizes`, in cells, and `distance_m`, from where the cameras look, have a value for each label.
     """
     is_small = (sizes >= SMALL_CELLS) & (sizes < MIN_CELLS) & (distance_m <= SMALL_FOCUS_M)
     is_small &= standing(label, points_floor)
@@ -144,11 +144,11 @@ def _small_one(label: Int32, points_floor: Float64, sizes: Int64, distance_m: Fl
 
 
 def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:
-    """Choose the object among the pieces of the scene that a person's box holds: (n,) bool.
+    """Choose the object among the pieces of the scene that a given box holds: (n,) bool.
 
-    The object is the largest piece that ends inside the box, with all others that do. A piece that runs on
-    beyond the box, such as the corner of a table top over a chair, is something else. Where all that ends
-    inside is much smaller than what runs on, the box cuts the object, and the largest piece counts, too.
+    The object consists of all pieces that end inside the box. A piece that continues beyond the box, such as
+    the corner of a table top over a chair, is something else. If all pieces that end inside are much smaller
+    than the largest piece, the box cuts the object, and the largest piece belongs to it, too.
 
     Args:
         points_floor: (n, 3) evenly spread points above the floor, floor frame, metres.
@@ -176,8 +176,8 @@ def fit_box(
 ) -> OrientedBox:
     """The upright box around points (n, 3), from the floor to their top.
 
-    Without a yaw, the one of least ground area is taken, in [-pi/4, pi/4), which makes it unique. A share of
-    the points is left out on every side, so that specks do not move it.
+    Without a yaw, the box has the least ground area; its yaw is in [-pi/4, pi/4), which makes it unique. A
+    share of the points is left out on every side, so that specks do not move it.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Masks of an object on a turntable before a camera that stands still."""
+"""Masks of an object that turns in front of a still camera."""
 
 from dataclasses import dataclass, replace
 
@@ -45,12 +45,12 @@ MOVES = (
 
 @dataclass(frozen=True)
 class Turntable:
-    """What turns before a still camera: a cylinder around it and the plane below it, or a ball.
+    """The space of an object that turns in front of a still camera: a cylinder on a plane, or a ball.
 
     Attributes:
-        floor: its support, the floor or a plate's top; None without one.
-        center: (3,) of what moves: in the frame of the floor, or else of the camera, metres.
-        radius_m: about the vertical through it, or without a floor about the point.
+        floor: the plane below the cylinder, the floor or a plate's top; None for a ball.
+        center: (3,) middle of the cylinder's base, floor frame, or of the ball, camera frame; metres.
+        radius_m: of the cylinder or the ball.
     """
 
     floor: Floor | None
@@ -58,7 +58,7 @@ class Turntable:
     radius_m: float
 
     def mask(self, depth_m: Float32, camera: Camera) -> Bools:
-        """The pixels of what turns: (height, width) bool, of depth (height, width) in metres."""
+        """The pixels of the turning object: (height, width) bool, for depth (height, width) in metres."""
         points = camera.backproject(depth_m)
         if self.floor is None:
             return np.asarray((depth_m > 0) & (np.linalg.norm(points - self.center, axis=-1) < self.radius_m))
@@ -78,7 +78,7 @@ class Turntable:
 
 
 def turntable_masks(sequence: Sequence) -> Masks:
-    """Masks of what turns before the still camera, by frame: index -> (height, width) bool, made on demand.
+    """Masks of the turning object: a function from a frame's index to (height, width) bool.
 
     Raises:
         SegmentationError: the camera does not stand still, or nothing turns before it.
@@ -90,8 +90,8 @@ def turntable_masks(sequence: Sequence) -> Masks:
 def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
     """The plane that the object turns on, in the object's own frame, which is the trajectory's world.
 
-    The plane stands still before the camera. Each pose moves it to the object's frame, where all agree but
-    for noise: the mean normal and the median distance are taken.
+    The plane does not move relative to the camera. Each pose moves it to the object's frame, where the
+    results agree up to noise: their mean normal and median distance are used.
 
     Args:
         sequence: the recording of a still camera.
@@ -116,11 +116,11 @@ def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
 
 
 def find_turntable(sequence: Sequence) -> Turntable:
-    """Find the object that turns before a still camera, and its support, in some of the frames.
+    """Find the object that turns in front of a still camera, and its support, in some of the frames.
 
-    What moves passes before what stands still behind it. The floor is the plane of what stands still, as
-    `find_floor` finds it for one camera, or a plate on it. What turns on a vertical axis fills an upright
-    cylinder around all that moved, above the floor.
+    Moving points are those that pass in front of a still background. The floor is a plane of the background,
+    which `find_floor` finds for one camera, or a plate on it. The object is what lies in an upright cylinder
+    around all moving points, above the floor; if nothing surrounds the object, in a ball around them.
 
     Raises:
         SegmentationError: as `turntable_masks`.
@@ -150,7 +150,7 @@ def find_turntable(sequence: Sequence) -> Turntable:
 
 
 def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
-    """The cylinder around what moves (n, 3), on the floor or a plate."""
+    """The cylinder around the moving points (n, 3), on the floor or on a plate."""
     import cv2
 
     floor = _floor(watched, camera, moving)
@@ -168,11 +168,11 @@ def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
 def _plate_m(
     floor: Floor, watched: Watched, camera: Camera, moving_floor: Float64, center: Float64, radius_m: float
 ) -> float:
-    """Height of the turning object above the plane of the floor, metres.
+    """Height of the support of the turning object above the plane `floor`, metres.
 
-    It stands on a round plate, which is level and looks still, and below whose top nothing moves; or on the
-    floor, where a plane fitted to the floor and a low plate passes below it. `moving_floor` (n, 3) is what
-    moves, `center` (2,) its middle, both in the floor frame.
+    The support is the top of a round plate, which is level and looks still, and below which nothing moves; or
+    it is the floor itself, as a plane fitted to the floor and a low plate together may pass below the object.
+    `moving_floor` (n, 3) are the moving points, `center` (2,) is their middle, both in the floor frame.
     """
     lowest_m = float(np.quantile(moving_floor[:, 2], LOWEST_SHARE))
     surface = camera.backproject(watched.still_m)
@@ -191,7 +191,7 @@ def _plate_m(
 
 
 def _moved_up(floor: Floor, by_m: float) -> Floor:
-    """A floor moved up."""
+    """The floor moved up by a height, metres."""
     plane_world = floor.plane_world - np.array([0, 0, 0, by_m])
     return replace(floor, plane_world=plane_world, T_floor_world=floor_frame(plane_world))
 
@@ -205,7 +205,7 @@ def _before(depth_m: Float32, watched: Watched) -> Bools:
 
 
 def _largest(points: Float64) -> Float64:
-    """The largest connected part of points (n, 3), without depth that varies along edges and occlusions."""
+    """The largest connected part of points (n, 3), without sparse points at edges and occlusions."""
     if not len(points):
         return points
     cells = np.floor(points / CELL_M).astype(np.int64)

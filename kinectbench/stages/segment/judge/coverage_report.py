@@ -1,4 +1,4 @@
-"""Report the recording's view of the object: unseen sides, few frames, moving things."""
+"""Report how well the recording shows the object: unseen sides, few frames, motion in the scene."""
 
 from dataclasses import dataclass
 
@@ -40,8 +40,8 @@ def moving_frames(
     """Find frames with motion: at least 2 % of the pixels are nearer than the scene.
 
     A pixel counts if it is nearer by more than max(5 sigma, 0.1 m), lies more than 0.1 m above the floor
-    (which is measured badly at a grazing angle), and is in a patch of at least three of the pixels looked at.
-    What moves leaves no surface in the fused scene, because other frames saw through it.
+    (which is measured badly at a grazing angle), and is in a patch at least three sampled pixels wide. A
+    moving object leaves no surface in the fused scene, because other frames saw through it.
     """
     import cv2
 
@@ -68,9 +68,9 @@ def moving_frames(
 
 
 def beyond_depth_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, max_depth_m: float) -> float:
-    """The share of depth in the object's grid beyond `max_depth_m`, which is not fused.
+    """The share of the depth in the object's grid that lies beyond `max_depth_m` and is not fused.
 
-    At most 40 good frames are looked at, every fourth pixel or fewer.
+    At most 40 good frames are used, and of these every fourth pixel or fewer.
     """
     step_px = max(1, round(sequence.camera.width / COLUMNS))
     rays = sequence.camera.every(step_px).rays()
@@ -92,7 +92,7 @@ class UnseenSide:
     Attributes:
         gap_rad: its width, radians, 0 to 2 pi.
         towards_rad: its middle, seen from the object, from the floor's x axis, counter-clockwise from above.
-        share: share of the directions of an upright side in which no camera would have seen it.
+        share: share of the directions, seen from above, in which an upright side was seen by no camera.
     """
 
     gap_rad: float
@@ -102,10 +102,10 @@ class UnseenSide:
 
 @dataclass(frozen=True)
 class CoverageReport:
-    """quality.json's report on the recording: a line for each fault.
+    """The part of quality.json about the recording, with a warning for each fault.
 
-    Those about the floor and the choice of the object are also in `choice_warnings`; quality.json has these
-    as `doubts`. `first_rad` is the direction of the first camera from the object, from above,
+    Warnings about the floor and the choice of the object are also in `choice_warnings`, which quality.json
+    has as `doubts`. `first_rad` is the direction from the object to the first camera, seen from above,
     counterclockwise from x of the floor frame.
     """
 
@@ -134,7 +134,7 @@ def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> UnseenSide:
 
 
 def _of_trajectory(trajectory: Trajectory) -> list[str]:
-    """The trajectory's own warning: the shape cannot be better than the poses."""
+    """A warning if the trajectory is graded "not good": the shape cannot be better than the poses."""
     health = trajectory.health
     if health is None or health.grade != "not good":
         return []
@@ -149,7 +149,7 @@ def _of_trajectory(trajectory: Trajectory) -> list[str]:
 
 
 def _of_floor(floor: Floor) -> list[str]:
-    """A warning of a floor that is hardly flat: it may be something else."""
+    """A warning if the floor is hardly flat: it may be another surface."""
     if not floor.found or floor.noise_m <= MAX_FLOOR_NOISE_M:
         return []
     if floor.given:
@@ -174,8 +174,8 @@ def coverage_report(
 ) -> CoverageReport:
     """Report faults of the recording: poses, an unseen side, few frames, movement, range, choice.
 
-    `scene` is the fused surface, `grid` lies around the object, depth makes surface in it up to
-    `max_depth_m`, and `limits` are the sensor's.
+    `scene` is the fused surface, `grid` lies around the object, depth up to `max_depth_m` is fused into it,
+    and `limits` are the sensor's.
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]

@@ -38,7 +38,7 @@ class PoseError:
 
     Attributes:
         median_m: metres; 0 for given poses that are trusted.
-        checked: other frames could check the poses.
+        checked: whether other frames could check the poses.
     """
 
     median_m: float
@@ -59,9 +59,9 @@ class IouEstimate:
 
     Attributes:
         value: the estimate.
-        low: lower end of the interval; behind an opening that no frame saw into the other guess may be right.
-        high: upper end; the guess behind every opening is right.
-        measured_low: the least IoU that the error of the surface leaves, where every guess is right.
+        low: lower end of the interval; the guesses behind openings that no frame saw into may be wrong.
+        high: upper end; all these guesses are right.
+        measured_low: lower end by the error of the surface alone, if all guesses are right.
         known: the IoU over known voxels alone, which only the error of the surface lowers.
         known_low: lower end of its interval.
         known_high: upper end of its interval.
@@ -92,7 +92,7 @@ class _Volumes:
     Attributes:
         known: the known part of the solid.
         inside: expected inside volume of its unknown part.
-        outside: expected inside volume of the unknown voxels beside it.
+        outside: expected inside volume of the unknown voxels outside the solid.
     """
 
     known: float
@@ -100,7 +100,7 @@ class _Volumes:
     outside: float
 
     def iou(self, missing: float) -> float:
-        """The IoU to the truth if the known part alone misses so much of an IoU of 1."""
+        """The IoU to the truth, if the IoU of the known part alone is 1 - `missing`."""
         # Half of the error is missing, half is excess: (1 - half) / (1 + half) is 1 - missing.
         half = min(missing, 1.0) / (2 - min(missing, 1.0))
         inside = self.known * (1 - half) + self.inside
@@ -169,7 +169,7 @@ def _known_surface_share(shape: SolidShape) -> float:
 
 
 def _expected(shape: SolidShape) -> _Volumes:
-    """The volumes that a solid's probabilities expect of its unknown part."""
+    """Expected volumes of a solid, by the probabilities of its unknown voxels."""
     unknown, volume = shape.labels == Label.UNKNOWN, int(shape.solid.sum())
     inside, outside = (
         float(shape.probability[unknown & part].sum(dtype=np.float64)) / volume
@@ -181,7 +181,8 @@ def _expected(shape: SolidShape) -> _Volumes:
 def _regions_sigma(shape: SolidShape, expected: _Volumes) -> float:
     """Standard deviation of the IoU if each region of unknown voxels is inside or outside as a whole.
 
-    A region is a piece (26 neighbours) of unknown and undecided voxels; the whole underside is one region.
+    A region is a connected piece (26 neighbours) of unknown voxels whose probability is undecided; the whole
+    underside is one region.
     """
     from scipy import ndimage
 

@@ -42,17 +42,18 @@ class Frontier:
     """The unmeasured boundary between an unseen region and free space.
 
     Attributes:
-        direction: from the unseen region outward.
-        area_m2: of its faces, along that direction; more than the box `size_m` where faces lie behind others.
-        size_m: (2,) extents of its faces: for up and down the longer and the shorter one seen from above, for
-            side the width and the height.
+        direction: outward from the unseen region: up, side or down.
+        area_m2: area of its faces that look in that direction; more than the box `size_m` where faces lie
+            behind others.
+        size_m: (2,) extents of its faces, metres: for up and down the longer and the shorter one seen from
+            above, for side the width and the height.
         center_m: (3,) middle of its faces, floor frame, metres.
         look_from: (3,) unit vector, floor frame: from the frontier to where a camera would look into it.
         volume_m3: of the unseen region behind it.
-        inside_share: the share of that volume expected to be inside, 0 to 1.
-        solid_share: the share of it that the solid takes for inside, 0 to 1.
-        underside: a camera could see the region only from below.
-        obstructed: something that is not the object stands where the camera would be.
+        inside_share: expected share of that volume that is inside the object, 0 to 1.
+        solid_share: share of that volume that the solid fills, 0 to 1.
+        underside: whether a camera could see the region only from below.
+        obstructed: whether something that is not the object stands where the camera would be.
     """
 
     direction: Direction
@@ -90,7 +91,7 @@ class Frontier:
 
 
 def turn_in_words(towards_rad: float, first_rad: float) -> str:
-    """The turn from the first camera's direction, facing the object, in words.
+    """The direction `towards_rad` from the object, in words, relative to that of the first camera.
 
     Both angles are seen from above, counterclockwise from x of the floor frame.
     """
@@ -107,7 +108,8 @@ def turn_in_words(towards_rad: float, first_rad: float) -> str:
 def where_to_stand(look_from: tuple[float, float, float], height_m: float, first_rad: float) -> str:
     """The viewpoint for a point `height_m` above the floor, in words.
 
-    `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` as in `turned`.
+    `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` is as in
+    `turn_in_words`.
     """
     up, height = look_from[2], f"{100 * height_m:.0f} cm"
     towards = f"from {turn_in_words(float(np.arctan2(look_from[1], look_from[0])), first_rad)}"
@@ -121,11 +123,12 @@ def where_to_stand(look_from: tuple[float, float, float], height_m: float, first
 def find_frontiers(
     shape: SolidShape, evidence: VoxelEvidence, limits: SensorLimits, T_floor_grid: Float64
 ) -> tuple[Frontier, ...]:
-    """Find every frontier of some size, the one with the largest volume behind it first.
+    """Find every frontier above a minimum area, the one with the largest volume behind it first.
 
-    A frontier is the part of a piece of unknown voxels (26 neighbours) that borders free space. It is looked
-    into along the direction that shows most of the piece, or nearly so. Unknown layers thinner than a line of
-    sight have none, except for undersides. `T_floor_grid` (4, 4) is of the solid's grid.
+    A frontier is the boundary of a piece of unknown voxels (26 neighbours) with free space. Of the directions
+    that show most of the piece or nearly so, it is looked into along the one most like hand-held cameras'.
+    Unknown layers thinner than a line of sight have no frontier, except undersides. `T_floor_grid` (4, 4)
+    maps the solid's grid to the floor frame.
     """
     from scipy import ndimage
 
@@ -169,7 +172,7 @@ def find_frontiers(
 def _large_pieces(
     shape: SolidShape, region: Bools, limits: SensorLimits, underside: bool
 ) -> tuple[NDArray[np.int32], int]:
-    """The number of each voxel's piece, from 1 on, 0 for small pieces; and the number of pieces."""
+    """The piece of each voxel, numbered from 1 (0: in no large piece), and the number of pieces."""
     from scipy import ndimage
 
     cells = max(1, round(limits.line_width_m / shape.grid.voxel_size_m))
@@ -183,7 +186,7 @@ def _large_pieces(
 
 
 def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:
-    """Of the directions (n, 3) that show much of a piece, the one nearest to hand-held cameras."""
+    """Of the directions (n, 3) that show much of a piece, the one most like that of hand-held cameras."""
     enough = np.flatnonzero(shown >= ENOUGH * shown.max())
     off_rad = np.abs(np.arcsin(np.clip(ways[enough, 2], -1, 1)) - CAMERA_ELEVATION_RAD)
     return np.asarray(ways[enough[np.argmin(off_rad)]])
@@ -199,7 +202,7 @@ class _Piece:
     corner: NDArray[np.int64]
 
     def faces_m(self, axis: int, sign: int) -> Float64:
-        """Middles (n, 3) of its faces at free space that look along an axis, grid frame, metres."""
+        """Centres (n, 3) of its faces towards free space along an axis (sign: 1, -1), grid frame, metres."""
         step = np.zeros(3, np.int64)
         step[axis] = sign
         beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, self.cells.shape, strict=True))
@@ -216,9 +219,9 @@ def _frontier(
     behind: tuple[float, float, float],
     underside: bool,
 ) -> Frontier | None:
-    """The frontier of a piece along a direction; None if no face is visible.
+    """The frontier of a piece, seen from the direction `look`; None if no face is visible.
 
-    Its direction is that of the faces that show most.
+    Its own direction is that of the faces with most visible area.
     """
     faces = {(axis, sign): piece.faces_m(axis, sign) for axis in range(3) for sign in (-1, 1)}
     seen = {
@@ -270,6 +273,6 @@ def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float)
 
 
 def _extent_m(values: Float64, voxel_m: float) -> float:
-    """The extent without streaks at either end."""
+    """The extent of values (n,), metres, without outliers at either end, plus one voxel."""
     low, high = np.quantile(values, [STREAKS, 1 - STREAKS])
     return float(high - low) + voxel_m

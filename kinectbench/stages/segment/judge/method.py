@@ -25,7 +25,7 @@ from kinectbench.stages.segment.solid.evidence import Rules
 
 
 def _curve(at: NDArray[np.floating], share: NDArray[np.floating]) -> Curve:
-    """Support points and values of an interpolated probability, for the record."""
+    """An interpolated probability as pairs (x, probability), rounded for quality.json."""
     return tuple((round(float(x), 4), round(float(y), 4)) for x, y in zip(at, share, strict=True))
 
 
@@ -45,10 +45,10 @@ def _air(rules: Rules) -> AirMethod:
 
 
 def method(rules: Rules) -> SolidMethod:
-    """The constants of a solid.
+    """The constants by which a solid is made.
 
     Args:
-        rules: those of the object, not enlarged.
+        rules: the object's rules, not enlarged.
     """
     return SolidMethod(
         name="carving + air is what some camera could see + floor contact + smoothing",

@@ -21,10 +21,10 @@ STEEP = 0.95
 
 
 def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64, limits: SensorLimits) -> bool:
-    """Whether an obstacle, not the object, blocks the camera's place for a point.
+    """Whether an obstacle, not the object, is in the way of a camera that looks at a point.
 
-    A camera measures the object from `near_m` on: what stands nearer than such a camera to the object's box
-    is in its way. It was measured on the line, or it is a wall that shows on both sides of the line.
+    The camera stands at least `near_m` outside the object's box. An obstacle is anything measured on the line
+    between the box and that camera, or a wall that was measured on both sides of the line.
 
     Args:
         chosen: the object, and what else stands on the floor.
@@ -63,10 +63,10 @@ def _way_out_m(box: OrientedBox, point_floor: Float64, look: Float64) -> float:
 
 
 def _wall_crossings(columns: Int64) -> Float64:
-    """Crossings of a line with upright walls, in cells along it, from 0 on.
+    """Where a line crosses upright walls: distances (k,) along it, from 0 on, in cells.
 
-    `columns` (n, 2) are what was measured, in cells along the line and to its left, seen from above. A wall
-    is straight, and has columns on both sides.
+    `columns` (n, 2) are the measured columns, in cells along the line and to its left, seen from above. A
+    wall is straight, and has columns on both sides.
     """
     sides: tuple[Bools, Bools] = (columns[:, 1] > 0, columns[:, 1] < 0)
     if min(int(side.sum()) for side in sides) < WALL_CELLS:

@@ -70,7 +70,7 @@ def measure_quality(
     frontiers: tuple[Frontier, ...],
     rules: Rules,
 ) -> QualityFile:
-    """Measure repeatability, the IoU of the two halves' solids, and the estimated IoU; gather the warnings.
+    """Measure repeatability (the IoU of the two halves' solids) and the estimated IoU; gather the warnings.
 
     Args:
         chosen: floor and object.
@@ -160,7 +160,7 @@ def solid_box(shape: SolidShape, floor: Floor, yaw_rad: float | None = None) -> 
 
 
 def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, ...]:
-    """A line that asks about the underside if it is not stated and matters much."""
+    """A line that asks about the underside, if nobody stated it and it matters much."""
     share = shape.underside_share
     if underside != "unseen" or share <= LEAST_UNDERSIDE_SHARE:
         return ()
@@ -172,7 +172,7 @@ def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, .
 
 
 def _stands_on_its_rim(shape: SolidShape, rules: Rules) -> tuple[str, ...]:
-    """A line if `underside: open` is stated and has no effect: the floor closes what stands on its rim."""
+    """A warning if `underside: open` has no effect, because the object stands on its rim on the floor."""
     lowest = shape.solid[..., : rules.layers.below + RIM_LAYERS].any(axis=2)
     standing = int(lowest.sum()) / max(1, int(shape.solid.any(axis=2).sum()))
     from_below = int(shape.underside.sum()) / max(1, int(shape.solid.sum()))
@@ -196,7 +196,7 @@ def _warnings(
 ) -> list[str]:
     """A line for each fault of a solid.
 
-    `advice` already says what to record again; no line here contradicts it.
+    If `advice` already says what to record again, the lines do not repeat or contradict it.
     """
     share_per_mm = volume_share_per_mm(shape.mesh)
     why = "; ".join(estimate.reasons) or "parts that are thin, hidden, without depth or cut off"
@@ -231,7 +231,7 @@ def _warnings(
 
 
 def _unsupported(chosen: Segmentation, shape: SolidShape, rules: Rules) -> list[str]:
-    """Warnings of a solid or large pieces of it in the air, and of one on its rim that is said to be open."""
+    """Warnings if the solid or pieces of it are in the air, or if `underside: open` has no effect."""
     from scipy import ndimage
 
     warnings = [*_stands_on_its_rim(shape, rules)]
@@ -255,7 +255,7 @@ def _unsupported(chosen: Segmentation, shape: SolidShape, rules: Rules) -> list[
 
 
 def detached_pieces(labels: Int32, small: Int64, sizes: Int64, voxel_size_m: float) -> list[str]:
-    """A warning of the largest small piece that lies apart from all large ones.
+    """A warning about the largest of the small pieces that lie apart from all large ones; [] without any.
 
     Args:
         labels: piece of each voxel, 0: none.

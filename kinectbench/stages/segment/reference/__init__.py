@@ -1,1 +1,1 @@
-"""A mesh of the object that somebody else measured or drew: laid onto what was built, and judged."""
+"""A mesh of the object from elsewhere (a scanner, CAD): registered to the built object, and judged."""

@@ -1,7 +1,7 @@
-"""Whether a reference mesh is that of the built object: the rules by which another one is refused.
+"""Judge whether a reference mesh is that of the built object, by rules that refuse another object's.
 
-docs/second-truth.md has the rules, docs/evidence/ground-truth.md the figures of right and wrong meshes that
-they were chosen by.
+docs/second-truth.md has the rules, docs/evidence/ground-truth.md the figures of right and wrong meshes by
+which they were chosen.
 """
 
 from collections.abc import Sequence
@@ -51,13 +51,13 @@ STEPS, SYMMETRIC = 24, 0.003
 
 @dataclass(frozen=True)
 class RunnerUp:
-    """The best of the other poses.
+    """The second-best pose of the reference.
 
     Attributes:
-        residual_m: of it.
-        turn_rad: of the rotation from the best pose to it.
+        residual_m: residual of this pose, metres.
+        turn_rad: angle of the rotation from the best pose to this one, radians.
         axis_floor: (3,) of that rotation, floor frame.
-        fits_as_well: nothing that was measured tells it from the best.
+        fits_as_well: whether it fits so well that the measured surface cannot exclude it.
     """
 
     residual_m: float
@@ -68,18 +68,18 @@ class RunnerUp:
 
 @dataclass(frozen=True)
 class RegisteredReference:
-    """A reference mesh beside a built object.
+    """The registration of a reference mesh to a built object, and whether it is refused.
 
     Attributes:
         ours: samples of the object.
         theirs: samples of the reference, in its own frame.
-        refused: why it is not the object's, in a line with the figure; None: it is.
-        pose: the best; None where nothing was searched for.
-        scale: by what the reference would be multiplied to fit best.
-        mirrored_m: residual of its mirror image; None where that was not needed.
-        runner_up: None: no other pose has less than three times the residual.
+        refused: why the mesh is not the object's, in a line with the figure; None: it is.
+        pose: the best pose; None if it was refused before the search.
+        scale: the factor by which the reference would fit best.
+        mirrored_m: residual of its mirror image, metres; None if it was refused before.
+        runner_up: the second-best pose; None: no other has less than three times the residual.
         symmetric_axis_floor: (3,) unit, floor frame: the axis of its rotational symmetry; None without one.
-        mirror_as_well: its mirror image, which is another shape, fits as well.
+        mirror_as_well: whether its mirror image, if that is another shape, fits as well.
     """
 
     ours: Sampled
@@ -138,13 +138,13 @@ def register_reference(model: ObjectModel, mesh: TriangleMesh) -> RegisteredRefe
 
 
 def _between(one: Sampled, T_one: Float64, other: Sampled, T_other: Float64) -> float:
-    """Mean distance of a mesh from another where both are laid, metres."""
+    """Mean distance of samples of one mesh, at its pose, from another mesh at its own, metres."""
     T = invert_rigid(T_other) @ T_one
     return float(other.distance_m(transform_points(T, one.points[one.few(JUDGED)])).mean())
 
 
 def _lies_across(mesh: TriangleMesh) -> bool:
-    """Whether distances from a mesh could take without end: it is a soup of triangles."""
+    """Whether so many faces of a mesh overlap that computing distances from it may take far too long."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     cells = (mesh.vertices - low) * (FULL_CELLS / max(float((high - low).max()), 1e-9))
     return costs_too_much(cells[:, :2], mesh.faces, (FULL_CELLS, FULL_CELLS))
@@ -194,7 +194,7 @@ def _runner_up(found: tuple[Pose, ...], T_floor_world: Float64, least_m: float) 
 
 
 def symmetric_axis(theirs: Sampled) -> Float64 | None:
-    """The axis (3,), in the reference's frame, about which any turn leaves it as it is; None without one."""
+    """The axis (3,) of rotational symmetry of the reference, in its frame; None without one."""
     points = theirs.points[theirs.few(1000)]
     middle = theirs.points.mean(axis=0)
     axes = np.linalg.eigh(np.cov(theirs.points.T))[1].T

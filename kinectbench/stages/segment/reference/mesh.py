@@ -1,4 +1,4 @@
-"""Read a reference mesh: that of a scanner, or a CAD model. The file is untrusted."""
+"""Read a reference mesh, from a scanner or a CAD program. The file is untrusted."""
 
 from dataclasses import dataclass
 from hashlib import sha256

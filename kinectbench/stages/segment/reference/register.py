@@ -1,10 +1,10 @@
-"""Lay a reference mesh onto the built object: a rigid motion, from many starts.
+"""Register a reference mesh to the built object: a rigid motion, from many initial poses.
 
-Rule of this project, after the iterated closest point by planes (Chen and Medioni 1992), both ways: points
-that were measured draw the nearest of the reference, and points of the reference draw the nearest of the
-object where that was measured and looks the same way. What lies far from the other counts less, and so do
-edges, which fusion rounds. Where the size is free, the surface may also lie too far out, as that of narrow
-things does. All points are drawn by fixed seeds, and the starts are fixed: nothing is random.
+Point-to-plane ICP (Chen and Medioni 1992) in both directions, by rules of this project: a measured sample of
+the object is matched to the nearest of the reference, and a sample of the reference to the nearest of the
+object if that was measured and faces the same way. Distant matches count less, and so do edges, which fusion
+rounds. Where the size is free, the object's surface may also lie too far out, as that of narrow objects does.
+All samples have fixed seeds, and the initial poses are fixed: nothing is random.
 """
 
 from collections.abc import Iterator, Sequence
@@ -70,8 +70,8 @@ class Sampled:
         mesh: the surface.
         points: (n, 3).
         normals: (n, 3) unit.
-        counted: (n,) whether a sample may be drawn to: of the object whether it was measured.
-        flat: (n,) how much a sample counts for a pose: edges hardly.
+        counted: (n,) whether a sample may be matched: of the object whether it was measured.
+        flat: (n,) weight of a sample for a pose: 1 on a plane, nearly 0 at an edge.
     """
 
     mesh: TriangleMesh
@@ -82,12 +82,12 @@ class Sampled:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Finds the nearest sample."""
+        """The k-d tree of the samples."""
         return cKDTree(self.points)
 
     @cached_property
     def diagonal_m(self) -> float:
-        """Of the box in its own frame."""
+        """Diagonal of the samples' bounding box in their own frame, metres."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
     @cached_property
@@ -103,12 +103,12 @@ class Sampled:
         return np.asarray(scene.compute_distance(near).numpy(), dtype=np.float64)
 
     def few(self, most: int) -> NDArray[np.int64]:
-        """At most so many of the samples that count, evenly drawn: (n,) their places."""
+        """Indices (n,) of at most `most` of the samples that count, evenly chosen."""
         places = np.flatnonzero(self.counted)
         return places[:: max(1, -(-len(places) // most))]
 
     def faced(self, points: Float64, normals: Float64) -> tuple[NDArray[np.int64], Bools]:
-        """The nearest samples (n,) of points (n, 3), and whether they count and look the same way."""
+        """Indices (n,) of the samples nearest to points (n, 3), and which count and face the same way."""
         nearest = self.tree.query(points)[1]
         return nearest, self.counted[nearest] & ((self.normals[nearest] * normals).sum(axis=1) > 0)
 
@@ -123,7 +123,8 @@ def sampled(mesh: TriangleMesh) -> Sampled:
 def sampled_object(model: ObjectModel) -> Sampled:
     """The samples of a built object, in its world; those that were measured count.
 
-    Those have surface below and air above: a thin wall of which one side was measured has another one.
+    A measured sample has surface below and air above: if one side of a thin wall was measured, its other side
+    does not count.
     """
     shape, rng = model.shape, np.random.default_rng(OBJECT_SEED)
     points, normals = sample_surface(shape.mesh.vertices, shape.mesh.faces, SAMPLES, rng)
@@ -145,7 +146,7 @@ def _labels(shape: SolidShape, points: Float64) -> NDArray[np.uint8]:
 
 
 def _flatness(drawn: Sampled, far_m: float) -> Float64:
-    """How much the samples (n,) count: 1 on a plane, `LEAST_COUNT` at an edge."""
+    """Weights (n,) of the samples: 1 on a plane, `LEAST_COUNT` at an edge."""
     far, near = drawn.tree.query(drawn.points, k=ABOUT, distance_upper_bound=far_m)
     here = np.isfinite(far)  # else there is none so near
     cosines = np.einsum("nki,ni->nk", drawn.normals[np.where(here, near, 0)], drawn.normals)
@@ -156,11 +157,12 @@ def _flatness(drawn: Sampled, far_m: float) -> Float64:
 
 @dataclass(frozen=True)
 class Pose:
-    """A way to lay the reference.
+    """A pose of the reference on the object.
 
     Attributes:
         T: (4, 4) from the reference to the world; a similarity where its size was free.
-        residual_m: mean distance both ways of what both saw; a far distance counts `MOST_SHARE`.
+        residual_m: mean distance in both directions, metres (`residual_m`); each counts at most `MOST_SHARE`
+            of the object's diagonal.
     """
 
     T: Float64
@@ -168,7 +170,7 @@ class Pose:
 
 
 def poses(ours: Sampled, theirs: Sampled, T_floor_world: Float64) -> tuple[Pose, ...]:
-    """The poses at which the steps come to rest from the best starts, the best first; no two are equal.
+    """The distinct poses to which registration converges from the best initial poses, the best first.
 
     Args:
         ours: the object; at least one of its samples was measured.
@@ -188,13 +190,13 @@ def poses(ours: Sampled, theirs: Sampled, T_floor_world: Float64) -> tuple[Pose,
 
 
 def best_scale(ours: Sampled, theirs: Sampled, T: Float64, free: Sequence[int]) -> float:
-    """By what the reference is to be multiplied to fit best, from a pose (4, 4).
+    """The factor by which the reference fits best, registered from a pose (4, 4).
 
     Args:
         ours: the object.
         theirs: the reference.
         T: (4, 4) from the reference to the world.
-        free: the columns that are solved for: `SIZED` or `SIZED_OUT`.
+        free: the unknowns that are solved for: `SIZED` or `SIZED_OUT`.
     """
     found, _ = settled(ours, theirs, T, FINE[1], FINE[2], free)
     return float(np.cbrt(np.linalg.det(found[:3, :3])))
@@ -208,7 +210,11 @@ def mirror_image(theirs: Sampled) -> Sampled:
 
 
 def _starts(ours: Sampled, theirs: Sampled, up: Float64) -> Iterator[Float64]:
-    """Both middles on each other; all ways to lay principal axes, turned about up; and turns of all kinds."""
+    """Yield initial poses (4, 4), with both centroids at one point.
+
+    The rotations are all that match the principal axes, each also turned about `up` in steps, and others that
+    are spread evenly.
+    """
     here, there = (one.points.mean(axis=0) for one in (ours, theirs))
     axes_here, axes_there = (_principal(one.points) for one in (ours, theirs))
     turns: list[Float64] = []
@@ -245,14 +251,17 @@ def about(axis: Float64, angle_rad: float) -> Float64:
 
 
 def residual_m(ours: Sampled, theirs: Sampled, T: Float64, samples: int, exact: bool = True) -> float:
-    """Mean distance both ways of what both saw; of the reference what is nearest to a measured sample.
+    """Mean distance between object and reference in both directions, where the object was measured, metres.
+
+    It is the mean of two: of the object's measured samples from the reference, and back from those samples of
+    the reference whose nearest sample of the object was measured and faces the same way.
 
     Args:
         ours: the object.
         theirs: the reference.
         T: (4, 4) from the reference to the world.
-        samples: of each.
-        exact: to triangles; else to the nearest sample.
+        samples: number of samples of each, at most.
+        exact: measure distances to triangles; else to the nearest sample.
     """
     most_m = MOST_SHARE * ours.diagonal_m
     back = invert_rigid(T)
@@ -270,20 +279,20 @@ def residual_m(ours: Sampled, theirs: Sampled, T: Float64, samples: int, exact: 
 def settled(
     ours: Sampled, theirs: Sampled, T: Float64, steps: int, samples: int, free: Sequence[int] = RIGID
 ) -> tuple[Float64, float]:
-    """The pose after some steps, and how far the last of them moved a sample, metres.
+    """The pose (4, 4) after some registration steps, and how far the last one moved a sample, metres.
 
     Args:
         ours: the object.
         theirs: the reference.
         T: (4, 4) from the reference to the world.
-        steps: at most.
-        samples: of each.
-        free: the columns that are solved for.
+        steps: number of steps, at most.
+        samples: number of samples of each, at most.
+        free: the unknowns that are solved for.
     """
     chosen, few = ours.few(samples), theirs.few(samples)
 
     def advance(T: Float64) -> tuple[Float64, float]:
-        """The next motion, and how far the step to it moved the samples, metres."""
+        """The next pose, and how far the step to it moved the samples, metres."""
         back: Float64 = np.linalg.inv(T).astype(np.float64)
         turned = T[:3, :3] / np.cbrt(np.linalg.det(T[:3, :3]))
         far_there, there = theirs.tree.query(transform_points(back, ours.points[chosen]))
@@ -305,7 +314,7 @@ def settled(
 def _step(
     places: Float64, targets: Float64, normals: Float64, weights: Float64, free: Sequence[int]
 ) -> tuple[Float64, float]:
-    """The similarity (4, 4) that brings places to the planes of their targets, and how far it moves one."""
+    """The similarity (4, 4) that moves points to the planes of their targets, and how far it moves one."""
     middle = places.mean(axis=0)
     arms = places - middle
     size_m = float(np.linalg.norm(arms, axis=1).max())
@@ -332,7 +341,7 @@ def _distinct(found: Sequence[Pose], theirs: Sampled) -> list[Pose]:
 
 
 def apart(T: Float64, other: Float64, theirs: Sampled) -> bool:
-    """Whether two poses of the reference are different ones."""
+    """Whether two poses (4, 4) of the reference differ by more than a small turn or shift."""
     middle = theirs.points.mean(axis=0)
     far_m = float(np.linalg.norm((T - other)[:3, :3] @ middle + (T - other)[:3, 3]))
     turned = float(rotation_angle_rad(T[:3, :3].T @ other[:3, :3]))

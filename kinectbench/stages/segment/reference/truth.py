@@ -1,4 +1,4 @@
-"""A reference mesh as the truth of a recording: registered to what was fused, and put in its place.
+"""Use a reference mesh as the truth of a recording: register it to the fused object, which it replaces.
 
 The mesh has to be closed. The rules of `judge` refuse the mesh of another object. Nothing of a reference is
 unknown: a cell is inside the mesh, or it is not the object.
@@ -49,7 +49,7 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
 
     Raises:
         RecordingError: the mesh cannot be read.
-        ShapeError: it is open, or cannot be made voxels.
+        ShapeError: it is open, or cannot be voxelised.
         SegmentationError: it is that of another object.
     """
     reference = read_reference(path)
@@ -80,7 +80,7 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
 
 
 def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float, path: Path) -> SolidShape:
-    """The inside of a mesh on a grid around all of it; as deep as fused surfaces reach it is SURFACE."""
+    """Voxelise the inside of a mesh on a grid around it; it is SURFACE as deep as fused surfaces reach."""
     from scipy import ndimage
 
     vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
@@ -109,7 +109,7 @@ def _costs_too_much(mesh: TriangleMesh, grid: Grid) -> bool:
 
 
 def _quality(model: ObjectModel, reference: Reference, fit: RegisteredReference, name: str) -> QualityFile:
-    """What is said of a truth that is a reference: no estimate, as nothing of it is fused."""
+    """The quality.json of a reference as truth: without an estimated IoU, as nothing of it is fused."""
     assert fit.pose is not None and fit.scale is not None, "it fits"
     shape, fused, warnings = model.shape, model.quality, list[str]()
     other = fit.runner_up

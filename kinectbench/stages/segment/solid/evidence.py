@@ -36,10 +36,10 @@ NARROWER = 0.5
 
 @dataclass(frozen=True)
 class FloorLayers:
-    """Layers of an upright grid about the floor, from the grid's bottom up.
+    """Numbers of layers of an upright grid about the floor, from the grid's bottom up.
 
     Attributes:
-        below: layers below the floor.
+        below: number of layers below the floor.
         contact: layers above it in which the floor and the object look the same.
         low: layers above those. A surface there belongs to the object only if it continues above them.
     """
@@ -94,12 +94,13 @@ class VoxelEvidence:
         signed_m: float32, signed distance of the surface, corrected by the frames that saw through.
         observed: bool, a surface is near.
         free: bool, seen to be empty.
-        near_surface: bool, behind a surface by at most `SHELL_M`: the object's.
+        near_surface: bool, behind a surface by at most `SHELL_M`: part of the object.
         excluded: bool, cannot be the object.
-        unseen: bool, none of the last three.
+        unseen: bool, none of `free`, `near_surface` and `excluded`.
         sight: uint8, how a camera could see the voxel past the measured surfaces
             (`core.voxels.lines_of_sight`).
-        closed: bool, unseen, and no camera could see it, or a person says that it is closed: the object's.
+        closed: bool, unseen and part of the object: no camera could see it, or it is seen only from below and
+            a person says that the underside is closed.
         underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`),
             whatever a person says.
         contact: the layers right above the floor.
@@ -137,7 +138,7 @@ def classify_voxels(
 
     Args:
         observation: TSDF and votes on an upright grid.
-        neighbours: bool, voxels near a neighbour's surface; what nobody measured there may be the object.
+        neighbours: bool, voxels near a neighbour's surface; those not measured may still be the object.
         rules: by which the solid is made.
         beyond: bool, voxels outside a given box.
         roughly: with fewer lines of sight, for solids that are only compared with one another.
@@ -193,7 +194,7 @@ def _heights_m(grid: Grid, layers: FloorLayers) -> Float32:
 
 
 def _observed(observation: Observation) -> Bools:
-    """Whether a surface is near each voxel, which more than a few rays measured."""
+    """Whether more than a few rays measured a surface near each voxel."""
     near = np.abs(observation.tsdf) < observation.grid.voxel_size_m
     weights = observation.weight[near & (observation.weight > 0)]
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
@@ -208,10 +209,11 @@ def _measured_sheet(observation: Observation, observed: Bools, signed_m: Float32
 
 
 def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:
-    """Whether a voxel lies farther behind a surface than the band that the surface explains.
+    """Whether each voxel is too far behind a surface to belong to it.
 
-    That is `SHELL_M`, or one and a half voxels if that is more, by the fused distance and by the distance to
-    the nearest voxel in front of a surface: far behind a surface, the fused distance is too short.
+    The limit is `SHELL_M`, or one and a half voxels if that is more. Two distances are tested, the fused one
+    and that to the nearest voxel in front of a surface, because far behind a surface the fused one is too
+    short.
     """
     shell_m = max(SHELL_M, SHELL_VOXELS * voxel_m)
     # A surface lies half a voxel from the voxels on both of its sides.
@@ -243,7 +245,7 @@ def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
 
 
 def _least_free_votes(observation: Observation) -> int:
-    """The number of frames that must see through a voxel that was never observed near a surface."""
+    """How many frames must see through a voxel to make it free, if it was not observed near a surface."""
     looking = int((observation.free.astype(np.uint32) + observation.surface).max())
     return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
 

@@ -44,7 +44,9 @@ STEP_M = 0.00025
 def object_grid(
     box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: bool = False, layers: int = FLOOR_LAYERS
 ) -> Grid:
-    """The fine grid around a box (`given`: a person's): aligned with it, from some layers below the floor.
+    """The fine grid around a box, aligned with it, from `layers` layers below the floor upwards.
+
+    `given`, whether a person gave the box, only changes the message of the error.
 
     Raises:
         SegmentationError: it would have more than 2^26 voxels: over a minute, and more than 5 GB.
@@ -70,7 +72,7 @@ def object_grid(
 
 
 def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: float) -> FloorLayers:
-    """Layers of an object's grid that are the floor, contact with it, and low parts; none without a floor."""
+    """The numbers of grid layers below the floor, in contact with it, and low above it; 0 without a floor."""
     if floor is None:
         return NO_LAYERS
     cut = max(1, round(floor_cut_m(floor, segmentation) / voxel_size_m))
@@ -109,7 +111,7 @@ def surround_grid(grid: Grid, floor: Floor) -> Grid:
 
 
 def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint8]:
-    """FREE where frames saw through, OTHER at measured surfaces and below a floor, else UNKNOWN."""
+    """Labels of the coarse grid: FREE if seen through, OTHER at surfaces or below a floor, else UNKNOWN."""
     labels = np.full(around.grid.shape, Label.UNKNOWN, np.uint8)
     labels[(around.weight > 0) & (around.tsdf <= 0)] = Label.OTHER
     labels[((around.weight > 0) & (around.tsdf > 0)) | (around.free >= 2)] = Label.FREE
@@ -128,8 +130,8 @@ class ObjectResolution:
 
     Attributes:
         voxel_size_m: edge of its voxels, metres.
-        scale: the rules for solids see it in a world that is 1 / scale times as large, in which its voxels
-            are those with which the rules were chosen.
+        scale: the solid is made in a world that is 1 / scale times as large, in which the voxels have the
+            size for which the rules were chosen.
     """
 
     voxel_size_m: float
@@ -141,7 +143,7 @@ def choose_resolution(
 ) -> ObjectResolution:
     """Choose the voxel size by the box and the frames' resolution, unless the settings state it.
 
-    Voxels that are narrower than the frames' rays would seem to be seen through.
+    Voxels narrower than the frames' rays would wrongly appear to be seen through.
     """
     if fusion.voxel_size_m is not None:
         return ObjectResolution(fusion.voxel_size_m, 1.0)

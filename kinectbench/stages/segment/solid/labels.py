@@ -14,7 +14,8 @@ MEASURED_VOXELS = 1.5
 def voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: int) -> NDArray[np.uint8]:
     """One label (`Label`) per voxel, by its evidence: (i, j, k) uint8.
 
-    What lies behind a measured surface and was smoothed away is unknown: it is no air that anybody saw.
+    A voxel behind a measured surface that smoothing took out of the solid is UNKNOWN, because no frame saw it
+    empty.
 
     Args:
         evidence: what is known of each voxel.

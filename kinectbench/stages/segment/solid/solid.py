@@ -100,9 +100,9 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
 
     A free voxel is empty. A voxel right behind a measured surface is occupied, and so is one that no camera
     could see. An unknown voxel is occupied if that is the more probable (`guess`). Near the floor, the lowest
-    occupied layer is extruded down to the floor. Legs whose upper end was hidden are carried
-    up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks are
-    dropped, and voids are filled.
+    occupied layer is extruded down to the floor. Legs whose upper end was hidden are extended up to the
+    object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks are dropped, and
+    voids are filled.
 
     Args:
         observation: TSDF and votes on an upright grid.
@@ -181,10 +181,10 @@ def _closed_mesh(field: Float32, grid: Grid) -> TriangleMesh:
 
 
 def carried_up(solid: Bools, seen_empty: Bools, floor_layer: int, voxel_size_m: float) -> Bools:
-    """Carry legs that end in the unseen below the largest piece straight up to it.
+    """Extend legs, which end in unseen space below the largest piece, straight up to it.
 
-    From above, a seat hides the upper end of a leg that stands back from its edge: a seat in the air was
-    measured, and sticks on the floor.
+    From above, a seat hides the upper ends of legs that stand back from its edge: only the seat and the lower
+    parts of the legs are measured, with a gap between them.
 
     Args:
         solid: bool (nx, ny, nz), upright; extruded down to the floor.
