@@ -42,7 +42,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 6,
     "pairs": 4,
     "suggest": 7,
-    "publish": 44,
+    "publish": 45,
     "synthesize": 3,
     "score": 13,
     "baselines": 4,

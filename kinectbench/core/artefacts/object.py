@@ -93,7 +93,7 @@ class AnchoredBoxPart(BoxPart):
 
 
 class FloorFile(Stored):
-    """objects/<recording>/floor.json."""
+    """The plane that the object stands on: objects/<recording>/floor.json."""
 
     FILE = "floor.json"
 
@@ -139,7 +139,7 @@ class UnseenSidePart(ScaledPart):
 
 
 class MovingPart(StoredPart):
-    """Frames that show something in front of the scene that other frames do not see."""
+    """Frames in which something moves: it lies in front of the scene, and other frames do not see it."""
 
     judged: int = Field(description="frames looked at")
     frames: tuple[int, ...] = Field(description="indices of those in which something moves")

@@ -186,7 +186,7 @@ class Alignment:
 
 @dataclass(frozen=True, config=FINITE)
 class Hypotheses:
-    """Several predictions of a view in one row."""
+    """How several predictions of one view are combined in one row."""
 
     k: Annotated[int, Field(json_schema_extra={"minimum": 2})] = Field(description="how many")
     of: str = Field(
@@ -230,7 +230,7 @@ class AsPapers:
 
 @dataclass(frozen=True, config=FINITE)
 class Calibration:
-    """How often truth is solid where a share of several predictions is; docs/scoring-in-space.md."""
+    """How often the truth is solid where a share of several predictions is; docs/scoring-in-space.md."""
 
     error: UnitRange = Field(description="expected calibration error: mean of |said - true| over the cells")
     cells: tuple[int, ...] = Field(

@@ -29,23 +29,23 @@ class AirMethod(StoredPart):
 
 
 class CarriedLegs(StoredPart):
-    """Rule for pieces on the floor that are legs with a hidden upper end, and are extended to the object."""
+    """Rule for pieces on the floor that are legs with a hidden upper end; they are extended to the object."""
 
-    min_height_m: float = Field(description="its least height, metres")
-    max_gap_m: float = Field(description="how far below the object it ends at most, metres")
-    end_layers: int = Field(description="its upper end is in so many layers, voxels")
-    min_share: float = Field(description="so many of its columns there at least find the object above them")
+    min_height_m: float = Field(description="least height of such a piece, metres")
+    max_gap_m: float = Field(description="most distance from its upper end to the object above, metres")
+    end_layers: int = Field(description="layers that are its upper end, voxels")
+    min_share: float = Field(description="least share of its columns there that have the object above them")
 
 
 class FrontierMethod(StoredPart):
     """Which unseen regions that a camera could see are reported, and from where to look into them."""
 
-    least_share: float = Field(description="of the solid's volume, that lies behind one at least")
-    least_underside_share: float | None = Field(None, description="the same of an underside")
-    least_area_m2: float = Field(description="its least area, square metres")
-    least_probability: float = Field(description="of being inside, of what counts as behind one")
+    least_share: float = Field(description="least share of the solid's volume behind a frontier")
+    least_underside_share: float | None = Field(None, description="the same for an underside")
+    least_area_m2: float = Field(description="least area of a frontier, square metres")
+    least_probability: float = Field(description="least probability that a voxel behind one is solid")
     enough: float | None = Field(
-        None, description="a direction does that shows so much of what the best one shows"
+        None, description="a direction is good enough if it shows this share of what the best one shows"
     )
 
 

@@ -87,7 +87,7 @@ class SynthesisedCamera(StoredPart):
 
 
 class ViewsFile(Stored):
-    """views/<recording>/views.json."""
+    """The views of a recording: views/<recording>/views.json."""
 
     FILE = "views.json"
 
