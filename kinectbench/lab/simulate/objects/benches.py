@@ -63,7 +63,7 @@ def _park(draw: Draw, size: _Size) -> Parts:
 
 
 def _slats(draw: Draw, size: _Size, thick: float, look: Look) -> Parts:
-    """Draw the seat's boards, from left to right."""
+    """Draw the seat's boards, each as long as the bench."""
     count = draw.integer(3, 8)
     edges = np.linspace(-size.y + 0.015, size.y + 0.015, count + 1)
     wide = float(edges[1] - edges[0])
@@ -76,7 +76,11 @@ def _slats(draw: Draw, size: _Size, thick: float, look: Look) -> Parts:
 def _back_slats(
     draw: Draw, size: _Size, thick: float, back: tuple[float, float, float, float], look: Look
 ) -> Parts:
-    """Draw the back's boards before the leaning frame; `back`: slope, height of its start, top, distance."""
+    """Draw the back's boards in front of its leaning frame.
+
+    `back` is (slope of the frame, height at which it starts to lean, height of the back's top, distance of
+    the boards in front of the frame).
+    """
     slope, rest, top, ahead = back
     count, low = draw.integer(2, 6), size.seat + draw.between(0.07, 0.14)
     step = (top - low) / count

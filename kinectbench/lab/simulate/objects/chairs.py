@@ -186,7 +186,7 @@ def _shell(draw: Draw, size: _Size) -> Parts:
 
 
 def _shell_base(draw: Draw, size: _Size, under: float) -> Parts:
-    """Draw the base of a shell; a plate under the seat compensates for its dished underside."""
+    """Draw the base of a shell chair; it reaches a little above the shell's underside at height `under`."""
     metal, wood, head = draw.pick(looks.METALS), draw.pick(looks.WOODS), under + 0.008
     kind = draw.choose(["wood", "tube", "sled", "star", "column"])
     if kind == "wood":
@@ -230,7 +230,7 @@ def _upholstered(draw: Draw, size: _Size) -> Parts:
 
 
 def _tubular(draw: Draw, size: _Size) -> Parts:
-    """Draw a cantilever: one bent tube at each side carries a pad for the seat and one for the back."""
+    """Draw a cantilever chair: a bent tube on each side carries the pads of seat and back."""
     metal, look = draw.pick(looks.METALS), draw.pick(looks.LEATHERS + looks.CLOTHS + looks.WOODS[:3])
     radius, x, y = draw.between(0.0095, 0.0125), size.x, size.y
     lean, z = draw.between(0.05, 0.13), size.seat - 0.03
@@ -258,7 +258,7 @@ def _tubular(draw: Draw, size: _Size) -> Parts:
 
 
 def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: float, look: Look) -> Parts:
-    """Draw two bent tubes from the back to the front of the frame's sides."""
+    """Draw armrests: two bent tubes, each from the back to the front of the frame on its side."""
     z, front = size.seat + draw.between(0.17, 0.23), size.y - draw.between(0.05, 0.12)
     wood = draw.pick(looks.WOODS)
     for s in SIDES:

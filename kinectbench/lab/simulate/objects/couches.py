@@ -156,7 +156,7 @@ def _back_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
 
 
 def _pillows(draw: Draw, size: _Size, inner: float, ahead: float) -> Parts:
-    """Draw one or two square pillows that lean in the seat's corners, `ahead` metres before the back."""
+    """Draw one or two square pillows in the seat's corners, leaning `ahead` metres in front of the back."""
     look, edge = draw.pick(looks.CLOTHS), draw.between(0.34, 0.42)
     y = -size.y + size.deep + ahead
     for s in SIDES[: draw.integer(1, 3)]:
