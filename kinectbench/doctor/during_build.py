@@ -72,7 +72,7 @@ class OffsetWatch:
         self._gathering = ProbeBuilder(recording, frames_to_read(len(recording)), whole=0)
 
     def wants(self, index: int) -> bool:
-        """Return whether `inspect` would read a frame."""
+        """Return whether this frame is one of those that `inspect` would read."""
         return index in self._gathering.indices
 
     def see(self, index: int, frame: RawFrame) -> None:

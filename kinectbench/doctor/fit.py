@@ -68,7 +68,7 @@ class PoseConvention:
 
     @property
     def changes(self) -> int:
-        """The number of differences from the stated convention."""
+        """The number of attributes that differ from the stated convention, the default."""
         return sum(getattr(self, field.name) != field.default for field in fields(self))
 
     def text(self) -> str:

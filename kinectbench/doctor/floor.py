@@ -115,7 +115,7 @@ def seen_floor(
 
 
 def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
-    """Report a missing floor, and a floor at an implausible height."""
+    """Report a missing or uncertain floor, and a camera at an implausible height above it."""
     heights_m = floor.heights_m
     seen = np.isfinite(heights_m)
     if seen.mean() < SEEN_SHARE:

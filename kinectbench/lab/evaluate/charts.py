@@ -120,7 +120,7 @@ def error_picture(errors: SurfaceErrors) -> bytes:
 
 
 def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes:
-    """Draw the built mesh coloured by signed error, above the true mesh coloured by distance: a PNG file.
+    """Draw the built mesh coloured by signed error, and below it the true mesh by distance: a PNG file.
 
     Args:
         built_object: closed mesh, frame `object`.

@@ -112,7 +112,7 @@ class FloorFigures:
 
     Attributes:
         angle_rad: angle between the two planes.
-        height_m: height of the built plane above the true floor at the object's foot; < 0 below it.
+        height_m: height of the built plane above the true floor at the object's origin; < 0 below it.
     """
 
     angle_rad: float
@@ -120,7 +120,7 @@ class FloorFigures:
 
 
 def floor_figures(floor: Floor, truth: Truth, registration: BuildRegistration) -> FloorFigures:
-    """Compare the built floor with the true one: angle, and height at the object's foot.
+    """Compare the built floor with the true one: their angle, and their distance in height under the object.
 
     Args:
         floor: the built floor, in the build's world.

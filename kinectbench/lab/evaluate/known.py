@@ -63,9 +63,9 @@ class GrossErrors:
     A gross error is a known voxel with a wrong state, more than 10 mm from the true surface.
 
     Attributes:
-        known_gross_share: the share of both kinds below together.
-        solid_called_air: the share of voxels inside the true solid that the build says are empty.
-        air_called_solid: the share of voxels outside the true solid that the build says are solid.
+        known_gross_share: all gross errors, the sum of the two kinds below.
+        solid_called_air: those inside the true solid, which the build says are empty.
+        air_called_solid: those outside the true solid, which the build says are solid.
     """
 
     known_gross_share: float

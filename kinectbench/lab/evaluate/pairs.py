@@ -24,7 +24,7 @@ class MaskRow:
         view: the view's name.
         frame: index in the sequence.
         valid_iou: IoU of mask and silhouette over pixels with valid depth.
-        iou: IoU over all pixels; lower, because a mask contains only pixels with depth.
+        iou: IoU over all pixels, though a mask can contain only pixels with depth.
     """
 
     view: str

@@ -45,7 +45,7 @@ class RefinedFigures:
         moved_m: length of the whole shift of the object's centre.
         turned_rad: angle of the rotation.
         measured_distance_m: mean distance before registration; None without distances within 15 mm.
-        refined_distance_m: mean distance after registration; None likewise.
+        refined_distance_m: mean distance after registration; None in the same case.
         face_bias_m: face bias after registration.
         iou: IoU of the solids on 256^3 cells after registration.
         known_iou: the same IoU over known cells; None if no true cell is known.

@@ -143,9 +143,9 @@ class CameraPath:
         return np.asarray(angle_rad[:, None] * TURN_AXES[axis])
 
     def _knock(self, time_s: Float64) -> Float64:
-        """Return the knock's displacement and rotation (n, 6) with a peak of about 1: a damped oscillation.
+        """Return displacement and rotation (n, 6) by a knock against the camera, with a peak of about 1.
 
-        It starts after two thirds of the recording.
+        It is a damped oscillation that starts after two thirds of the recording.
         """
         since = np.maximum(time_s - self.duration_s * 2 / 3, 0)
         course = 1.6 * np.exp(-since / JOLT_DECAY_S) * np.sin(2 * np.pi * JOLT_HZ * since)

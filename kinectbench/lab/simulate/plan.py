@@ -97,7 +97,7 @@ def _disturbed(poses: Float64, sigma_m: float, sigma_rad: float, rng: np.random.
 
 
 def _drifting(poses: Float64, drift_m_per_m: float, rng: np.random.Generator) -> Float64:
-    """Add odometry drift to the poses: each step's error is in proportion to its length, in one direction."""
+    """Add odometry drift to the poses: errors in one direction, proportional to each step's length."""
     shift, turn = (axis / np.linalg.norm(axis) for axis in rng.standard_normal((2, 3)))
     drifted = [poses[0]]
     for before, after in pairwise(poses):

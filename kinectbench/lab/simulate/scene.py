@@ -48,7 +48,7 @@ THING_RGB: tuple[Vector3, ...] = (
 
 @dataclass(frozen=True)
 class Item:
-    """One mesh of the scene and its look.
+    """One mesh of the scene, with its role and material.
 
     Attributes:
         role: the item's role in the benchmark.

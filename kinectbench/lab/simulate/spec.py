@@ -149,7 +149,7 @@ class SensorSettings(GrownSettings):
 
 
 class FaultSettings(Settings):
-    """Faults for tests."""
+    """Faults to put into the recording, for tests."""
 
     drop_share: float = Field(0.0, ge=0, le=0.9, description="share of frames that are missing")
     stamp_jitter_s: float = Field(0.0, ge=0, le=10, description="standard deviation of errors in the stamps")
@@ -171,7 +171,7 @@ class GivenSettings(GrownSettings):
 
 
 class SimulationSpec(Settings):
-    """Settings of a simulation. Same spec, same bytes (on one machine with the pinned packages)."""
+    """Settings of a simulation. The same spec gives the same bytes (one machine, pinned packages)."""
 
     object: str = Field("chair:seed=0", description="family and seed, such as chair:seed=3")
     mesh: str | None = Field(None, description="a mesh file in metres, instead of `object`")

@@ -114,7 +114,7 @@ class MessageMaker:
         )
 
     def transform(self, T_parent_child: NDArray[np.float64]) -> Message:
-        """Return a geometry_msgs/Transform."""
+        """Return a transform (4, 4) as a geometry_msgs/Transform."""
         quaternion_xyzw = quaternion_xyzw_from_rotation(T_parent_child[:3, :3])
         return self._types["geometry_msgs/msg/Transform"](
             self._types["geometry_msgs/msg/Vector3"](*T_parent_child[:3, 3].tolist()),
