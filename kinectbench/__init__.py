@@ -35,12 +35,12 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Include the lazily imported names."""
+    """Return the module's names, with those that are imported lazily."""
     return sorted({*globals(), *__all__})
 
 
 class _MovedApi(ModuleType):
-    """The old name `kinectbench.api` of `load`, `Dataset` and `Scorer`, which still works."""
+    """The module `kinectbench.api`, the former place of `load`, `Dataset` and `Scorer`, which still works."""
 
     def __getattr__(self, name: str) -> Any:
         from kinectbench.scoring import api

@@ -1,4 +1,4 @@
-"""`python -m kinectbench` is the command line."""
+"""Run the command line as `python -m kinectbench`."""
 
 from kinectbench.cli.main import main
 

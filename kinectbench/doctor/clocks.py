@@ -1,4 +1,4 @@
-"""Checks of the clock: rate, dropped and doubled frames, jumps, resets, unpaired colour."""
+"""Checks of time stamps: frame rate, dropped and doubled frames, jumps, resets, unpaired colour."""
 
 from collections.abc import Iterator
 
@@ -30,7 +30,7 @@ REGROUP = "record again at a rate that the computer keeps up with; gaps make tra
 
 
 def check_clock(probe: Probe) -> Iterator[Finding]:
-    """Judge the stamps of depth and of colour, in the order of recording."""
+    """Report faults of the stamps of depth and colour, too few frames, doubled frames and missing colour."""
     recording = probe.recording
     if len(recording) < MIN_FRAMES:
         yield Finding(
@@ -50,7 +50,7 @@ def check_clock(probe: Probe) -> Iterator[Finding]:
 
 
 def _few(probe: Probe) -> Iterator[Finding]:
-    """Warn if there are so few frames that a build would warn, too."""
+    """Warn if the recording has so few frames that a build would warn, too."""
     from kinectbench.stages.segment.judge.coverage_report import MIN_FRAMES as ENOUGH_FRAMES
 
     frames = len(probe.recording)
@@ -92,7 +92,11 @@ def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator
 
 
 def _regular(periods: NDArray[np.int64]) -> int:
-    """Return the period of regularly missing frames; 0 if they are irregular."""
+    """Return after how many frames one is missing, if regularly; 0 if irregularly.
+
+    Args:
+        periods: (n,) steps between consecutive frames, in frame periods; 2 where one frame is missing.
+    """
     gaps = np.diff(np.flatnonzero(periods == 2))
     return int(gaps[0]) if len(gaps) > 3 and (gaps == gaps[0]).mean() > 0.9 else 0
 
@@ -135,7 +139,7 @@ def _doubled(probe: Probe) -> Iterator[Finding]:
 
 
 def check_partners(probe: Probe) -> Iterator[Finding]:
-    """Check that depth frames have colour, if the recording has colour."""
+    """Report missing colour: no colour at all, or many depth frames without a colour image near in time."""
     depth_ns, color_ns = probe.recording.recorded_stamps_ns
     without = [frame.index for frame in probe.frames if frame.gray is None]
     share = 1 - len(without) / max(len(probe.frames), 1)

@@ -1,4 +1,4 @@
-"""Other scales and encodings of depth, reported only if the given poses then fit the depth."""
+"""Detect another scale or encoding of depth: one with which the given poses fit the depth."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -30,13 +30,13 @@ EXPLAINED = frozenset({"depth_scale", "invalid_code", "depth_8_bit"})
 
 @dataclass(frozen=True)
 class Code:
-    """An encoding of 16-bit depth.
+    """A scale or encoding of 16-bit depth.
 
     Attributes:
-        name: the name of the finding.
-        words: the meaning of the values.
-        advice: the setting to write, or how to export the values.
-        metres: converts values (height, width) uint16, 0 = none, and their camera to metres.
+        name: the name of the finding that reports it.
+        words: what the values mean, for the finding's text.
+        advice: the setting to write, or how to export the depth.
+        metres: function from (values (height, width) uint16, 0 = none; camera) to depth in metres.
     """
 
     name: str
@@ -46,14 +46,14 @@ class Code:
 
 
 def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
-    """Report a scale or encoding that makes the given poses fit, if they do not fit now.
+    """Report another scale or encoding of depth with which the given poses fit, and fit clearly better.
 
-    Without poses, or if a depth code is set already, nothing is tried. For float depth only distance along
-    the ray is tried, because its values are no longer the values in the files.
+    Nothing is tried without given poses, or if `depth_code` is set. If the poses fit already, or if the files
+    have float depth, whose values the probe no longer has, only distance along the ray is tried.
 
     Args:
         probe: the probe of the recording.
-        poses: the fit of the given poses to the unchanged depth; None: no poses, or no fit.
+        poses: the fit of the given poses to the depth as it is read; None: no poses, or too few to judge.
     """
     recording = probe.recording
     if recording.given_trajectory is None:
@@ -76,7 +76,7 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
 
 
 def _is_stored(probe: Probe) -> bool:
-    """Return whether depth has the integer values of the files."""
+    """Return whether the probe's depth has the files' integer values, not values converted from float."""
     recording = probe.recording
     return not isinstance(recording, FileRecording) or recording.float_scale is None
 
@@ -134,17 +134,17 @@ def _scaled(
 
 
 def _z_buffer(near_m: float, far_m: float) -> Callable[[UInt16, Camera], NDArray[np.floating]]:
-    """Return the conversion of OpenGL's and Direct3D's window depth, linear in 1 / z between the planes."""
+    """Return a function (values, camera) -> metres for a z-buffer, whose values are linear in 1 / z."""
     return lambda depth, _: np.where(
         depth > 0, near_m * far_m / (far_m - depth / DEEPEST * (far_m - near_m)), 0.0
     )
 
 
 def _fit(probe: Probe, code: Code) -> PoseFit | None:
-    """Test how well the given poses fit the depth, decoded by this encoding.
+    """Fit the given poses to the depth decoded by this encoding.
 
-    None if the decoded depth is implausible for a room, the frames differ in size, or the fit does not
-    confirm the encoding (`PoseFit.proven`).
+    The result is None if the decoded depth is implausible for a room, the frames differ in size, or the fit
+    does not confirm the encoding (`PoseFit.proven`).
     """
     scale, camera = probe.recording.depth_scale, probe.small_camera
     shape = (camera.height, camera.width)

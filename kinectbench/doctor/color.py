@@ -37,12 +37,15 @@ MORE_SIMILAR, STILL_SIMILAR, FEWEST_IN_ORDER = 0.1, 0.9, 20
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """How well edges of colour agree with edges of depth.
+    """How well edges of colour coincide with depth discontinuities.
+
+    Scores are correlations, in standard deviations over all shifts of the image.
 
     Attributes:
-        here: the score without a shift. `best`: the score at `shift_px`. `mirrored`: the best score with
-            colour mirrored left to right. Scores are in standard deviations over all shifts of the image.
-        shift_px: (2,) offset of colour to the right of and below depth, pixels of the depth image.
+        here: the score without a shift.
+        best: the score at the best shift, `shift_px`.
+        mirrored: the best score with colour mirrored left to right.
+        shift_px: (2,) best shift: how far colour lies to the right of and below depth, depth pixels.
     """
 
     here: float
@@ -52,15 +55,15 @@ class EdgeFit:
 
     @property
     def clear(self) -> bool:
-        """Whether the edges give a significant result."""
+        """Whether the best score is significant."""
         return self.best > CLEAR
 
 
 def fit_edges(probe: Probe) -> EdgeFit | None:
-    """Correlate edges of depth with edges of colour, over all frames read at full size.
+    """Correlate depth discontinuities with colour edges, summed over the probe's full-size frames.
 
-    The result is None if colour is missing or has another aspect ratio than depth, and for images too flat
-    for the shifts that are tried.
+    The result is None if colour is missing or has another aspect ratio than depth, or if the images are too
+    low for the shifts that are tried.
     """
     import cv2
 
@@ -85,13 +88,13 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 
 
 def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
-    """Whether colour (height, width, 3) and depth (height, width) have one aspect ratio."""
+    """Return whether colour (height, width, 3) and depth (height, width) have the same aspect ratio."""
     ratio, of_depth = (image.shape[1] / image.shape[0] for image in (bgr, depth))
     return bool(abs(ratio - of_depth) <= 0.02)
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
-    """Compare the result of the edge test with what the recording states about colour."""
+    """Report colour that is mirrored, or not registered to depth although the recording says that it is."""
     if fit is None:
         shapes = (_of_one_shape(frame.bgr, frame.depth) for frame in probe.whole if frame.bgr is not None)
         if probe.recording.color_registered and not all(shapes):
@@ -120,7 +123,10 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
 
 
 def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float64]:
-    """Return 1 where depth (height, width; 0 = none) jumps between measured neighbours, at size (w, h)."""
+    """Return an image, resized to `size` (width, height), that is 1 at depth discontinuities, else 0.
+
+    A discontinuity is a large relative difference between measured neighbours on both sides of a pixel.
+    """
     import cv2
 
     pixels = depth.astype(np.float32)
@@ -136,7 +142,7 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
 
 def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the gradient of a grey image at a size (w, h), limited so that strong edges do not decide."""
+    """Return the gradient magnitude of a grey image resized to `size` (width, height), clipped at 4 means."""
     import cv2
 
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
@@ -147,13 +153,13 @@ def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.fl
 
 
 def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the correlation at every cyclic shift of colour (down, right); 0 on average."""
+    """Return the correlation of jumps and edges at every cyclic shift (down, right) of colour; mean 0."""
     spectrum = np.conj(np.fft.rfft2(jumps)) * np.fft.rfft2(edges - edges.mean())
     return np.asarray(np.fft.irfft2(spectrum, jumps.shape))
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return scores of shifts up to REACH_PX, in standard deviations over shifts four times as wide."""
+    """Return scores of shifts up to REACH_PX, in standard deviations over shifts up to 4 times as far."""
 
     def window(reach: int) -> NDArray[np.float64]:
         rolled = np.roll(scores, (reach, reach), axis=(0, 1))
@@ -164,7 +170,7 @@ def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def check_light(probe: Probe) -> Iterator[Finding]:
-    """Judge the colour images, and whether each frame is similar to its neighbours."""
+    """Report faults of exposure, blur, frames in no order of time, and frames that show another scene."""
     yield from _exposure(probe)
     yield from _blur(probe)
     yield from _odd_frames(probe)
@@ -236,7 +242,7 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
 
 
 def _shuffled(probe: Probe) -> bool:
-    """Return whether consecutive frames are no more similar than frames half a run apart."""
+    """Return whether frames are in random order: neighbours no more similar than frames half a run apart."""
     thumbs = [_thumb(frame) for frame in probe.longest_run()]
     if len(thumbs) < FEWEST_IN_ORDER:
         return False
@@ -254,7 +260,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
 
 
 def _match(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Return the share of pixels measured in both images whose depths agree; 1 if there are none."""
+    """Return the share of the pixels measured in both depth images whose depths agree; 1 without any."""
     both = (first > 0) & (second > 0)
     if not both.any():
         return 1.0

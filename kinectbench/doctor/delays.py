@@ -1,4 +1,4 @@
-"""Clock offset of colour against depth, from the motion in both image streams."""
+"""Estimate the clock offset between colour and depth, from the image motion in both streams."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,11 +24,11 @@ SMALL_PX = (80, 60)
 
 @dataclass(frozen=True)
 class Motion:
-    """Image motion over time.
+    """Image motion of a stream over time, between n pairs of consecutive frames.
 
     Attributes:
-        times_ns: (n,) int64, increasing: the mid-time between two frames.
-        shift_px_s: (n, 2) float64: the shift of the image in x and y, pixels a second, at any fixed size.
+        times_ns: (n,) int64, increasing: the time halfway between the two frames.
+        shift_px_s: (n, 2) float64: speed of the image in x and y, pixels per second, in images of one size.
     """
 
     times_ns: NDArray[np.int64]
@@ -36,11 +36,11 @@ class Motion:
 
 
 def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]) -> Motion:
-    """Measure the shift between consecutive images by phase correlation (Kuglin and Hines 1975).
+    """Measure a stream's image motion by phase correlation of consecutive images (Kuglin and Hines 1975).
 
     Args:
         stamps_ns: (n,) increasing, nanoseconds.
-        images: n images (height, width), depth (may have holes) or grey.
+        images: n images (height, width): depth, which may have holes, or grey.
     """
     import cv2
 
@@ -61,7 +61,7 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
 
 
 def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
-    """Return the delay of the second stream's stamps at which both motions agree best, nanoseconds.
+    """Return how late the second stream's stamps are, in nanoseconds, by the motion in both streams.
 
     Each lag up to half a second is scored by the correlation of both motion components at the samples of the
     first stream; the second stream is interpolated. A parabola refines the best lag.
@@ -78,7 +78,7 @@ def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
 
 
 def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
-    """Return the correlation of the first motion with the second one delayed by a lag."""
+    """Return the correlation of the first motion with the second at times later by a lag; -1 if unknown."""
     if len(second.times_ns) < 2:
         return -1.0
     times = first.times_ns + lag_ns
@@ -104,7 +104,7 @@ PAIRED_SHARE = 0.8
 
 
 def check_color_delay(probe: Probe) -> Iterator[Finding]:
-    """Report a delay between colour and the depth that it is paired with."""
+    """Report a constant delay between colour and the depth that it is paired with."""
     run = tuple(frame for frame in probe.longest_run() if frame.gray is not None)
     if len(run) < 3:
         return
@@ -128,7 +128,7 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
     """Report a drift between the clocks of colour and depth: a delay that grows over the recording.
 
     The delay is measured in runs of frames at the beginning, middle and end, or in the thirds of one long
-    run. The middle delay must lie between the others, which excludes chance results.
+    run. The delay in the middle must lie where a linear drift puts it, which excludes chance results.
     """
     runs = [run for run in probe.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
     if len(runs) < 3:
@@ -166,13 +166,13 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
 
 
 def clock_ns(probe: Probe, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
-    """Return stamps (n,) of frames, nanoseconds; at 30 Hz if the recording only counts frames."""
+    """Return stamps (n,) of frames, nanoseconds; as if at 30 Hz if the recording only counts frames."""
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     return stamps_ns // ASSUMED_HZ if probe.counts_frames else stamps_ns
 
 
 def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """Return the delay by motion; if depth shows too little motion, by coincident edges."""
+    """Return colour's delay in nanoseconds, by motion or, if that fails, by coincident edges, or None."""
     delay_ns = _motion_delay_ns(run, stamps_ns)
     if delay_ns is None and probe.recording.color_registered:
         return _edge_delay_ns(run, stamps_ns)
@@ -180,7 +180,7 @@ def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArra
 
 
 def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """Return the delay at which the motions of depth and colour agree; None unless both halves confirm it."""
+    """Return colour's delay by the motion in both streams; None unless both halves of the run confirm it."""
     depth = image_motion(stamps_ns.tolist(), [frame.depth_m for frame in run])
     color = image_motion(stamps_ns.tolist(), [frame.gray for frame in run if frame.gray is not None])
     middle = len(depth.times_ns) // 2
@@ -195,7 +195,10 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
-    """Return the delay; if images lose their partners by it, move it to the median nearest partner."""
+    """Return the delay, changed if depth and colour would no longer pair up with it.
+
+    It is then changed by the median time from colour images to their nearest depth images.
+    """
     depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):
         return delay_ns
@@ -209,7 +212,7 @@ def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
 
 
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """Return the delay at which colour edges coincide best with depth jumps; for registered colour.
+    """Return the delay of registered colour at which its edges coincide best with depth discontinuities.
 
     The result is None if the maximum is not significant, or if either half of the run has another maximum.
     """
@@ -230,7 +233,7 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
 
 
 def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
-    """Return (n, n): overlap of jumps of depth i with edges of colour j, minus row and column means."""
+    """Return (n, n) overlaps of depth i's jumps with colour j's edges, row and column means removed."""
     jumps = np.stack([depth_jumps(frame.depth_m, EDGE_SIZE).astype(np.float32).ravel() for frame in run])
     edges = np.stack([_edges_of(frame).astype(np.float32).ravel() for frame in run])
     fits = (jumps @ edges.T).astype(np.float64)

@@ -41,7 +41,7 @@ VALID_SHARE = 0.35
 
 
 def check_intrinsics(probe: Probe) -> Iterator[Finding]:
-    """Judge focal lengths and principal point."""
+    """Report implausible focal lengths or principal points, and intrinsics of another image size."""
     camera = probe.recording.camera
     across, down = camera.width / (2 * camera.cx + 1), camera.height / (2 * camera.cy + 1)
     shown = f"fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g}"
@@ -70,7 +70,7 @@ def check_intrinsics(probe: Probe) -> Iterator[Finding]:
 
 
 def check_depth(probe: Probe) -> Iterator[Finding]:
-    """Judge the values of depth images."""
+    """Report faults of depth images: damage, mixed sizes, byte order, 8 bits, invalid code, unit, gaps."""
     yield from _readable(probe)
     if not probe.whole:
         return
@@ -91,7 +91,7 @@ def check_depth(probe: Probe) -> Iterator[Finding]:
 
 
 def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
-    """Return (3,) metres: the 5 %, 50 % and 95 % quantiles of the measured depth; NaN without depth."""
+    """Return the 5 %, 50 % and 95 % quantiles (3,) of the measured depth, metres; NaN without depth."""
     measured = _measured(probe)
     if not len(measured):
         return np.full(3, np.nan)
@@ -99,13 +99,13 @@ def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
 
 
 def _measured(probe: Probe) -> NDArray[np.uint16]:
-    """Return native values of a sample of the measured pixels in the full-size frames."""
+    """Return depth values (n,), in native units, of a sample of the measured pixels of full-size frames."""
     samples = [frame.depth[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] for frame in probe.whole]
     return np.concatenate([np.zeros(0, np.uint16), *(sample[sample > 0] for sample in samples)])
 
 
 def is_likely(median_m: float, far_m: float) -> bool:
-    """Return whether depth with this median and 95 % quantile, metres, is plausible for a room."""
+    """Return whether a median and a 95 % quantile of depth, metres, are plausible for a room."""
     return LIKELY_MEDIAN_M[0] <= median_m <= LIKELY_MEDIAN_M[1] and far_m <= LIKELY_FAR_M
 
 
@@ -131,7 +131,7 @@ def _readable(probe: Probe) -> Iterator[Finding]:
 
 
 def _byte_order(probe: Probe) -> list[Finding]:
-    """Detect swapped bytes: surfaces are smooth, and swapping the bytes of a correct image roughens them."""
+    """Detect swapped bytes of 16-bit depth: images that are much smoother with their bytes swapped back."""
     as_is = np.mean([_roughness(frame.depth[::4]) for frame in probe.whole])
     exchanged = np.mean([_roughness(frame.depth[::4].byteswap()) for frame in probe.whole])
     if not as_is > SMOOTHER * exchanged:
@@ -142,7 +142,7 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """Return the mean step between measured neighbours in a row, as a ratio of the median depth."""
+    """Return the mean difference of measured horizontal neighbours, relative to the median depth."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
     # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)
@@ -163,7 +163,7 @@ def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
 
 
 def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
-    """Detect an invalid code: a highest value that is frequent, and far beyond all others."""
+    """Detect a value that marks missing depth: the highest, if it is frequent and far above all others."""
     highest = int(measured.max())
     below = measured[measured < highest]
     share = 1 - len(below) / len(measured)
@@ -207,11 +207,11 @@ def _valid(probe: Probe) -> Iterator[Finding]:
 def range_by_look(
     probe: Probe, T_world_camera: NDArray[np.float64] | None, fusion: FusionSettings | None
 ) -> DepthRangePart:
-    """Return the depth range that `build` would fuse, and the share of depth beyond it.
+    """Return the depth range that a build would fuse, and the share of depth beyond it.
 
     Args:
         probe: the probe of the recording.
-        T_world_camera: (n, 4, 4) of the frames with a pose; None: only depth is used.
+        T_world_camera: (n, 4, 4), poses of the frames that have one; None: only depth is used.
         fusion: the settings of benchmark.yaml; None: the defaults.
     """
     poses = np.zeros((0, 4, 4)) if T_world_camera is None else T_world_camera
@@ -220,7 +220,7 @@ def range_by_look(
 
 
 def check_range(probe: Probe, chosen: DepthRangePart) -> Iterator[Finding]:
-    """Report depth that may belong to the object but is too far to be fused."""
+    """Report depth that may show the object, but that a build would not fuse because it is too far."""
     for line in range_warnings(chosen):
         what, _, advice = line.rpartition("; ")
         yield Finding("far_depth", "warning", what, probe.where, advice)

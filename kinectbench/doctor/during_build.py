@@ -1,4 +1,4 @@
-"""The doctor during a build: refuses unusable recordings, reports clock offsets, explains failures."""
+"""Use the doctor during a build: refuse unusable recordings, report clock offsets, explain failures."""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -23,10 +23,11 @@ CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})
 
 
 def refuse_hopeless(recording: Recording) -> None:
-    """Refuse a recording if a fault of all its frames makes a build fail.
+    """Refuse a recording with a fault of all frames that makes a build fail or wrong.
 
     Raises:
-        RecordingError: swapped bytes, an invalid code read as depth, or intrinsics of another size.
+        RecordingError: the depth has swapped bytes or a code for missing depth that is read as depth, or the
+            intrinsics are of another image size.
     """
     probe = probe_recording(recording, few=True)
     for finding in (*check_depth(probe), *check_intrinsics(probe)):
@@ -38,10 +39,10 @@ def refuse_hopeless(recording: Recording) -> None:
 
 
 def likely_cause(recording: Recording) -> str:
-    """Return a hint that the pose convention or depth scale is wrong, by `inspect`; "" without such a hint.
+    """Explain a failed build by a wrong pose convention or depth scale: one line, "" if neither is likely.
 
-    Depth of a small object looks like depth with a wrong scale. So a recording is not refused for it, but it
-    is the likely cause if a build fails.
+    Depth that seems to have a wrong scale may also be that of a small object. So a recording is not refused
+    for it beforehand.
     """
     probe = probe_recording(recording)
     by_depth = [each for each in check_depth(probe) if each.name == "depth_scale"]
@@ -63,7 +64,7 @@ def likely_cause(recording: Recording) -> str:
 
 
 class OffsetWatch:
-    """Collects frames while they are written, so that none is read twice."""
+    """Finds clock offsets from the frames that ingest reads anyway, so that none is read twice."""
 
     def __init__(self, recording: Recording) -> None:
         """Prepare to collect the frames that `inspect` would read."""
@@ -71,15 +72,15 @@ class OffsetWatch:
         self._gathering = ProbeBuilder(recording, frames_to_read(len(recording)), whole=0)
 
     def wants(self, index: int) -> bool:
-        """Return whether `inspect` would read a frame."""
+        """Return whether this frame is one of those that `inspect` would read."""
         return index in self._gathering.indices
 
     def see(self, index: int, frame: RawFrame) -> None:
-        """Take a recorded frame."""
+        """Add a frame as it was read from the recording; it is ignored unless `wants` it."""
         self._gathering.take(index, frame)
 
     def warnings(self) -> list[str]:
-        """Return one line for each offset, with the setting for benchmark.yaml or other advice."""
+        """Return one line for each clock offset or wrong scale found, with the setting or advice for it."""
         reported = (finding for finding in self._findings if finding.severity == "warning")
         return [
             f"{finding.where}: {finding.what}; {finding.advice}"
@@ -88,7 +89,7 @@ class OffsetWatch:
         ]
 
     def scale_warnings(self) -> list[str]:
-        """Return evidence against depth_scale and intrinsics, one line each, without a path, for releases."""
+        """Return the warnings about depth_scale and focal lengths, without paths, to be put into releases."""
         return [f"{finding.what}; {finding.advice}" for finding in self._findings if finding.name == LENGTHS]
 
     @cached_property

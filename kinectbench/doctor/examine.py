@@ -1,4 +1,4 @@
-"""Inspect a recording without building anything, even if it cannot be opened normally."""
+"""Run all checks of a recording (`kinectbench inspect`), even if its intrinsics are missing or unusable."""
 
 import math
 from collections.abc import Iterator
@@ -54,10 +54,10 @@ HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 def open_anyhow(
     path: Path, settings: CameraSettings | None, *, follow_links: bool = False
 ) -> tuple[Recording | None, list[Finding]]:
-    """Open a recording; replace missing or wrong intrinsics by those of a Kinect.
+    """Open a recording; if it fails for its intrinsics, open it with those of a Kinect instead.
 
     Returns:
-        The recording, or None; and the findings.
+        The recording, None if it cannot be opened; and the findings about that.
     """
     try:
         return open_recording(path, settings, follow_links=follow_links), []
@@ -94,16 +94,16 @@ def inspect(
     boxed: bool = False,
     tracking: TrackingSettings | None = None,
 ) -> tuple[Diagnosis, Probe | None]:
-    """Inspect a recording.
+    """Run all checks of a recording, and return its diagnosis.
 
     Args:
-        path: folder or file.
+        path: the recording's folder or file.
         settings: settings of its camera, as under `camera:` in benchmark.yaml.
         mode: the trajectory mode of benchmark.yaml; "ignore": the given trajectory is not used.
-        fusion: settings of the depth range; None: chosen for the recording.
+        fusion: settings of the depth range; None: the defaults.
         own_pixels: whether benchmark.yaml has `segment_by`: no floor is needed, and the camera may be static.
-        follow_links: whether links in it are followed, by the setting of benchmark.yaml.
-        plane_world: (4,) the plane that the object stands on, from benchmark.yaml; None: none.
+        follow_links: whether symbolic links in the recording are followed, as set in benchmark.yaml.
+        plane_world: (4,) the plane that the object stands on, from benchmark.yaml; None: not set.
         boxed: whether benchmark.yaml has a box around the object: no floor is needed.
         tracking: settings to grade a given trajectory as a build does; None: the trajectory is not graded.
 
@@ -135,7 +135,7 @@ def inspect(
 
 
 def _inside(path: Path, recording: Recording) -> Iterator[Finding]:
-    """Report other recordings inside a recording's folder: none of their frames is read."""
+    """Report other recordings inside a recording's folder, whose frames are not read."""
     read = recording.folders if isinstance(recording, FileRecording) else set()
     with suppress(OSError):  # a folder that cannot be read stops the reader, too
         inside = recordings_inside(path, read)
@@ -156,7 +156,11 @@ def _by_own_pixels(probe: Probe) -> Finding:
 def _examined(
     probe: Probe, ground: Ground, findings: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
 ) -> tuple[dict[str, object], list[Finding]]:
-    """Run the checks that need valid depth; return further facts, and findings that poses do not exclude."""
+    """Run the checks that need valid depth; return further facts, and all findings.
+
+    The findings so far (`findings`) are among them. Findings that well-fitting poses exclude, or that another
+    finding explains, are left out.
+    """
     # Poses of a static camera fit equally well in every convention, so they prove nothing.
     still = [*check_still(probe)]
     stands = any(finding.name in NO_MOTION for finding in still)
@@ -195,7 +199,7 @@ def _examined(
 
 
 def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
-    """Return the findings that need valid depth."""
+    """Yield the findings about colour, clock offsets and the given trajectory."""
     of_color = list(check_edges(probe, edges))
     yield from of_color
     # Unregistered colour gives no delay by edges.

@@ -1,4 +1,4 @@
-"""The doctor's report: findings and facts, the verdict that follows, and the facts in words."""
+"""The doctor's report: findings of checks, figures of the recording, and the verdict."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,9 +19,10 @@ class Finding:
 
     Attributes:
         name: the kind of finding, for programs.
-        severity: "stops": a build would fail or be wrong; "warning": it may be; "note": information.
-        what: the finding, one line.
-        where: the file, topic or frames.
+        severity: "stops": a build would fail or be wrong; "warning": it may fail or be wrong; "note":
+            information.
+        what: the finding in words, one line.
+        where: the file, topic or frames that it is about.
         advice: what to do; "" where there is nothing to do.
     """
 
@@ -34,11 +35,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The diagnosis of a recording.
+    """The result of all checks of a recording.
 
     Attributes:
-        facts: figures by name, plain JSON values.
-        findings: most severe first.
+        facts: {name: value} of the recording's figures, plain JSON values.
+        findings: the findings, most severe first.
     """
 
     facts: dict[str, object]
@@ -46,7 +47,7 @@ class Diagnosis:
 
     @property
     def stops(self) -> bool:
-        """Whether a build would fail or be wrong."""
+        """Whether a build would fail or be wrong, by a finding that "stops"."""
         return any(finding.severity == "stops" for finding in self.findings)
 
     @property
@@ -63,20 +64,20 @@ class Diagnosis:
 
 
 def camera_line(key: str, value: float) -> str:
-    """Return advice to write a camera setting into benchmark.yaml."""
+    """Return a finding's advice: a camera setting to put into benchmark.yaml."""
     return f"put `camera: {{{key}: {value:.3f}}}` into benchmark.yaml"
 
 
 def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings by severity, otherwise in their order, without duplicates."""
+    """Return the findings without duplicates, the most severe first, else in their order."""
     return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
 def fact_lines(facts: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Return the known facts as (name, value), in order, ready to print.
+    """Return a diagnosis's facts as printable (name, value with unit), in order, without those that are None.
 
     Args:
-        facts: facts of a `Diagnosis`: plain JSON values by name; names end in the unit.
+        facts: facts of a `Diagnosis`: {name: plain JSON value}; a name ends in the value's unit.
     """
     return [_in_words(name, value) for name, value in facts.items() if value is not None]
 
@@ -90,7 +91,7 @@ def _in_words(name: str, value: object) -> tuple[str, str]:
 
 
 def _value(name: str, value: object, unit: str) -> str:
-    """Return a value in words: a camera, quantiles, a size, a yes or no, a number with its unit."""
+    """Format a fact's value as text with its unit: a camera, quantiles, a size, a bool or a number."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""Conventions of a given trajectory, and how well its poses fit the recorded depth."""
+"""Pose conventions of a given trajectory, and how well the poses in a convention fit the recorded depth."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -50,14 +50,14 @@ FITTING_NOISES, MOST_FITTING_M = 3.0, 0.05
 
 @dataclass(frozen=True)
 class PoseConvention:
-    """One pose convention.
+    """A convention in which given poses may be stored; the defaults are the stated convention.
 
     Attributes:
-        inverse: the poses map the world to the camera.
-        axes: a key of AXES.
-        wxyz: the quaternions are stored as w, x, y, z instead of x, y, z, w.
-        images: a key of IMAGES.
-        unit_m: the poses' unit of length in metres, if depth is in metres.
+        inverse: whether the poses map the world to the camera.
+        axes: the camera's axes, a key of AXES.
+        wxyz: whether quaternions are stored as w, x, y, z instead of x, y, z, w.
+        images: whether the images are mirrored left to right, a key of IMAGES.
+        unit_m: the poses' unit of length, in units of the depth (metres).
     """
 
     inverse: bool = False
@@ -68,7 +68,7 @@ class PoseConvention:
 
     @property
     def changes(self) -> int:
-        """The number of differences from the stated convention."""
+        """The number of attributes that differ from the stated convention, the default."""
         return sum(getattr(self, field.name) != field.default for field in fields(self))
 
     def text(self) -> str:
@@ -83,7 +83,7 @@ class PoseConvention:
         return ", ".join(part for part in parts if part) or "as given"
 
     def apply(self, poses: Float64) -> Float64:
-        """Convert poses as read to T_world_camera (n, 4, 4) in optical axes and metres; NaN stays NaN."""
+        """Convert poses (n, 4, 4) as stored to T_world_camera, optical axes and metres; NaN stays NaN."""
         known = np.isfinite(poses[:, 0, 0])
         T = poses[known]
         if self.wxyz:
@@ -100,14 +100,14 @@ class PoseConvention:
 
 
 def likely_conventions() -> Iterator[PoseConvention]:
-    """Yield the conventions that are tried first, beginning with "as given"."""
+    """Yield the conventions to try first, beginning with the stated one."""
     yield from _of_unit(1.0)
     yield from (PoseConvention(unit_m=unit_m) for unit_m in OTHER_UNITS)
     yield from (PoseConvention(inverse, images="mirrored") for inverse in (False, True))
 
 
 def further_conventions() -> Iterator[PoseConvention]:
-    """Yield the conventions that are tried if no likely one fits."""
+    """Yield the further conventions to try if no likely one fits."""
     for unit_m in OTHER_UNITS:
         yield from (convention for convention in _of_unit(unit_m) if convention.changes > 1)
 
@@ -121,13 +121,14 @@ def _of_unit(unit_m: float) -> Iterator[PoseConvention]:
 
 @dataclass(frozen=True)
 class FramePair:
-    """Two frames that should show the same surface.
+    """Two frames that should show the same surface, prepared to compare their depth under given poses.
 
     Attributes:
-        first: index of a frame of the probe. `second`: index of the other frame.
+        first: index of the first frame among the probe's frames.
+        second: index of the second frame there.
         points: (n, 3) points of the first frame, in its camera's axes, metres.
-        depth_m: depth of the second frame, metres.
-        camera: camera of that small depth image.
+        depth_m: (height, width), the small depth image of the second frame, metres, 0 = none.
+        camera: intrinsics of this image.
     """
 
     first: int
@@ -138,10 +139,10 @@ class FramePair:
 
 
 def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
-    """Choose pairs of frames with poses, evenly over the recording, both near and distant pairs.
+    """Choose pairs of frames with poses (n, 4, 4), evenly over the recording, some near and some distant.
 
-    Near means near in time. For poses (n, 4, 4) in no order of time, near means a small angle between views,
-    which is the same in every convention.
+    The second frame comes a few to many frames after the first. If the poses are in no order of time, it is
+    one of those with the smallest angle between the views instead, which is the same in every convention.
     """
     camera, count = probe.small_camera, len(probe.frames)
     has_pose = np.isfinite(poses[:, 0, 0])
@@ -164,23 +165,23 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Return indices of later frames, or of earlier ones at the recording's end; negative without any."""
+    """Return the indices of frames AHEAD of a frame, or as far before it at the end; negative: no frame."""
     return [first + ahead if first + ahead < count else first - ahead for ahead in AHEAD]
 
 
 def _beside(first: int, poses: Float64) -> list[int]:
-    """Return the frames with the smallest angles to a frame's view."""
+    """Return the indices of the frames whose orientation differs least from a frame's, by ranks NEAREST."""
     cosine = np.einsum("ij,nij->n", poses[first, :3, :3], poses[:, :3, :3])
     order = [k for k in np.argsort(-cosine, kind="stable").tolist() if k != first and np.isfinite(cosine[k])]
     return [order[rank - 1] for rank in NEAREST if rank <= len(order)]
 
 
 def fits(residual_m: float, pairs: Sequence[FramePair]) -> bool:
-    """Return whether a residual, metres, is small enough for a fit, compared with the depth noise.
+    """Return whether a residual is small enough, compared with depth noise, for the poses to fit.
 
     Args:
-        residual_m: the result of `residual_m`.
-        pairs: the pairs that the residual was computed from.
+        residual_m: the result of `pair_residual_m`, metres.
+        pairs: the pairs that it was computed from.
     """
     distance_m = float(np.median(np.concatenate([pair.points[:, 2] for pair in pairs])))
     noise_m = np.sqrt(2) * depth_sigma_m(distance_m)
@@ -188,19 +189,20 @@ def fits(residual_m: float, pairs: Sequence[FramePair]) -> bool:
 
 
 def frames_of(pairs: Sequence[FramePair]) -> NDArray[np.int64]:
-    """Return the frames of some pairs, increasing."""
+    """Return the indices of all frames that occur in pairs, increasing."""
     return np.unique([index for pair in pairs for index in (pair.first, pair.second)]).astype(np.int64)
 
 
 def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float64:
-    """Return the disagreement of poses and depth: 0 to 1, the mean error over the points of frame pairs.
+    """Return the disagreement of poses and depth in each frame pair: the mean error of its points, 0 to 1.
 
-    A point's error is the difference between its distance and the depth at its pixel, divided by a tenth of
-    the distance, at most 1. Points outside the image count as 1, because wrong poses often leave no overlap.
+    The first frame's points are projected into the second frame by the poses. A point's error is the
+    difference of its depth and the depth measured at its pixel, divided by a tenth of its depth, at most 1.
+    Points outside the image count as 1, because wrong poses often leave no overlap.
 
     Args:
         pairs: the pairs of frames to compare.
-        T_world_camera: (k, n, 4, 4), k sets of poses of the probe's frames; poses of paired frames are
+        T_world_camera: (k, n, 4, 4), k sets of poses of the probe's n frames; poses of paired frames are
             finite.
 
     Returns:
@@ -220,7 +222,12 @@ def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float6
 
 
 def pair_residual_m(pairs: Sequence[FramePair], T_world_camera: Float64) -> float:
-    """Return the median point-to-plane distance of points to the surface, metres; NaN without overlap."""
+    """Return the median point-to-plane distance between the frames of pairs, metres; NaN without overlap.
+
+    Args:
+        pairs: the pairs of frames.
+        T_world_camera: (n, 4, 4), poses of the probe's frames; those of paired frames are finite.
+    """
     all_m = [np.zeros(0)]
     for pair in pairs:
         points, rows, columns, inside = _project(pair, T_world_camera)
@@ -237,11 +244,11 @@ def pair_residual_m(pairs: Sequence[FramePair], T_world_camera: Float64) -> floa
 def _project(
     pair: FramePair, T_world_camera: Float64
 ) -> tuple[Float64, NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Project points (..., m, 3) of the first frame into the second by poses (..., n, 4, 4).
+    """Project a pair's m points from its first frame into its second, by poses (..., n, 4, 4).
 
     Returns:
-        Points in the second camera's axes; their rows and columns (0 outside the image); and which are
-        inside.
+        (..., m, 3) points in the second camera's axes; (..., m) each: rows, columns (both 0 outside the
+        image), and whether the point is inside the image.
     """
     first, second = (T_world_camera[..., index, :, :] for index in (pair.first, pair.second))
     T_second_first = invert_rigid(second) @ first

@@ -1,4 +1,4 @@
-"""Find the floor with the build's own function, and the camera's height above the floor."""
+"""Find the floor as a build does, and the camera's height above it."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -53,12 +53,12 @@ Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Ground:
-    """Prior knowledge about the surface that the object stands on.
+    """Prior knowledge about the floor that the object stands on.
 
     Attributes:
-        recording: the recording with its gravity and its trajectory, even if the trajectory is ignored.
+        recording: the recording, with its gravity and its trajectory, even if the trajectory is ignored.
         plane_world: (4,) a plane from the settings, in the world of the given poses; None: not set.
-        is_needed: whether a build needs a floor: the settings have no plane, box or masks.
+        is_needed: whether a build must find a floor: the settings have neither a plane nor a box.
     """
 
     recording: Recording
@@ -68,14 +68,14 @@ class Ground:
 
 @dataclass(frozen=True)
 class SeenFloor:
-    """The floor in some frames.
+    """The camera's heights above the floor in k searched frames.
 
     Attributes:
-        heights_m: (k,) height of the camera above the floor in each frame, metres; NaN where no floor is
-            found.
-        warnings: reasons why the floor of all frames may be wrong, one line each, as in a build.
-        why: why no floor was found in all frames together, as in a build; None: it was found, or frames were
-            searched one by one.
+        heights_m: (k,) height of the camera above the floor in each frame, metres; NaN where the frame shows
+            no floor.
+        warnings: reasons why the floor may be wrong, one line each, as in a build.
+        why: the reason why a search in all frames together found no floor, as in a build; None: it found one,
+            or frames were searched one by one.
     """
 
     heights_m: Points
@@ -86,11 +86,11 @@ class SeenFloor:
 def seen_floor(
     probe: Probe, ground: Ground, poses: PoseFit | None = None, max_depth_m: float = np.inf
 ) -> SeenFloor:
-    """Search for the floor in some frames.
+    """Search for the floor in some frames of the probe.
 
-    If given poses fit, the floor is searched once in all frames together, with the inputs of the build.
-    Otherwise each frame is searched separately, as if it were a recording. A plane from the settings is in
-    the world of the given poses, and is not used without poses.
+    If given poses fit, one floor is searched for in all these frames together, as in a build. Otherwise each
+    frame is searched separately, as if it were a recording. A plane from the settings is used only with
+    poses, because it is in their world.
 
     Args:
         probe: the probe of the recording.
@@ -115,7 +115,7 @@ def seen_floor(
 
 
 def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
-    """Report a missing floor, and a floor at an implausible height."""
+    """Report a missing or uncertain floor, and a camera at an implausible height above it."""
     heights_m = floor.heights_m
     seen = np.isfinite(heights_m)
     if seen.mean() < SEEN_SHARE:
@@ -144,7 +144,7 @@ def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Find
 
 
 def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | None:
-    """Return some of the frames with a pose, and their poses (n, 4, 4) in the convention that fits."""
+    """Return n evenly chosen frames with a pose, and their poses (n, 4, 4) in the convention that fits."""
     given = probe.recording.given_trajectory
     if given is None:
         return None
@@ -162,7 +162,7 @@ def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | No
 def _heights_together(
     probe: Probe, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
 ) -> SeenFloor:
-    """Return the heights (n,) of the frames above their common floor, or above the plane of the settings."""
+    """Return the cameras' heights above the floor found in all frames together, or above a given plane."""
     from kinectbench.stages.segment.find.gravity import hint_of
     from kinectbench.stages.segment.find.seen_floor import floor_of_frames
 
@@ -192,7 +192,12 @@ def _heights_together(
 
 
 def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
-    """Warn if combined frames scatter about the floor, by `noise_m`, more than depth noise explains."""
+    """Yield a warning if the frames scatter about their common floor more than depth noise explains.
+
+    Args:
+        noise_m: scatter of all frames' points about the floor, metres.
+        depths_m: (m,) depths of these points in their cameras, metres.
+    """
     if not len(depths_m):
         return
     far_m = float(np.median(depths_m))
@@ -202,7 +207,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
-    """Return the floor in one frame, camera axes, metres; None without a floor."""
+    """Find the floor in one frame, in its camera's axes, metres; None without a floor."""
     from kinectbench.stages.segment.find.floor import find_floor
     from kinectbench.stages.segment.find.gravity import hint_of
     from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, oriented

@@ -1,4 +1,4 @@
-"""Grade given poses as a basis for ground truth, with the stage `track` of a build."""
+"""Grade given poses as a basis for ground truth, by running the stage `track` on some frames."""
 
 from collections.abc import Callable, Iterator
 from collections.abc import Sequence as Items
@@ -28,12 +28,13 @@ MOST_FRAMES = 150
 def check_grade(
     probe: Probe, tracking: TrackingSettings, mode: TrajectoryMode | None = None
 ) -> Iterator[Finding]:
-    """Grade a given trajectory as the stage `track` does; up to 150 frames the result is the same.
+    """Grade a given trajectory by the stage `track`, on at most 150 frames; report a grade that is not good.
 
     Args:
-        probe: at a recording whose given trajectory can be read.
-        tracking: settings that define disagreement.
-        mode: the trajectory mode of the build. Refined poses are graded only after refinement.
+        probe: the probe of a recording whose given trajectory can be read.
+        tracking: settings that define when poses disagree with depth.
+        mode: the trajectory mode of the build. Poses to be refined are graded as given; the build grades them
+            after refinement.
     """
     count = len(probe.recording)
     every = count <= MOST_FRAMES
@@ -71,7 +72,7 @@ def check_grade(
 
 
 def _is_whole(recording: Recording, index: int) -> bool:
-    """Whether a frame can be graded; a build leaves out what is damaged or of another size."""
+    """Return whether a frame can be graded: neither damaged nor of another size; builds omit such frames."""
     try:
         frame = recording.frame(index)
         check_size(frame, recording)
@@ -84,7 +85,7 @@ def _is_whole(recording: Recording, index: int) -> bool:
 
 
 def as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
-    """Return some frames of a recording, with the depth and colour that `write_sequence` would write.
+    """Return some frames of a recording as a sequence, with the depth and colour of a build's sequence.
 
     Args:
         recording: the opened recording.
@@ -107,7 +108,7 @@ def as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
 
 
 class _RecordedFrames:
-    """Frames of an open recording; caches the last frame, whose colour is usually read next."""
+    """Reads a sequence's frames from an open recording; caches the last, whose colour is often read next."""
 
     def __init__(
         self, recording: Recording, indices: Items[int], register: Callable[[RawFrame], RawFrame] | None

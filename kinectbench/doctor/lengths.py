@@ -24,12 +24,12 @@ LENGTHS: Final = "lengths_doubtful"
 
 @dataclass(frozen=True)
 class Lengths:
-    """Factors of depth and focal length at which the given poses fit best.
+    """Factors on depth and focal lengths with which the given poses fit best.
 
     Attributes:
         depth: factor on all depth values.
         focal: factor on both focal lengths.
-        left: share of the disagreement that remains; 1 if the present values are correct.
+        left: disagreement with these factors, relative to that without; 1 if no factors fit better.
     """
 
     depth: float
@@ -38,16 +38,17 @@ class Lengths:
 
     @property
     def implausible(self) -> bool:
-        """Whether other values fit so much better that a warning is due."""
+        """Whether the factors fit so much better that the present values are implausible."""
         return self.left < MIN_RATIO_LEFT
 
 
 def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
-    """Search the depth scale and focal length that fit given poses best: downhill, in steps of 5 percent.
+    """Find the factors on depth and focal lengths with which given poses fit best, by descent in 5 % steps.
 
     Args:
-        pairs: the compared pairs of frames.
-        T_world_camera: (n, 4, 4) of the probe's frames, in the correct convention; finite for paired frames.
+        pairs: the pairs of frames to compare.
+        T_world_camera: (n, 4, 4), poses of the probe's frames, in the correct convention; those of paired
+            frames are finite.
     """
 
     def cost(steps: tuple[int, int]) -> float:
@@ -69,14 +70,14 @@ def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
 
 
 def _with(pair: FramePair, depth: float, focal: float) -> FramePair:
-    """Return a pair with scaled depth and focal lengths."""
+    """Return a pair with its depth and focal lengths multiplied by factors, and its points accordingly."""
     camera = replace(pair.camera, fx=pair.camera.fx * focal, fy=pair.camera.fy * focal)
     points = pair.points * (depth * np.array([1 / focal, 1 / focal, 1]))
     return replace(pair, points=points, depth_m=pair.depth_m * np.float32(depth), camera=camera)
 
 
 def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
-    """Report a depth scale and focal lengths with which the given poses fit better."""
+    """Report a depth scale or focal lengths with which the given poses fit much better."""
     if not lengths.implausible:
         return
     recording = probe.recording

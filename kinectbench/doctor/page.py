@@ -1,4 +1,4 @@
-"""The contact sheet: findings beside some frames, as one HTML file that opens from disk."""
+"""The contact sheet of an inspection: findings and some frames, in one HTML file without other files."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ TONES = {"stops": "bad", "warning": "warn", "note": ""}
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of the sheet: frame index, caption, and the image as a `data:` address."""
+    """A picture on the contact sheet: frame index, caption, and the image as a `data:` URI."""
 
     index: int
     what: str
@@ -30,7 +30,7 @@ class Picture:
 
 
 def write_diagnosis_page(diagnosis: Diagnosis, probe: Probe | None, out: Path) -> None:
-    """Write the contact sheet.
+    """Write the contact sheet of a diagnosis, with pictures from the probe if there is one.
 
     Raises:
         StorageError: the page cannot be written.
@@ -60,7 +60,7 @@ def _pictures(probe: Probe) -> Iterator[Picture]:
 
 
 def _edges(frame: WholeFrame, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return colour (height, width, 3) RGB at the size of the sheet, with depth jumps drawn on it."""
+    """Return colour, scaled to WIDTH_PX, with depth discontinuities drawn on it: (height, width, 3) RGB."""
     import cv2
 
     height, width = frame.depth.shape

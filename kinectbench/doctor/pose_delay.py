@@ -1,4 +1,4 @@
-"""Clock offset of the given poses against depth: poses are shifted in time until they fit."""
+"""Estimate the clock offset between given poses and depth: at which shift in time the poses fit best."""
 
 from collections.abc import Iterator
 
@@ -34,7 +34,7 @@ MAX_GAP_S = 0.2
 def check_trajectory_delay(
     probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[FramePair, ...]
 ) -> Iterator[Finding]:
-    """Report given poses that fit the depth better at other times."""
+    """Report given poses that fit the depth clearly better when shifted in time."""
     delay_ns = trajectory_delay_ns(probe, given, convention, pairs)
     # Without stamps, an offset of less than a frame is no clock offset.
     if delay_ns is None or abs(delay_ns) < (LEAST_NS if probe.counts_frames else LEAST_FINE_NS):
@@ -50,7 +50,7 @@ def check_trajectory_delay(
 
 
 def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
-    """Return the given trajectory on the clock of `clock_ns`."""
+    """Return the given trajectory with its stamps on the clock of `clock_ns`, that of the probe's frames."""
     divisor = ASSUMED_HZ if probe.counts_frames else 1
     return GivenTrajectory(given.stamps_ns // divisor, given.T_world_camera)
 
@@ -58,14 +58,14 @@ def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
 def trajectory_delay_ns(
     probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[FramePair, ...]
 ) -> int | None:
-    """Return the delay of the poses' stamps at which the poses fit the depth best; None: not clear.
+    """Return how late the poses' stamps are, in nanoseconds, by the best fit to depth; None if it is unclear.
 
-    Lags up to half a second are tried in steps of 50 ms, then steps of 10 ms around the best. Only pairs with
-    poses at all lags are used.
+    Lags up to half a second are tried in steps of 50 ms, then in steps of 10 ms around the best one. Only
+    pairs with poses at all lags are used.
     """
 
     def costs(lags_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the disagreement at each lag for each usable pair: (lags, pairs)."""
+        """Return the disagreement of poses and depth at each lag in each usable pair: (lags, pairs)."""
         poses = np.stack([_poses(probe, given, pairs, int(lag)) for lag in lags_ns])
         posed = np.all(np.isfinite(poses[:, :, 0, 0]), axis=0)
         usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
@@ -78,7 +78,7 @@ def trajectory_delay_ns(
 
 
 def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
-    """Return the best of LAGS_NS, refined by a parabola; None if it is not clear."""
+    """Return the best of LAGS_NS by costs (lags, pairs), refined by a parabola; None if it is not clear."""
     if costs.shape[1] < LEAST_PAIRS:
         return None
     means = costs.mean(axis=1)
@@ -89,7 +89,12 @@ def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
 
 
 def _fine_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | None:
-    """Return the best lag, if it is clear; the last row of the costs is at lag zero."""
+    """Return the best lag if both halves of the pairs agree on it; None if it is unclear.
+
+    Args:
+        lags_ns: (k,) the fine lags.
+        costs: (k + 1, pairs) disagreements at these lags, and in the last row at lag 0.
+    """
     if costs.shape[1] < 2 * LEAST_PAIRS:
         return None
     whole_ns, *halves_ns = (
@@ -102,7 +107,7 @@ def _fine_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | No
 
 
 def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | None:
-    """Return the minimum of costs (lags,) by a least-squares parabola around it; None at the ends."""
+    """Return the lag of the lowest cost (lags,), refined by a parabola; None if it is at an end or flat."""
     best = int(np.argmin(costs))
     around = slice(max(best - ARM, 0), best + ARM + 1)
     if best in (0, len(costs) - 1):
@@ -117,7 +122,7 @@ def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | 
 def _poses(
     probe: Probe, given: GivenTrajectory, pairs: tuple[FramePair, ...], lag_ns: int
 ) -> NDArray[np.float64]:
-    """Return poses of paired frames at stamps later by a lag: (n, 4, 4), NaN for all other frames."""
+    """Return the poses at the stamps of paired frames plus a lag: (n, 4, 4), NaN for all other frames."""
     needed = frames_of(pairs)
     poses = np.full((len(probe.frames), 4, 4), np.nan)
     moved = on_clock(probe, given)
@@ -126,6 +131,6 @@ def _poses(
 
 
 def longest_gap_s(given: GivenTrajectory) -> float:
-    """Return the longest gap between poses that is interpolated, seconds; a coarse value for a check."""
+    """Return the longest gap between poses over which checks interpolate, seconds: 0.2 or 2.5 median gaps."""
     median_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
     return max(MAX_GAP_S, 2.5 * median_s)

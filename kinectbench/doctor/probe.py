@@ -1,4 +1,4 @@
-"""A probe of a recording: some of its frames at low resolution, and a few at full size."""
+"""Read a probe of a recording: some of its frames at low resolution, and a few at full size."""
 
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
@@ -35,8 +35,8 @@ class SmallFrame:
         index: index in the recording.
         stamp_ns: stamp of depth.
         depth_m: (height, width) float32 metres, every n-th pixel of every n-th row; 0 = none.
-        gray: (height, width) uint8, about 320 wide, or None.
-        digest: digest of the full depth image.
+        gray: (height, width) uint8, colour as grey, at least 320 wide if it was recorded so; None without.
+        digest: hash of the full depth image, to find repeated ones.
     """
 
     index: int
@@ -53,7 +53,7 @@ class WholeFrame:
     Attributes:
         index: index in the recording.
         depth: (height, width) uint16, native units, 0 = none.
-        bgr: (height, width, 3) uint8, or None.
+        bgr: (height, width, 3) uint8, the decoded colour; None without.
     """
 
     index: int
@@ -63,14 +63,14 @@ class WholeFrame:
 
 @dataclass(frozen=True)
 class Probe:
-    """The data that the checks use.
+    """The sample of a recording that the checks use.
 
     Attributes:
         recording: the opened recording.
-        frames: small frames, in order.
-        whole: some of the frames at full size, evenly spread.
-        damaged: unreadable frames, with the reason, one line each.
-        refused: frames of the wrong kind, with the reason, one line each.
+        frames: the sampled frames at low resolution, in order.
+        whole: some of these frames at full size, evenly spread.
+        damaged: one line for each sampled frame that cannot be decoded, with the reason.
+        refused: one line for each sampled frame of another size or kind than the others, with the reason.
         depth_step_px: the stride n of the small depth images.
     """
 
@@ -83,12 +83,12 @@ class Probe:
 
     @property
     def where(self) -> str:
-        """The recording's path."""
+        """The recording's path, as findings name it."""
         return str(self.recording.path)
 
     @property
     def small_camera(self) -> Camera:
-        """The camera of the small depth images; their pixel i is pixel n i of the full image."""
+        """The intrinsics of the small depth images, whose pixel i is pixel n * i of the full image."""
         return self.recording.camera.every(self.depth_step_px)
 
     @property
@@ -97,24 +97,24 @@ class Probe:
         return counts_frames(self.recording.stamps_ns)
 
     def neighbours(self) -> Iterator[tuple[SmallFrame, SmallFrame]]:
-        """Yield every two consecutive frames of the recording."""
+        """Yield each pair of sampled frames that are consecutive in the recording."""
         for first, second in zip(self.frames, self.frames[1:], strict=False):
             if second.index == first.index + 1:
                 yield first, second
 
     def runs(self) -> list[tuple[SmallFrame, ...]]:
-        """Return the runs of consecutive frames."""
+        """Split the sampled frames into runs of frames that are consecutive in the recording."""
         indices = np.array([frame.index for frame in self.frames])
         cuts = [0, *(np.flatnonzero(np.diff(indices) != 1) + 1).tolist(), len(indices)]
         return [self.frames[start:end] for start, end in pairwise(cuts) if end > start]
 
     def longest_run(self) -> tuple[SmallFrame, ...]:
-        """Return the longest run of consecutive frames."""
+        """Return the longest of the runs, () without frames."""
         return max(self.runs(), key=len, default=())
 
 
 class ProbeBuilder:
-    """Builds a probe: gathers the data that the checks need from the frames read."""
+    """Builds a probe from frames as they are read."""
 
     def __init__(self, recording: Recording, indices: NDArray[np.int64], whole: int = WHOLE_FRAMES) -> None:
         """Prepare to gather frames with these indices (increasing), `whole` of them at full size."""
@@ -127,7 +127,7 @@ class ProbeBuilder:
         self._whole: list[WholeFrame] = []
 
     def take(self, index: int, raw: RawFrame) -> None:
-        """Take a frame, if its index is wanted.
+        """Add a frame to the probe if its index is one of `indices`.
 
         Raises:
             DamagedImageError: the frame's colour cannot be decoded.
@@ -154,7 +154,7 @@ class ProbeBuilder:
 
 
 def probe_recording(recording: Recording, few: bool = False) -> Probe:
-    """Probe a recording: read all frames up to 250, else runs of frames; with `few` only eight."""
+    """Read the probe of a recording: all of up to 250 frames, else runs of frames; with `few` only eight."""
     count = len(recording)
     indices = evenly(count, FEW_FRAMES) if few else frames_to_read(count)
     gathering = ProbeBuilder(recording, indices)
@@ -191,7 +191,7 @@ def frames_to_read(count: int) -> NDArray[np.int64]:
 
 
 def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
-    """Return colour as grey, decoded at a half, a quarter or an eighth of its size."""
+    """Return a frame's colour as grey, reduced 2, 4 or 8 times if it then is at least 320 pixels wide."""
     import cv2
 
     if raw.color is None:

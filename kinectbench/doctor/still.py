@@ -1,4 +1,4 @@
-"""Detect a static camera, such as one in front of a turntable, and give advice."""
+"""Detect a static camera, such as one in front of a turntable, and report it with advice."""
 
 from collections.abc import Iterator
 
@@ -17,7 +17,7 @@ PLAIN = "nothing but the object gives depth, so that it does not matter whether 
 
 
 def check_still(probe: Probe) -> Iterator[Finding]:
-    """Detect a turntable, and a static camera in front of a static scene."""
+    """Report a static camera, before a moving object or a static scene, and a background without depth."""
     frames = [probe.frames[index] for index in some_of(len(probe.frames))]
     shape = (probe.small_camera.height, probe.small_camera.width)
     frames = [frame for frame in frames if frame.depth_m.shape == shape]
@@ -36,7 +36,7 @@ def check_still(probe: Probe) -> Iterator[Finding]:
 
 
 def turntable_warning(sequence: Sequence) -> str:
-    """Return the warning of `inspect` about a static camera and a moving object, one line; "" if none."""
+    """Return the warning of `check_still` about a static camera and a moving object, one line; "" if none."""
     watched = watch_some(sequence).watched
     if watched is None or not (watched.camera_still and watched.something_moves):
         return ""

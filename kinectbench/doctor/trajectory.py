@@ -55,20 +55,21 @@ SMALL_ARC_DEG = 270.0
 
 @dataclass(frozen=True)
 class PoseFit:
-    """The result of trying pose conventions.
+    """How well given poses fit the depth, in the best pose convention.
 
     Attributes:
         convention: the simplest convention that fits well.
-        given, best, still: disagreement of the poses as given, of the poses in that convention, of a static
-            camera.
-        residual_m: point-to-plane residual in that convention, metres.
+        given: disagreement of the poses as given with the depth (`fit.disagreements`), mean over the pairs.
+        best: disagreement of the poses in that convention.
+        still: disagreement of a static camera.
+        residual_m: median point-to-plane residual in that convention, metres.
         fits: whether the residual is within the depth noise.
-        proven: whether the poses fit unchanged, and with no other depth scale, which proves scale and
-            intrinsics.
+        proven: whether the poses fit unchanged, and with no other depth scale or focal lengths, which proves
+            that scale and intrinsics are right.
         pairs: the compared pairs of frames.
-        T_world_camera: (m, 4, 4) of the probe's frames with a pose, in that convention.
-        arc_rad: the arc from which the cameras see one point; None if they do not look at one point.
-        lengths: factors of depth scale and focal lengths that fit best.
+        T_world_camera: (m, 4, 4), poses of the probe's frames that have one, in that convention.
+        arc_rad: the arc around the point that the cameras look at; None if they do not look at one point.
+        lengths: the factors on depth and focal lengths with which the poses fit best.
     """
 
     convention: PoseConvention
@@ -85,7 +86,7 @@ class PoseFit:
 
 
 def fit_trajectory(probe: Probe) -> PoseFit | None:
-    """Fit pose conventions to the given trajectory; None without data to decide."""
+    """Find the convention in which the given poses fit the depth; None without poses or enough pairs."""
     given = probe.recording.given_trajectory
     if given is None or not probe.frames:
         return None
@@ -135,14 +136,14 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
 def _disagreements(
     conventions: list[PoseConvention], pairs: tuple[FramePair, ...], poses: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the disagreement of each convention with each pair: (conventions, pairs)."""
+    """Return the disagreement of poses and depth in each convention for each pair: (conventions, pairs)."""
     paired = np.full_like(poses, np.nan)
     paired[frames_of(pairs)] = poses[frames_of(pairs)]
     return disagreements(pairs, np.stack([convention.apply(paired) for convention in conventions]))
 
 
 def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
-    """Judge the given trajectory of a recording."""
+    """Report faults of the given trajectory: unreadable, other times, a wrong convention, unit or clock."""
     given = probe.recording.given_trajectory
     if probe.recording.trajectory_error:
         advice = "correct it, or `trajectory: ignore`"
@@ -179,7 +180,7 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
 
 
 def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> int:
-    """Return the index of the convention: as given, unless others are much better; then the simplest."""
+    """Return the index of the convention: 0, as given, or if others fit much better, the simplest of them."""
     if costs.min() > BETTER * costs[0]:
         return 0
     good = np.flatnonzero(costs * SIMPLER <= costs.min())
@@ -187,7 +188,7 @@ def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> 
 
 
 def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> float | None:
-    """Return the key of FACTORS that maps pose stamps to frame times; None if none fits or is needed."""
+    """Return the key of FACTORS by which pose stamps become frame times; None if none fits or is needed."""
     together = [
         int(((a >= b[0]) & (a <= b[-1])).sum()) for a, b in ((poses_ns, frames_ns), (frames_ns, poses_ns))
     ]
@@ -221,7 +222,7 @@ def _other_time(probe: Probe, given: GivenTrajectory, unit: float | None) -> Fin
 
 
 def _stated_scale(recording: Recording) -> float:
-    """Return the units per metre of depth in the files, as `depth_scale` states it."""
+    """Return the units per metre of depth in the files, as the setting `depth_scale` has it."""
     float_scale = recording.float_scale if isinstance(recording, FileRecording) else None
     return recording.depth_scale if float_scale is None else float_scale
 

@@ -1,4 +1,4 @@
-"""Plug-ins of the laboratory: families of objects and formats of recordings."""
+"""Load plug-ins of the simulator: families of objects, and formats of recordings."""
 
 from collections.abc import Mapping
 from importlib.metadata import entry_points
@@ -10,23 +10,24 @@ Kind = TypeVar("Kind")
 
 
 def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, Kind]:
-    """Load the plug-ins of a group of entry points.
+    """Return this package's entries of a group, and those that other installed packages add.
 
-    An entry point names a mapping {name: `kind`}. Write in the `pyproject.toml` of your own package:
+    Each entry point of the group is a mapping from names to instances of `kind`. To add one, write in the
+    `pyproject.toml` of your own package:
 
         [project.entry-points."kinectbench.families"]
         mine = "my_package:FAMILIES"
 
     Args:
-        group: "kinectbench.families" or "kinectbench.formats".
+        group: group of entry points: "kinectbench.families" or "kinectbench.formats".
         kind: the class of each value.
         own: the entries of this package.
 
     Returns:
-        {name: value}: `own`, then other packages in the order of their entry points' names.
+        {name: value}: `own`, then those of other packages in the order of their entry points' names.
 
     Raises:
-        SettingsError: an entry point cannot be imported, is no such mapping, or repeats a name.
+        SettingsError: an entry point cannot be imported, is not such a mapping, or repeats a name.
     """
     by_name = dict(own)
     for point in sorted(entry_points(group=group), key=lambda point: (point.name, point.value)):

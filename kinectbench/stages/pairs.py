@@ -1,4 +1,4 @@
-"""The stage `pairs`: for each view the partial shape, and the full shape in the view's axes."""
+"""The stage `pairs`: voxelise each view's partial shape, and the full shape in the view's axes."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -36,11 +36,11 @@ KnownGrids = tuple[KnownGrid, KnownGrid]
 
 @dataclass(frozen=True)
 class MadePair:
-    """A pair and its figures, or why it was refused.
+    """A pair made from a view, or the reason why it was refused.
 
     Attributes:
         pair: the pair; None if refused.
-        cut_share: share of the full shape's volume outside the cube.
+        cut_share: share of the full shape's volume outside the pair's cube.
         reason: why the pair was refused; None if it was not.
     """
 
@@ -51,14 +51,15 @@ class MadePair:
 
 @dataclass(frozen=True)
 class FullShape:
-    """The parts of an object that all its pairs share; computed once.
+    """The data of an object that all its pairs share; computed once.
 
     Attributes:
         mesh: closed mesh of the object.
         volume_m3: volume of the mesh, cubic metres.
-        known: cells whose truth is known (not labelled UNKNOWN), on the fine grid and on the coarse grid.
-        interior: known cells labelled INTERIOR, which were not measured.
-        said: known cells that depend only on a person's statement about an unseen underside.
+        known: cells whose truth is known (not labelled UNKNOWN), on the object's fine grid and on the coarse
+            grid around it.
+        interior: the known cells labelled INTERIOR, which were not measured.
+        said: the known cells that are known only by the user's statement about an unseen underside.
         surface_sigma_m: standard deviation of the mesh's surface, metres.
     """
 
@@ -71,7 +72,7 @@ class FullShape:
 
 
 def full_shape(model: ObjectModel) -> FullShape:
-    """Compute the parts of an object that its pairs share."""
+    """Compute the data of an object that all its pairs share."""
     mesh = model.shape.mesh
     shape, coarse = model.shape, model.surround_labels != Label.UNKNOWN
     known, interior = shape.labels != Label.UNKNOWN, shape.labels == Label.INTERIOR
@@ -89,14 +90,14 @@ def full_shape(model: ObjectModel) -> FullShape:
 def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSettings) -> MadePair:
     """Voxelise a view's depth and the full shape in one cube, in the view's optical axes.
 
-    The closed mesh is voxelised for each view (paper, Sec. 3.6: the full shape is turned into the view's
+    The closed mesh is voxelised for each view (paper, Sec. 3.6: the full shape is rotated into the view's
     camera orientation). Resampling one volume would be slower and less exact.
 
     Args:
-        view: its frame, pose and mask.
+        view: the view, with its frame, pose and mask.
         sequence: the recording.
         shape: `full_shape` of the object.
-        settings: framing, partial rule, and least containment.
+        settings: framing, partial rule, and minimum containment.
     """
     camera = sequence.camera
     T_world_camera = view.alignment.T_world_camera
@@ -144,7 +145,7 @@ def make_pair(view: View, sequence: Sequence, shape: FullShape, settings: PairSe
 
 
 def _refusal(settings: PairSettings, cut_share: float, inside: float) -> str | None:
-    """Why a pair must not be used; None if it may be."""
+    """Return the reason why a pair must be refused, by its cut share and containment; None if it is good."""
     if settings.framing == "view" and cut_share > MAX_CUT_SHARE:
         return (
             f"the cube of framing view cuts off {cut_share:.1%} of the shape, more than {MAX_CUT_SHARE:.0%}"
@@ -157,7 +158,7 @@ def _refusal(settings: PairSettings, cut_share: float, inside: float) -> str | N
 
 
 def _no_input(partial_rule: str) -> str:
-    """Why a pair whose input is empty must not be used."""
+    """Return the reason why a pair with an empty partial grid must be refused."""
     if partial_rule == "any":
         return "nothing of the masked partial lies in the cube: see the view's mask"
     return "its depth fills no block of 4³ cells by more than half: set `pairs.partial_rule` to any"
@@ -171,15 +172,15 @@ def write_pairs(
     folder: Path,
     progress: Progress,
 ) -> None:
-    """Write a pair for each suitable view, one by one, and pairs.json.
+    """Write one pair file for each view whose pair is not refused, and pairs.json.
 
     Args:
         views: views of one recording.
         sequence: the recording.
         shape: `full_shape` of the object.
-        settings: framing, partial rule, and least containment.
+        settings: framing, partial rule, and minimum containment.
         folder: the folder to fill.
-        progress: called with (done, total).
+        progress: called with (views done, views in all).
     """
     made, refused = [], []
 
@@ -198,7 +199,7 @@ def write_pairs(
 
 
 def pair_row(view: View, made: MadePair) -> PairRow:
-    """The row of pairs.json for a pair; shares in [0, 1], lengths in metres."""
+    """Return a pair's row of pairs.json, rounded; shares are in [0, 1], lengths in metres."""
     return PairRow(
         view=view.name,
         frame=view.frame,

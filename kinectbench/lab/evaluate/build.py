@@ -1,4 +1,4 @@
-"""The build of one recording, and how its frames and its world correspond to the truth's."""
+"""Read the build of one recording, and register its frames and its world frame to the simulator's truth."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,20 +29,20 @@ NS_PER_S = 10**9
 
 @dataclass(frozen=True)
 class Build:
-    """The artefacts of a recording; None for a stage that was not built.
+    """The built artefacts of one recording; an attribute is None if its stage was not built.
 
     Attributes:
         stamps_ns: (n,) int64, stamps of the sequence's frames.
-        camera: intrinsics of the frames' depth.
-        depth_m: returns the recorded depth of a frame: (height, width) float32, metres, 0 = none.
-        trajectory: a pose for each frame.
+        camera: intrinsics of the depth images.
+        depth_m: function from a frame index to its depth: (height, width) float32, metres, 0 = none.
+        trajectory: the tracked poses, one per frame.
         given: the trajectory that came with the recording, as stored; or None.
-        scene: the fused mesh of the whole scene, in the trajectory's world.
-        model: the object, in the trajectory's world.
+        scene: function that reads the fused mesh of the whole scene, in the trajectory's world frame.
+        model: the object, in the trajectory's world frame.
         views: the sampled views.
-        valid_depth: returns the pixels (height, width) of a view with a measurement.
+        valid_depth: function from a view to the mask of its pixels with depth: (height, width) bool.
         pair_names: names of the views that became pairs.
-        pair: returns the pair of a view, by its name.
+        pair: function from a view's name to its pair.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -59,16 +59,16 @@ class Build:
 
     @property
     def limits(self) -> SensorLimits | None:
-        """The sensor limits by which air was defined when the object was built; None if unknown."""
+        """The sensor limits that defined free space when the object was built; None if unknown."""
         method = None if self.model is None else self.model.quality.method
         return method.air.limits if isinstance(method, SolidMethod) and method.air is not None else None
 
 
 def read_build(folder: Path) -> Build:
-    """Open `build/<recording>/`; images and pairs are read when needed.
+    """Open the folder `build/<recording>/`; depth images and pairs are read only when needed.
 
-    A stage that is not current (see `current_stages`) counts as not built: it may be from a run with other
-    settings, or of another version.
+    A stage that is not current (see `current_stages`) counts as not built: other settings or another version
+    of the package may have made it.
 
     Raises:
         StorageError: the folder has no build, or an outdated one, or an artefact is damaged.
@@ -89,7 +89,7 @@ def read_build(folder: Path) -> Build:
     names = tuple(sorted(path.stem for path in (folder / "pairs").glob("*.npz")))
 
     def valid_depth(view: View) -> NDArray[np.bool_]:
-        """Return the pixels with depth, (height, width) bool."""
+        """Return the mask of a view's pixels that have depth: (height, width) bool."""
         path = folder / "views" / f"{view.name}.depth.png"
         try:
             return read_gray(path) > 0
@@ -113,12 +113,12 @@ def read_build(folder: Path) -> Build:
 
 @dataclass(frozen=True)
 class BuildRegistration:
-    """A build registered to its truth.
+    """Correspondence of a build's n frames, and of its world frame, to the truth's.
 
     Attributes:
         true_frame: (n,) int64, index in the truth of each frame of the build's sequence, -1 for none.
-        shown: (n,) bool, whether the true camera of that frame is known: the truth has the frame, and it does
-            not show another scene.
+        shown: (n,) bool, the frame has a true camera pose: it is in the truth, and shows the simulated scene
+            instead of another one.
         T_truth_built: (4, 4), the build's world to the truth's; the identity if not aligned.
         aligned: whether `T_truth_built` was computed from the trajectories.
     """
@@ -130,15 +130,15 @@ class BuildRegistration:
 
     @property
     def T_built_truth(self) -> NDArray[np.float64]:
-        """(4, 4), the truth's world to the build's."""
+        """(4, 4), maps the truth's world to the build's world."""
         return invert_rigid(self.T_truth_built)
 
 
 def register_build(build: Build, truth: Truth, align: bool = True) -> BuildRegistration:
-    """Match frames by stamp, and align the worlds by the trajectories.
+    """Match the build's frames to the truth's by stamp, and align the world frames by the trajectories.
 
-    Without a given trajectory, the world of a build is that of its first camera; with one, it is the truth's
-    world, up to the trajectory's errors. Both are aligned as for ATE.
+    Without a given trajectory, a build's world frame is its first camera; with one, it is the truth's world
+    up to the trajectory's errors. In both cases the alignment is the one used for ATE.
 
     Args:
         build: the build; later stages may be missing.
@@ -146,7 +146,7 @@ def register_build(build: Build, truth: Truth, align: bool = True) -> BuildRegis
         align: whether to align the worlds.
 
     Raises:
-        RecordingError: the build and the truth have no frame in common.
+        RecordingError: the build and the truth have no frame in common, or all of them show another scene.
     """
     true_frame = true_frames(build.stamps_ns, truth.stamps_ns)
     matched = true_frame >= 0
@@ -173,10 +173,10 @@ def register_build(build: Build, truth: Truth, align: bool = True) -> BuildRegis
 
 
 def true_frames(stamps_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return for each frame of a sequence its index in the truth, -1 for none: (n,) int64.
+    """Return the truth's frame index for each frame of a sequence, -1 for none: (n,) int64.
 
-    Frames are matched by stamp. A recording without stamps counts its frames in seconds, so there a stamp is
-    the frame's index.
+    Frames are matched by stamp. A recording without stamps has frame `i` at `i` seconds; its stamps in whole
+    seconds are then used as frame indices.
 
     Args:
         stamps_ns: (n,) stamps of the sequence.

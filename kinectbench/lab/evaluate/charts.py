@@ -49,8 +49,8 @@ def render_errors(
         mesh: the mesh to draw, frame `object`.
         other: the other surface, same frame; closed if `signed`.
         viewpoint: the viewpoint, frame `object`.
-        signed: whether to colour signed distances (positive outside `other`) or absolute ones.
-        colors: the colours of these distances.
+        signed: whether to colour by signed distance (positive outside `other`) or by absolute distance.
+        colors: maps distances (n,) in metres to colours (n, 3) in [0, 1].
 
     Returns:
         (SIZE_PX, SIZE_PX, 3) uint8 RGB.
@@ -70,7 +70,7 @@ def render_errors(
 def path_chart(
     positions_true: Float64, positions_built: Float64, errors_m: Float64, outline: Float64
 ) -> bytes:
-    """Draw the cameras from above: true path in grey, built positions coloured by their error.
+    """Plot the camera path from above: true path in grey, built positions coloured by their error.
 
     Args:
         positions_true: (n, 3) true positions of all frames in order, frame `object`; NaN where unknown.
@@ -120,7 +120,7 @@ def error_picture(errors: SurfaceErrors) -> bytes:
 
 
 def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes:
-    """Draw the built mesh coloured by signed error, above the true mesh coloured by distance: a PNG file.
+    """Draw the built mesh coloured by signed error, and below it the true mesh by distance: a PNG file.
 
     Args:
         built_object: closed mesh, frame `object`.
@@ -168,10 +168,10 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
 
 
 def slice_picture(solids: EvaluatedSolids) -> bytes:
-    """Draw three slices through the true solid's centre of mass: true, built, unknown; a PNG file.
+    """Draw three slices through the true solid's centre of mass, with colours of `slice_colors`: a PNG file.
 
     Args:
-        solids: grids on the canonical cube, with the axes of frame `object`.
+        solids: grids on the canonical cube, whose axes are those of frame `object`.
     """
     from matplotlib.patches import Patch
 
@@ -195,7 +195,7 @@ def slice_picture(solids: EvaluatedSolids) -> bytes:
 
 
 def slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
-    """Return colours (n, m, 3), 0 to 255, of a slice's cells (n, m): correct, missing, excess, unknown."""
+    """Return a slice's cell colours (n, m, 3), 0 to 255: correct, missing, excess, tinted if unknown."""
     kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
     colors = SLICE_COLORS[kind]
     # Errors keep their colour even if unknown: tinted, they would look correct.

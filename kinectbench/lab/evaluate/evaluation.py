@@ -1,4 +1,7 @@
-"""All figures of a build against the truth (here trajectory and floor), and the file evaluation.json."""
+"""Compute all figures of a build against the truth, and the content of evaluation.json.
+
+The figures of the trajectory and of the floor are computed here, the others in the modules beside this one.
+"""
 
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
@@ -31,7 +34,7 @@ from kinectbench.stages.segment.find.floor import Floor
 
 @dataclass(frozen=True)
 class TrajectoryFigures:
-    """The share of a recording that was tracked, and its accuracy. Frame indices are those of the build.
+    """Tracked share and pose errors of a recording; frame indices are those of the build.
 
     Attributes:
         frames: frames in the sequence.
@@ -41,8 +44,8 @@ class TrajectoryFigures:
         rejected: frames whose pose was found but left out, because their depth disagrees with it.
         foreign_tracked: frames that show another scene but have a pose.
         error: errors of the poses with known truth; None if there are fewer than three.
-        given_clock: how late the given trajectory's clock is against the true poses, if that can be
-            determined and matters; else None.
+        given_clock: clock offset of the given trajectory against the true poses; None if it cannot be
+            determined or does not matter.
     """
 
     frames: int
@@ -62,7 +65,7 @@ def trajectory_figures(
     stamps_ns: NDArray[np.int64],
     given: GivenTrajectory | None = None,
 ) -> TrajectoryFigures:
-    """Compare the poses of all matched frames (see `tracking.compare`), and count the rest.
+    """Compare the built poses with the true ones, and list the frames that were lost, rejected or foreign.
 
     ATE aligns the positions by least squares, independently of `registration`.
 
@@ -109,7 +112,7 @@ class FloorFigures:
 
     Attributes:
         angle_rad: angle between the two planes.
-        height_m: height of the built plane above the true floor at the object's foot; < 0 below it.
+        height_m: height of the built plane above the true floor at the object's origin; < 0 below it.
     """
 
     angle_rad: float
@@ -117,7 +120,7 @@ class FloorFigures:
 
 
 def floor_figures(floor: Floor, truth: Truth, registration: BuildRegistration) -> FloorFigures:
-    """Compare the built floor with the true one: angle, and height at the object's foot.
+    """Compare the built floor with the true one: their angle, and their distance in height under the object.
 
     Args:
         floor: the built floor, in the build's world.
@@ -161,22 +164,22 @@ class AlignmentFigures:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A build against the truth; None for a stage that was not built.
+    """All figures of a build against the truth; an attribute is None if its stage was not built.
 
     Attributes:
         subject: the truth's name of the object.
         alignment: how the worlds were aligned.
         trajectory: figures of stage `track`.
-        scene: figures of stage `fuse`: the scene around the object, above the floor; None if it or the object
-            is empty there.
-        floor: the floor of stage `segment`.
+        scene: figures of the mesh of stage `fuse` around the object and above the floor; None if either
+            surface is empty there.
+        floor: figures of the floor of stage `segment`.
         surface: figures of the object's closed mesh.
-        measured: figures of that mesh's measured faces, around the object and above the floor; None if there
-            are none. Here `visible` means the true surface that some frame measured.
-        solid: figures of the same mesh and of the labels.
-        refined: figures before and after a rigid motion of the mesh onto the true one.
-        masks: figures of stage `sample-views`.
-        pairs: figures of stage `pairs`.
+        measured: figures of the closed mesh's measured faces, around the object and above the floor; None if
+            there are none. Here `visible` means the true surface that some frame measured.
+        solid: figures of the closed mesh's volume and of the voxel labels.
+        refined: figures before and after the mesh is rigidly registered to the true one.
+        masks: figures of the views' masks, stage `sample-views`.
+        pairs: figures of the pairs, stage `pairs`.
     """
 
     subject: str
@@ -252,7 +255,7 @@ def evaluate(
 
 
 def evaluation_json(evaluation: Evaluation) -> dict[str, object]:
-    """Return the content of evaluation.json: all figures in SI units and radians, to six digits."""
+    """Return the content of evaluation.json: all figures in SI units and radians, rounded (`_plain`)."""
     head = {"format_version": FORMAT_VERSION, "package_version": __version__}
     return {**head, **_plain(evaluation)}
 
@@ -269,7 +272,7 @@ def _alignment(registration: BuildRegistration) -> AlignmentFigures:
 
 
 def _plain(value: object) -> Any:
-    """Return dataclasses, tuples and arrays as JSON values; numbers are rounded."""
+    """Convert dataclasses, tuples and arrays to JSON values: numbers to 6 digits, arrays to 9 decimals."""
     if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray):

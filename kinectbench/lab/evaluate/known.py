@@ -24,18 +24,19 @@ CALIBRATED_M, BINS = 0.030, 10
 
 @dataclass(frozen=True)
 class Voxels:
-    """The object's voxels on the fine grid, with the truth; all arrays have the grid's shape.
+    """The built object's voxels with their true states; all arrays have the shape of the object's fine grid.
 
     Attributes:
         grid: the grid, in the truth's world.
         solid: bool, the voxel is occupied in the build.
-        known: bool, the label is not `unknown`.
+        known: bool, the voxel's label in the build is not `unknown`.
         probability: float32, the build's probability that the voxel is occupied.
-        true: bool, the voxel's centre lies in the seeable solid (`core.voxels.seeable`).
+        true: bool, the voxel's centre lies in the seeable solid (`core.voxels.seeable`): inside the true
+            mesh, or in space that no camera could see.
         judged: bool, the voxel is evaluated: it does not lie in a slit.
         distance_m: float32, distance of the centre from the seeable solid's surface; infinite beyond 30 mm.
-        exact: bool, the centre lies in the exact solid.
-        exact_distance_m: float32, distance of the centre from the true mesh.
+        exact: bool, the centre lies inside the true mesh.
+        exact_distance_m: float32, distance of the centre from the true mesh; infinite beyond 30 mm.
     """
 
     grid: Grid
@@ -50,19 +51,21 @@ class Voxels:
 
     @property
     def against_exact(self) -> "Voxels":
-        """Return the same voxels compared with the exact solid, every voxel evaluated."""
+        """The same voxels with the true mesh's solid as their truth, and every voxel evaluated."""
         everywhere = np.ones_like(self.judged)
         return replace(self, true=self.exact, distance_m=self.exact_distance_m, judged=everywhere)
 
 
 @dataclass(frozen=True)
 class GrossErrors:
-    """Wrong known voxels more than 10 mm from the true surface, as shares of the true volume.
+    """Volume of gross errors relative to the true volume.
+
+    A gross error is a known voxel with a wrong state, more than 10 mm from the true surface.
 
     Attributes:
-        known_gross_share: all such voxels.
-        solid_called_air: those inside the true solid, labelled air.
-        air_called_solid: those outside it, labelled solid.
+        known_gross_share: all gross errors, the sum of the two kinds below.
+        solid_called_air: those inside the true solid, which the build says are empty.
+        air_called_solid: those outside the true solid, which the build says are solid.
     """
 
     known_gross_share: float
@@ -72,11 +75,11 @@ class GrossErrors:
 
 @dataclass(frozen=True)
 class NearUnknown:
-    """Share of unknown voxels among those within 10 mm of measured true surface.
+    """Share of voxels labelled unknown, among the voxels within 10 mm of true surface that was measured.
 
     Attributes:
-        solid: the share inside the true solid; None without such voxels.
-        air: the share outside the true solid; None without such voxels.
+        solid: the share among those inside the true solid; None if there are none.
+        air: the share among those outside the true solid; None if there are none.
     """
 
     solid: float | None
@@ -85,7 +88,7 @@ class NearUnknown:
 
 @dataclass(frozen=True)
 class CalibrationBin:
-    """One of ten bins of equal count: mean probability, share of voxels inside, count."""
+    """One bin of voxels: mean built probability, share of its voxels in the true solid, number of voxels."""
 
     mean_probability: float
     inside_share: float
@@ -95,7 +98,7 @@ class CalibrationBin:
 def voxels_beside(
     model: ObjectModel, truth: Truth, registration: BuildRegistration, surface: MeasuredSurface
 ) -> Voxels:
-    """Return the object's fine grid in the truth's world, with point-to-triangle distances near the surface.
+    """Return the voxels of the object's fine grid, in the truth's world, with true states and distances.
 
     Args:
         model: the built object, in its own world.
@@ -126,7 +129,16 @@ def voxels_beside(
 
 
 def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Float32:
-    """Return distances to the seeable solid's surface; to half a voxel near added parts."""
+    """Return each cell's distance in metres from the seeable solid's surface, infinite beyond 30 mm.
+
+    Within 30 mm of parts that are solid by definition only, it is exact to half a voxel; elsewhere it is the
+    distance from the true mesh.
+
+    Args:
+        cells: true states of a grid's cells.
+        exact_m: distances of the cells' centres from the true mesh, of the grid's shape; infinite if far.
+        voxel_m: edge of a cell, metres.
+    """
     from scipy import ndimage
 
     by_definition = cells.solid & ~cells.exact
@@ -143,7 +155,7 @@ def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Fl
 
 
 def cells_around(grid: Grid, points_world: Float64, reach_m: float) -> Bools:
-    """Return cells of a grid, including all with the centre within `reach_m` of one of the points (n, 3)."""
+    """Mark the cells of a grid near points (n, 3): at least all with a centre within `reach_m` of a point."""
     from scipy import ndimage
 
     cells = np.floor(transform_points(grid.T_grid_world, points_world) / grid.voxel_size_m).astype(np.int64)
@@ -158,17 +170,17 @@ def cells_around(grid: Grid, points_world: Float64, reach_m: float) -> Bools:
 
 
 def centres(grid: Grid, cells: Bools) -> Float64:
-    """Return the centres (n, 3) of chosen cells of a grid in its world, metres, in C order."""
+    """Return the centres (n, 3) of the marked cells in the grid's world, metres, in C order of the cells."""
     return transform_points(grid.T_world_grid, (np.argwhere(cells) + 0.5) * grid.voxel_size_m)
 
 
 def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) -> GrossErrors:
-    """Return the volumes of known voxels that are wrong by more than 10 mm, relative to the true volume.
+    """Return the volume of known voxels that are wrong by more than 10 mm, relative to the true volume.
 
     Args:
         voxels: the object's voxels.
         true_volume_m3: volume of the true solid.
-        beyond_m3: volume of the true solid beyond the voxels that is labelled air, as far from the surface.
+        beyond_m3: result of `called_air_beyond_m3`, added to the errors; the object's voxels do not cover it.
     """
     wrong = voxels.known & voxels.judged & (voxels.distance_m > GROSS_M)
     cell_share = voxels.grid.voxel_size_m**3 / true_volume_m3
@@ -179,13 +191,13 @@ def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) 
 
 
 def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) -> float:
-    """Return the volume of a cube's lost cells beyond the object's voxels, over 10 mm from the true surface.
+    """Return the volume of lost cells outside the object's voxel grid and over 10 mm from the true mesh.
 
     Args:
         cube: a cube around the true object, truth's world.
-        lost: cells of the cube in the true solid that are labelled air.
+        lost: bool, of the cube's shape: cells in the true solid that the build knows to be empty.
         voxels: the object's voxels.
-        truth: the exact solid.
+        truth: the truth, with the true mesh.
     """
     points = centres(cube, lost)
     cells = transform_points(voxels.grid.T_grid_world, points) / voxels.grid.voxel_size_m
@@ -197,7 +209,7 @@ def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) 
 
 
 def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnknown:
-    """Return the unknown share near measured surface; a voxel belongs to its nearest surface sample."""
+    """Return the share of unknown voxels near the true surface whose nearest surface sample was measured."""
     from scipy.spatial import cKDTree
 
     near = (voxels.exact_distance_m <= NEAR_M) & voxels.judged
@@ -212,9 +224,10 @@ def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnkno
 
 
 def calibration(voxels: Voxels) -> tuple[CalibrationBin, ...]:
-    """Return ten bins of equal count, by probability, of voxels unknown or within 30 mm of the surface.
+    """Sort the voxels that are unknown or within 30 mm of the true surface by probability into ten bins.
 
-    If voxels of equal probability are divided between two bins, both bins get the same share inside.
+    The bins have equal counts. If voxels of equal probability fall into two bins, both bins get their mean
+    share inside the true solid.
     """
     asked = voxels.judged & (~voxels.known | np.isfinite(voxels.distance_m))
     probability, inside = voxels.probability[asked].astype(np.float64), voxels.true[asked]
@@ -222,7 +235,7 @@ def calibration(voxels: Voxels) -> tuple[CalibrationBin, ...]:
 
 
 def equal_bins(probability: Float64, inside: NDArray[np.bool_]) -> tuple[CalibrationBin, ...]:
-    """Return at most ten bins of equal count, ascending; fewer if there are fewer voxels.
+    """Return at most ten bins of equal count, by ascending probability; fewer if there are fewer voxels.
 
     Args:
         probability: (n,) probabilities.
@@ -244,7 +257,7 @@ def equal_bins(probability: Float64, inside: NDArray[np.bool_]) -> tuple[Calibra
 
 
 def calibration_error(bins: tuple[CalibrationBin, ...]) -> float | None:
-    """Return the mean distance between probability and share inside over the bins; None without bins."""
+    """Return the mean over the bins of |mean probability - share inside|; None without bins."""
     if not bins:
         return None
     return float(np.mean([abs(each.mean_probability - each.inside_share) for each in bins]))

@@ -1,4 +1,4 @@
-"""The measured part of the true surface, and the built surface's error there by face direction."""
+"""Find the part of the true surface that some frame measured, and the built surface's mean error there."""
 
 from dataclasses import dataclass
 
@@ -34,12 +34,12 @@ LEAST_SAMPLES = 50
 
 @dataclass(frozen=True)
 class MeasuredSurface:
-    """Samples of the true surface, spread evenly.
+    """Samples spread evenly over the true surface, each with whether it was measured.
 
     Attributes:
         points_world: (m, 3), metres, truth's world.
         normals_world: (m, 3), unit, outward.
-        measured: (m,) bool, some frame measured the sample's depth.
+        measured: (m,) bool, at least one frame measured the sample's depth.
     """
 
     points_world: Float64
@@ -48,17 +48,17 @@ class MeasuredSurface:
 
     @property
     def surface(self) -> SurfaceTruth:
-        """Return the samples as a truth's, in which the measured samples count as seen."""
+        """The samples as a `SurfaceTruth` in which exactly the measured ones count as seen."""
         return SurfaceTruth(self.points_world, self.normals_world, self.measured.astype(np.uint16))
 
 
 def measured_surface(build: Build, truth: Truth, registration: BuildRegistration) -> MeasuredSurface:
-    """Sample the true surface, and test in every recorded frame whether it measured the samples.
+    """Sample the true surface evenly, and mark the samples that at least one recorded frame measured.
 
-    A frame measured a sample if the sample lies in its image, the incidence at the true camera is less than
-    80 degrees, the object does not hide it, and the depth recorded in its pixel is within 10 mm + 1.5 % of
-    its distance. So black, too distant or occluded surface is not measured. All frames that show the object
-    count, with or without a pose in the build.
+    A frame measured a sample if, from its true camera pose, the sample projects into the image, its angle of
+    incidence is below 80 degrees, the object does not occlude it, and the recorded depth of its pixel agrees
+    with the true depth to 10 mm + 1.5 %. So black, too distant or occluded surface is not measured. All
+    frames of the scene count, with or without a pose in the build.
 
     Raises:
         StorageError: a frame's depth is missing or damaged.
@@ -81,21 +81,21 @@ def measured_surface(build: Build, truth: Truth, registration: BuildRegistration
 
 
 def _spread(frames: Int64) -> Int64:
-    """Return frames (n,) in an order whose first few are evenly spread."""
+    """Reorder frames (n,) so that any first few of them are spread evenly over the recording."""
     return frames[np.argsort((np.arange(len(frames)) * GOLDEN) % 1)]
 
 
 def returned(
     points_world: Float64, normals_world: Float64, camera: Camera, T_world_camera: Float64, depth_m: Float32
 ) -> Bools:
-    """Return which points (n, 3) have their depth measured by a frame, ignoring occlusion: (n,) bool.
+    """Return whether a frame's depth image measured each of the points, ignoring occlusion: (n,) bool.
 
     Args:
         points_world: (n, 3), metres.
         normals_world: (n, 3), unit, outward.
-        camera: camera of the depth image.
-        T_world_camera: (4, 4).
-        depth_m: (height, width), 0 = none.
+        camera: intrinsics of the depth image.
+        T_world_camera: (4, 4), pose of the depth camera.
+        depth_m: (height, width), the frame's depth, metres, 0 = none.
     """
     towards = T_world_camera[:3, 3] - points_world
     cosine = np.einsum("ij,ij->i", towards, normals_world)
@@ -114,14 +114,15 @@ def returned(
 
 @dataclass(frozen=True)
 class FaceBias:
-    """Mean signed distance of the built surface from the measured true surface, metres, by direction.
+    """Mean signed distance of the built surface from measured true surface, metres, by face direction.
 
-    Positive means too far out. None if fewer than 50 samples (8 cm^2) were measured away from edges.
+    Positive means that the built surface is too far out. A value is None if it has fewer than 50 samples
+    (8 cm^2), which are measured, away from sharp edges and within 15 mm of the built surface.
 
     Attributes:
-        up: on faces that look up: their normal's z in the object's frame is over 0.7.
-        side: on upright faces: z at most 0.5 either way.
-        down: on undersides: z under -0.7.
+        up: on faces that look up: the normal's z in the object's frame is over 0.7.
+        side: on upright faces: the normal's z is between -0.5 and 0.5.
+        down: on undersides: the normal's z is below -0.7.
     """
 
     up: float | None
@@ -130,10 +131,10 @@ class FaceBias:
 
 
 def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> FaceBias:
-    """Return the signed error of a built mesh at measured samples at least 15 mm away from sharp edges.
+    """Return a built mesh's mean signed error at measured samples at least 15 mm away from sharp edges.
 
-    Samples more than 15 mm from the built surface are ignored: there something is missing or excess, which
-    other figures measure.
+    Samples more than 15 mm from the built surface are ignored: there, surface is missing or excess, and other
+    figures measure that.
 
     Args:
         mesh_world: the built closed mesh, truth's world.
@@ -157,7 +158,7 @@ def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) 
 
 
 def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
-    """Return which samples (m,) were measured and lie at least 15 mm from the exact mesh's sharp edges."""
+    """Mark the samples (m,) that were measured and lie at least 15 mm from sharp edges of the true mesh."""
     from scipy.spatial import cKDTree
 
     chosen = surface.measured.copy()
@@ -169,7 +170,7 @@ def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
 
 
 def edge_points(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Return points (n, 3), at most 4 mm apart, along edges whose faces meet at more than 30 degrees."""
+    """Return points (n, 3), at most 4 mm apart, along sharp edges: faces meet there at over 30 degrees."""
     import trimesh
 
     shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)

@@ -1,4 +1,4 @@
-"""Compare the views' masks and the pairs with the truth, each pair on its own grid."""
+"""Compare the views' masks with true silhouettes, and the pairs' grids with the true solid."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,13 +18,13 @@ from kinectbench.lab.simulate.truth import Truth
 
 @dataclass(frozen=True)
 class MaskRow:
-    """One view's mask.
+    """Agreement of one view's mask with the true silhouette.
 
     Attributes:
         view: the view's name.
         frame: index in the sequence.
-        valid_iou: IoU with the true silhouette over pixels with valid depth.
-        iou: IoU over all pixels; a mask has only pixels with depth.
+        valid_iou: IoU of mask and silhouette over pixels with valid depth.
+        iou: IoU over all pixels, though a mask can contain only pixels with depth.
     """
 
     view: str
@@ -35,16 +35,16 @@ class MaskRow:
 
 @dataclass(frozen=True)
 class MaskFigures:
-    """All views' masks.
+    """Agreement of all views' masks with the true silhouettes; the IoUs are None without views.
 
     Attributes:
-        mean_valid_iou: mean over the views, over pixels with valid depth; None without views.
-        worst_valid_iou: the lowest IoU over pixels with valid depth.
-        worst_view: the view with the lowest.
-        mean_iou: mean over the views, over all pixels.
-        worst_iou: the lowest IoU over all pixels.
-        without_truth: views whose frame is not in the truth, or shows another scene.
-        rows: one for each view.
+        mean_valid_iou: mean over the views of `MaskRow.valid_iou`.
+        worst_valid_iou: the lowest `valid_iou`.
+        worst_view: the view with the lowest `valid_iou`.
+        mean_iou: mean over the views of `MaskRow.iou`.
+        worst_iou: the lowest `iou`.
+        without_truth: views that are not compared: their frame is not in the truth, or shows another scene.
+        rows: one for each compared view.
     """
 
     mean_valid_iou: float | None
@@ -94,16 +94,16 @@ def mask_figures(build: Build, truth: Truth, registration: BuildRegistration) ->
 
 @dataclass(frozen=True)
 class EvaluatedPair:
-    """One pair against the truth; values in [0, 1].
+    """Figures of one pair against the truth, each in [0, 1]; names in backquotes are grids of the pair.
 
     Attributes:
         view: the view's name.
         frame: index in the sequence.
-        iou: IoU of `full` and the seeable solid, over all judged cells.
+        iou: IoU of `full` and the seeable solid (`core.voxels.seeable`), over cells that are not in slits.
         known_iou: the same IoU over `known` cells; None if no cell of the true solid is known.
-        exact_iou: IoU of `full` and the exact solid, over all cells.
-        true_unknown_share: share of the true solid that is not `known`.
-        containment: share of the partial's cells (64^3) that lie in the true solid, dilated once.
+        exact_iou: IoU of `full` and the solid inside the true mesh, over all cells.
+        true_unknown_share: share of the seeable solid that is not `known`.
+        containment: share of the partial view's cells, at 64^3, that lie in the seeable solid dilated once.
     """
 
     view: str
@@ -117,7 +117,7 @@ class EvaluatedPair:
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean and worst value of a figure over the pairs, and the view with the worst."""
+    """Mean and worst value of one figure over all pairs, and the name of the view with the worst value."""
 
     mean: float
     worst: float
@@ -126,16 +126,16 @@ class Summary:
 
 @dataclass(frozen=True)
 class PairFigures:
-    """All pairs against the truth.
+    """All pairs against the truth: summaries of the figures of `EvaluatedPair`, None without pairs.
 
     Attributes:
-        iou: IoU of `full` and the seeable solid, over all judged cells; None without pairs.
-        known_iou: the same IoU over `known` cells.
-        exact_iou: IoU of `full` and the exact solid, over all cells.
-        true_unknown_share: share of the true solid that is not `known`; the worst is the largest.
-        containment: containment of the partial views in the true solid.
-        without_truth: pairs whose frame is not in the truth, or shows another scene.
-        rows: one for each pair.
+        iou: summary of `iou`.
+        known_iou: summary of `known_iou`.
+        exact_iou: summary of `exact_iou`.
+        true_unknown_share: summary of `true_unknown_share`; the worst is the largest.
+        containment: summary of `containment`.
+        without_truth: pairs that are not compared: their frame is not in the truth, or shows another scene.
+        rows: one for each compared pair.
     """
 
     iou: Summary | None
@@ -150,15 +150,15 @@ class PairFigures:
 def pair_figures(
     build: Build, truth: Truth, registration: BuildRegistration, progress: Callable[[int, int], None]
 ) -> PairFigures:
-    """Compare every pair with the true solid at the true camera of its frame.
+    """Compare every pair with the true solid, seen from the true camera pose of the pair's frame.
 
-    The depth of a view was taken by the true camera. So the truth is in exact register with `partial`,
-    whatever pose was found; errors in transforming `full` into the view lower its IoU.
+    The view's depth was recorded from the true pose. So the true solid is aligned exactly with the partial
+    view, whatever pose the build estimated; an error of that pose shifts `full`, and lowers its IoU.
 
     Args:
         build: a build with views and pairs.
-        truth: the exact solid and cameras.
-        registration: tells which frame of the truth each frame is.
+        truth: the true solid and camera poses.
+        registration: gives the truth's frame index of each frame.
         progress: called with (pairs done, pairs in all).
 
     Raises:
@@ -189,14 +189,14 @@ def pair_figures(
 def evaluated_pair(
     view: str, frame: int, pair: Pair, truth: Truth, T_world_camera: NDArray[np.float64]
 ) -> EvaluatedPair:
-    """Return the figures of one pair.
+    """Compare one pair with the true solid.
 
     Args:
         view: the view's name.
         frame: index in the sequence.
         pair: the pair.
-        truth: the exact solid.
-        T_world_camera: (4, 4), the true camera in the truth's world.
+        truth: the true solid.
+        T_world_camera: (4, 4), true pose of the frame's camera in the truth's world.
     """
     cells = truth.cells(grid_in_truth(pair, T_world_camera))
     true, judged = cells.solid & cells.judged, cells.judged
@@ -215,7 +215,7 @@ def evaluated_pair(
 
 
 def grid_in_truth(pair: Pair, T_world_camera: NDArray[np.float64]) -> Grid:
-    """Return a pair's 256-grid in the truth's world, placed by the true camera (4, 4)."""
+    """Return a pair's 256^3 grid in the truth's world, placed by the true camera pose (4, 4)."""
     T_camera_grid = invert_rigid(pair.T_world_camera) @ pair.T_world_grid
     return replace(pair.grid, T_world_grid=T_world_camera @ T_camera_grid)
 

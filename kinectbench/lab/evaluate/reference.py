@@ -1,4 +1,4 @@
-"""Compare a built truth with a reference mesh: the figures of reference.json, and the meshes' files."""
+"""Compare a built object with a reference mesh from elsewhere, such as a scan; write reference.json."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -40,13 +40,17 @@ DECIMALS = 6
 
 
 def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
-    """Find each recording's mesh in a folder: `<id>.ply`, `.obj` or `.glb`, or by the name of its object.
+    """Find the reference mesh of each recording in a folder, by the recording's id or its object's name.
 
-    YCB's own layout, `<object>/google_16k/nontextured.ply`, is found, too.
+    Files are called `<name>.ply`, `.obj` or `.glb`; the layout of YCB's archives,
+    `<object>/google_16k/nontextured.ply`, is found, too.
 
     Args:
         folder: the folder of meshes.
         names: {id of a recording: name of its object}.
+
+    Returns:
+        {id of a recording: path of its mesh}, without recordings that have none.
 
     Raises:
         RecordingError: the folder does not exist, or has none of the meshes.
@@ -70,11 +74,14 @@ def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
 def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, ReferenceFile]:
     """Compare the built object of a recording with a reference mesh, and add the result to reference.json.
 
-    Results of other meshes for the same object are kept. An unreadable reference.json is replaced.
+    Earlier results of other meshes for the same object are kept. An unreadable reference.json is replaced.
 
     Args:
         folder: `build/<recording>/`, built at least up to the object.
-        path: the mesh's file.
+        path: file of the reference mesh.
+
+    Returns:
+        The figures of this mesh, and the whole content of reference.json.
 
     Raises:
         RecordingError: the mesh cannot be used.
@@ -104,23 +111,23 @@ def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, Reference
 
 
 def named_mesh(path: Path) -> str:
-    """Return the name of a mesh: its relative path, or the last folder and file name of an absolute path.
+    """Return a mesh's name in reference.json: its path if relative, else its last folder and file name.
 
-    The folder is needed because all simulated meshes are called object.ply. The rest of an absolute path is
-    private.
+    The folder is part of it because all simulated meshes are called object.ply. The rest of an absolute path
+    is omitted, because it may be private.
     """
     return Path(*path.parts[-2:]).as_posix() if path.is_absolute() else path.as_posix()
 
 
 def _truths(folder: Path) -> Iterator[str]:
-    """Yield hashes of the files with an object's truth: its own mesh, and the mesh that it was built from."""
+    """Yield the SHA-256 of an object's own mesh file, and of the mesh file it was made from, if any."""
     yield sha256_file(folder / MESH)
     if (truth := QualityFile.read(folder).truth) is not None:
         yield truth.sha256
 
 
 def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool) -> ComparedMesh:
-    """Return the figures of a reference for an object; the caller adds the names of files.
+    """Return the figures of an object against a reference; the mesh's name and hash are left empty.
 
     Args:
         model: the object.
@@ -171,10 +178,16 @@ def _triple(vector: Float64) -> tuple[float, float, float]:
 def f_scores(
     model: ObjectModel, fit: RegisteredReference, T: Float64, thresholds_m: tuple[float, ...]
 ) -> list[float]:
-    """Return F-scores of the surface that both saw, by exact distances to triangles.
+    """Return an F-score for each threshold, over surface that the recording observed.
 
-    Of the object, that is the measured surface. Of the reference, it is the surface in free space or near
-    measured surface.
+    Precision is over the object's measured surface. Recall is over those parts of the reference that lie in
+    free space or near measured surface. Distances are exact, from points to triangles.
+
+    Args:
+        model: the object.
+        fit: the registered reference.
+        T: (4, 4), maps the reference to the object's world.
+        thresholds_m: distances, metres.
     """
     ours, theirs = fit.ours, fit.theirs
     there = theirs.distance_m(transform_points(invert_rigid(T), ours.points[ours.counted]))
@@ -190,7 +203,7 @@ def f_scores(
 
 
 def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
-    """Return which points (n, 3) lie in free voxels of the object's grid."""
+    """Return whether each of the points (n, 3) lies in a voxel labelled free: (n,) bool."""
     grid = model.shape.grid
     cells = np.floor(transform_points(grid.T_grid_world, points_world) / grid.voxel_size_m).astype(np.int64)
     inside = np.asarray(((cells >= 0) & (cells < grid.shape)).all(axis=1))
@@ -199,7 +212,10 @@ def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
 
 
 def by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -> DirectionsPart:
-    """Return signed distances of the measured surface along its own normals, by face direction."""
+    """Return mean distances, signed and absolute, of the measured surface from the reference.
+
+    They are given for faces up, down and to the side. Positive: the measured surface is too far out.
+    """
     ours, theirs = fit.ours, fit.theirs
     points, normals = ours.points[ours.counted], ours.normals[ours.counted]
     back = transform_points(invert_rigid(T), points)
@@ -221,9 +237,9 @@ def by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -
 
 
 def solids_iou(model: ObjectModel, mesh: TriangleMesh) -> tuple[float | None, float | None]:
-    """Return the IoU of the object and a closed mesh in its world, over 256^3 cells, and over known cells.
+    """Return the IoU of the object and a closed mesh in its world, over all 256^3 cells and over known cells.
 
-    An IoU is None if too many faces intersect, or no cell is known.
+    Both are None if the mesh is too costly to voxelise; the second is None if no cell of the mesh is known.
     """
     ours = model.shape.mesh
     grid = object_cube(

@@ -1,8 +1,8 @@
-"""The same build after registration to the truth by its measured surface, not only by cameras.
+"""Register the built mesh rigidly to the true one, and measure the error of shape that remains.
 
 In a tracked recording, a smooth depth error may shift the object by a millimetre or two against the cameras.
 Predictions that are scored in the camera frame are not affected by such a shift. The error that is left after
-registration is the error of the shape.
+this registration is the error of the shape.
 """
 
 from dataclasses import dataclass, replace
@@ -36,18 +36,18 @@ STIFFNESS = 1e-4
 
 @dataclass(frozen=True)
 class RefinedFigures:
-    """The built closed mesh before and after the best rigid motion to the true one.
+    """Figures of the built closed mesh before and after rigid registration to the true mesh.
 
-    Distances are from measured samples of the true surface to the built one, if within 15 mm.
+    Distances are from measured samples of the true surface to the built mesh; those over 15 mm are ignored.
 
     Attributes:
-        lifted_m: upward shift of the object's middle by the motion.
-        moved_m: total shift of the object's middle.
-        turned_rad: angle of the motion's rotation.
-        measured_distance_m: mean distance before the motion; None if nothing was measured.
-        refined_distance_m: mean distance after the motion.
-        face_bias_m: face bias after the motion.
-        iou: IoU of the whole solid on 256^3 after the motion.
+        lifted_m: upward shift of the object's centre by the registration.
+        moved_m: length of the whole shift of the object's centre.
+        turned_rad: angle of the rotation.
+        measured_distance_m: mean distance before registration; None without distances within 15 mm.
+        refined_distance_m: mean distance after registration; None in the same case.
+        face_bias_m: face bias after registration.
+        iou: IoU of the solids on 256^3 cells after registration.
         known_iou: the same IoU over known cells; None if no true cell is known.
     """
 
@@ -64,12 +64,12 @@ class RefinedFigures:
 def refined_figures(
     model: ObjectModel, truth: Truth, registration: BuildRegistration, surface: MeasuredSurface
 ) -> RefinedFigures:
-    """Find the motion, and measure the solid before and after it.
+    """Register the built mesh to the measured true surface, and measure it before and after.
 
     Args:
         model: the built object, in its own world.
         truth: the true solid.
-        registration: transform between the worlds, by the cameras.
+        registration: transform between the worlds, from the camera trajectories.
         surface: samples of the true surface, with a mask of measured ones.
     """
     mesh = model.shape.mesh.transformed(registration.T_truth_built)
@@ -92,18 +92,18 @@ def refined_figures(
 
 
 def measured_distance_m(mesh_world: TriangleMesh, surface: MeasuredSurface) -> float | None:
-    """Return the mean distance of measured samples within 15 mm of a mesh (truth's world); None if none."""
+    """Return the mean distance from a mesh of the measured samples within 15 mm of it; None without any."""
     distance_m = ReferenceSurface(mesh_world).distance_m(surface.points_world[surface.measured])
     near = distance_m <= REACH_M
     return float(distance_m[near].mean()) if near.any() else None
 
 
 def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> Float64:
-    """Return the motion (4, 4) that registers a closed mesh to the measured faces of the true one.
+    """Return the rigid motion (4, 4) that registers a closed mesh to the measured true surface.
 
-    Point-to-plane least squares (Chen and Medioni 1992) by Gauss-Newton, over samples at most 15 mm from the
-    mesh. Samples within 15 mm of sharp edges are left out if enough remain, because built edges are round.
-    Without samples, the motion is the identity.
+    It minimises point-to-plane distances (Chen and Medioni 1992) by Gauss-Newton, over samples at most 15 mm
+    from the mesh. Samples within 15 mm of sharp edges are left out if enough remain, because built edges are
+    round. Without samples, the motion is the identity.
 
     Args:
         mesh_world: the closed mesh, truth's world, metres.
@@ -123,7 +123,7 @@ def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSur
     about = rigid(np.eye(3), middle)
 
     def advance(T: Float64) -> tuple[Float64, float]:
-        """The next motion; no step is small enough to be the last."""
+        """Return the motion (4, 4) after one Gauss-Newton step, and inf, so that all steps are made."""
         outward_m = built.signed_distance_m(transform_points(invert_rigid(T), points))
         near = np.abs(outward_m) <= REACH_M
         arms = np.cross(points[near] - middle, normals[near]) / size_m

@@ -1,4 +1,4 @@
-"""`kinectbench evaluate`: from the options to evaluation.json, pictures and a page."""
+"""`kinectbench evaluate`: find a build and its truth, and write evaluation.json, pictures and a page."""
 
 import json
 import re
@@ -38,11 +38,11 @@ PAGE = "index.html"
 
 @dataclass(frozen=True)
 class FoundRecording:
-    """A recording to evaluate.
+    """A recording to evaluate: where its build and its truth are.
 
     Attributes:
-        build: `build/<recording>/`.
-        truth: the folder of its truth.
+        build: the folder `build/<recording>/`.
+        truth: the folder of the simulator's truth.
         job: the job that brings the build up to date; None if only a build folder is known.
     """
 
@@ -55,9 +55,9 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
     """Find a recording and its truth, before anything is built.
 
     Args:
-        recording: an id of the benchmark at `config`; or the folder of a build; or a recording's path. A path
-            is built as the benchmark lists it, else with default settings into `build/` of the working
-            folder.
+        recording: an id of the benchmark at `config`, or the folder of a build, or a recording's path. The
+            job of a path has the benchmark's settings if it lists the path; else default settings, and
+            `build/` in the working folder as target.
         truth: the truth's folder; default: the folder beside the recording.
         config: a benchmark.yaml, which need not exist.
         overrides: settings that replace the file's, as `--set` takes them.
@@ -100,7 +100,7 @@ def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[
 
 
 def _truth_of_build(build: Path, jobs: Sequence[Job]) -> Path:
-    """Return the truth beside the recording that a build folder was made from, by the benchmark."""
+    """Return the truth's folder of a build: beside the recording that the benchmark builds there."""
     for job in jobs:
         if job.build.resolve() == build.resolve():
             return truth_folder(job.source)
@@ -110,7 +110,7 @@ def _truth_of_build(build: Path, jobs: Sequence[Job]) -> Path:
 
 
 def _job_of(path: Path, overrides: Sequence[str]) -> Job:
-    """Return a job for a single recording with default settings."""
+    """Return a job that builds the recording at a path with default settings and overrides."""
     plain = re.sub(r"[^A-Za-z0-9._-]", "_", path.resolve().name.removesuffix(".bag"))
     name = (plain.lstrip("._-") or "recording")[:80]
     recording = {"id": name, "path": str(path), "category": "object"}
@@ -119,7 +119,7 @@ def _job_of(path: Path, overrides: Sequence[str]) -> Job:
 
 
 def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) -> str:
-    """Return the page as HTML text; the same input gives the same text.
+    """Return the evaluation's page as HTML text; the same input gives the same text.
 
     Args:
         name: the recording's name.
@@ -173,7 +173,7 @@ def evaluate_recording(
 
 
 def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
-    """Return {name: PNG file} for the pictures whose stages were built."""
+    """Return {key of `CAPTIONS`: PNG file}, without pictures of stages that were not built."""
     registration = register_build(build, truth, align)
     T_object_world = invert_rigid(truth.T_world_object)
     true_object = truth.mesh_world.transformed(T_object_world)

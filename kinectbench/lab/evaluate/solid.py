@@ -1,7 +1,7 @@
 """Compare the built solid and its labels with the true solid, on an upright cube around the true object.
 
 The true solid is the seeable one (`core.voxels.seeable`): space that no camera could see counts as solid, in
-the truth as in the build. Figures named `exact` refer to the exact solid.
+the truth as in the build. The exact solid is the inside of the true mesh; figures named `exact` refer to it.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -40,7 +40,7 @@ def grid_iou(a: Bools, b: Bools) -> float:
 
 
 def known_iou(built: Bools, true: Bools, known: Bools) -> float | None:
-    """Return the IoU over known cells; None if no true cell is known."""
+    """Return the IoU of two solids over known cells only; None if no cell of the true solid is known."""
     return grid_iou(built & known, true & known) if bool(np.any(true & known)) else None
 
 
@@ -52,7 +52,7 @@ def share(part: Bools, of: Bools) -> float:
 
 @dataclass(frozen=True)
 class EvaluatedSolids:
-    """Grids (n, n, n) of bool over one cube.
+    """True and built states of the cells of one cube: bool grids (n, n, n).
 
     Attributes:
         true: the cell's centre lies in the seeable solid.
@@ -70,20 +70,20 @@ class EvaluatedSolids:
 
     @property
     def against_exact(self) -> "EvaluatedSolids":
-        """Return the same cells compared with the exact solid, every cell evaluated."""
+        """The same cells with the exact solid as their truth, and every cell evaluated."""
         return replace(self, true=self.exact, judged=np.ones_like(self.judged))
 
 
 @dataclass(frozen=True)
 class SolidOverlap:
-    """The figures of one grid, in [0, 1], over judged cells only.
+    """Overlap of the built and the true solid on one grid, over its evaluated cells (`judged`), in [0, 1].
 
     Attributes:
-        cells: number of cells along an edge.
-        iou: IoU of the built and the true solid, over all cells.
+        cells: number of cells along an edge of the grid.
+        iou: IoU of the built and the true solid.
         known_iou: the same IoU over known cells; None if no cell of the true solid is known.
         true_unknown_share: share of the true solid that is labelled unknown.
-        empty_unknown_share: share of the cube's empty space that is labelled unknown.
+        empty_unknown_share: share of the grid's truly empty cells that is labelled unknown.
     """
 
     cells: int
@@ -100,29 +100,29 @@ class SolidFigures:
     Attributes:
         fine: figures on 256^3 cells.
         coarse: figures on 64^3 cells of the same cube, each set if more than half of its 4^3 fine cells are.
-            This IoU jumps: thin upright parts gain or lose a whole layer by a small shift.
+            This IoU is not smooth: by a small shift, thin upright parts gain or lose a whole layer of cells.
         exact_fine: same as `fine`, against the exact solid.
         exact_coarse: same as `coarse`, against the exact solid.
         line_width_m: width of the lines of sight that define the seeable solid.
-        closed_by_definition_share: volume that is solid only by definition, relative to the exact solid's.
-        not_judged_share: volume in slits, relative to the exact solid's.
+        closed_by_definition_share: volume that only the seeable solid contains, relative to the exact solid.
+        not_judged_share: volume of slits, which is not evaluated, relative to the exact solid.
         true_volume_m3: volume enclosed by the true mesh.
         built_volume_m3: volume enclosed by the built mesh.
         built_outside_share: share of the built solid outside the cube, found in a cube of twice the side;
-            other figures ignore it.
-        known_gross_share: volume of the object's voxels that are known, wrong, and more than 10 mm from the
-            seeable solid's surface, relative to the seeable volume.
+            other figures ignore this part.
+        known_gross_share: volume of voxels whose known state is wrong more than 10 mm from the seeable
+            solid's surface, relative to the seeable solid.
         exact_known_gross_share: the same for the exact solid.
-        solid_called_air: the part of `known_gross_share` inside the true solid, also beyond the object's
-            voxels.
-        air_called_solid: the part of `known_gross_share` outside the true solid.
+        solid_called_air: the part of `known_gross_share` inside the seeable solid, including the parts of it
+            outside the object's voxel grid.
+        air_called_solid: the part of `known_gross_share` outside the seeable solid.
         unknown_near_measured: share of unknown voxels within 10 mm of measured surface.
-        calibration_error: mean difference of probability and share inside over the bins.
+        calibration_error: mean over the bins of |mean probability - share inside the seeable solid|.
         calibration_bins: ten bins of equal count, of voxels that are unknown or within 30 mm of the surface.
-        face_bias_m: mean signed distance of the built mesh at measured surface, > 0: too far out.
-        estimated_iou: the estimate in quality.json; None if missing.
-        estimated_iou_low: lower end of its interval in quality.json.
-        estimated_iou_high: upper end of its interval.
+        face_bias_m: mean signed distance of the built mesh from measured surface, > 0: too far out.
+        estimated_iou: the estimated IoU in quality.json; None if missing.
+        estimated_iou_low: lower end of the estimate's interval in quality.json.
+        estimated_iou_high: upper end of this interval.
         iou_in_interval: whether the IoU of `fine` lies in this interval; None without one.
         estimated_known_iou: the estimated IoU over known voxels in quality.json; None if missing.
         known_iou_in_interval: whether `known_iou` of `fine` lies in its interval; None without one.
@@ -155,18 +155,18 @@ class SolidFigures:
 
 
 def canonical_cube(truth: Truth) -> Grid:
-    """Return the 256-cube in the truth's world: upright, in the true object's axes, centred on its box.
+    """Return the 256^3 grid around the true object: upright, in its axes, centred on its bounding box.
 
-    Its side is the box's longest extent x 256/252, as in framing `object`.
+    The cube's side is the box's longest extent x 256/252, as in framing `object`; it is in the truth's world.
     """
     return object_cube(truth.mesh_world.vertices, truth.T_world_object)
 
 
 def check_fills_cells(truth: Truth) -> None:
-    """Refuse a truth of which the canonical cube has no cell: figures of cells would be 0 or 1 of nothing.
+    """Refuse a true object so thin that no cell's centre in the canonical cube lies inside it.
 
     Raises:
-        RecordingError: the object is that thin.
+        RecordingError: the object is too thin.
     """
     grid = canonical_cube(truth)
     if not mesh_occupancy(truth.mesh_world, grid).any():
@@ -181,7 +181,7 @@ def check_fills_cells(truth: Truth) -> None:
 def compare_on(
     grid: Grid, model: ObjectModel, truth: Truth, registration: BuildRegistration
 ) -> EvaluatedSolids:
-    """Sample truth, built mesh and labels on one grid.
+    """Sample the truth, the built mesh and its labels at the cells of one grid.
 
     Args:
         grid: a cube in the truth's world, a multiple of 8 cells a side.
@@ -202,9 +202,10 @@ def compare_on(
 def solid_figures(
     model: ObjectModel, truth: Truth, registration: BuildRegistration, surface: MeasuredSurface
 ) -> SolidFigures:
-    """Compare the solids on 256^3 and on 64^3 cells of the canonical cube, and the object's own voxels.
+    """Compare the solids on 256^3 and 64^3 cells of the canonical cube, and on the object's own voxels.
 
-    Centres of the coarse cells are not sampled: with the cube's margin, the box ends exactly at some of them.
+    The coarse cells are reduced from the fine ones. Their centres are not sampled, because the object's box
+    ends exactly at some of them.
 
     Args:
         model: the built object, in its own world.
@@ -263,14 +264,14 @@ def _lies_in(interval: tuple[float | None, float | None], iou: float | None) -> 
 
 
 def reduced_solids(solids: EvaluatedSolids) -> EvaluatedSolids:
-    """Return grids with a quarter as many cells along each axis, set if more than half of the cells are."""
+    """Return the grids reduced by 4 along each axis: a cell is set if more than half of its 4^3 cells are."""
     return EvaluatedSolids(
         *(reduce_blocks(getattr(solids, field.name), "majority") for field in fields(solids))
     )
 
 
 def overlap(solids: EvaluatedSolids) -> SolidOverlap:
-    """Return the figures of one grid."""
+    """Return the overlap of the built and the true solid on one grid."""
     built, known, judged = solids.built & solids.judged, solids.known, solids.judged
     true = solids.true & judged
     return SolidOverlap(
@@ -293,7 +294,7 @@ def _built_cells(model: ObjectModel, grid: Grid) -> Bools:
 
 
 def _outside_share(grid: Grid, model: ObjectModel, registration: BuildRegistration) -> float:
-    """Return the share of the built solid outside a cube, by cells twice as large around it."""
+    """Return the share of the built solid outside a cube, from a grid of twice the cube's side around it."""
     n, side_m = grid.shape[0], grid.shape[0] * grid.voxel_size_m
     corner = rigid(np.eye(3), np.full(3, -side_m / 2))
     around = Grid(grid.shape, 2 * grid.voxel_size_m, grid.T_world_grid @ corner)

@@ -22,10 +22,10 @@ SIGN_RAYS = 3
 
 @dataclass(frozen=True)
 class SurfaceErrors:
-    """Distances between two surfaces, metres, at points spread evenly over each.
+    """Distances in metres between the built and the true surface, at points spread evenly over each.
 
     Attributes:
-        built_m: (k,) signed distances of built points from the true surface, > 0 outside the solid.
+        built_m: (k,) signed distances of built points from the true surface, > 0 outside the true solid.
         built_visible: (k,) bool, the camera saw the true sample nearest to the built point.
         true_m: (m,) distances of the true samples from the built surface.
         true_visible: (m,) bool, the camera saw the true sample in at least one frame.
@@ -39,7 +39,7 @@ class SurfaceErrors:
 
 @dataclass(frozen=True)
 class DistanceStatistics:
-    """Statistics of absolute distances, metres; `quantile_90`: nine of ten are smaller."""
+    """Mean, root mean square and 90 % quantile of absolute distances, metres."""
 
     mean_m: float
     rms_m: float
@@ -48,13 +48,13 @@ class DistanceStatistics:
 
 @dataclass(frozen=True)
 class SurfaceScore:
-    """Shares within a distance, in [0, 1].
+    """Precision, recall and F-score at one distance threshold, in [0, 1].
 
     Attributes:
-        threshold_m: the distance.
-        precision: share of the built surface within this distance of the true one.
-        recall: share of the true surface within this distance of the built one.
-        f: harmonic mean of the two, 0 if both are 0.
+        threshold_m: the threshold.
+        precision: share of the built surface within the threshold of the true one.
+        recall: share of the true surface within the threshold of the built one.
+        f: harmonic mean of precision and recall, 0 if both are 0.
     """
 
     threshold_m: float
@@ -65,12 +65,12 @@ class SurfaceScore:
 
 @dataclass(frozen=True)
 class SurfaceComparison:
-    """Two surfaces compared, as a whole or only where the camera saw them.
+    """Accuracy, completeness and scores of the built surface, as a whole or only where the camera saw it.
 
     Attributes:
-        accuracy: distances of built points from the true surface; None without built points.
-        completeness: distances of true samples from the built surface; None without true samples.
-        scores: one for each threshold.
+        accuracy: statistics of built points' distances from the true surface; None without built points.
+        completeness: the same of true samples' distances from the built surface; None without true samples.
+        scores: one for each distance threshold.
     """
 
     accuracy: DistanceStatistics | None
@@ -80,7 +80,7 @@ class SurfaceComparison:
 
 @dataclass(frozen=True)
 class SurfaceFigures:
-    """The built surface against the true one.
+    """All figures of the built surface against the true one.
 
     Attributes:
         whole: over all surface, including the underside, which rests on the floor and is never seen.
@@ -97,7 +97,7 @@ class SurfaceFigures:
 
 
 class ReferenceSurface:
-    """A mesh to which distances are measured, point to triangle, and that hides (Open3D RaycastingScene).
+    """A mesh prepared for point-to-triangle distances and occlusion tests (Open3D's RaycastingScene).
 
     Distances are accurate to a micrometre; near long sliver triangles, to 0.3 mm.
     """
@@ -117,7 +117,10 @@ class ReferenceSurface:
         return np.asarray(distances.numpy(), dtype=np.float64)
 
     def hides(self, points: Float64, place: Float64) -> Bools:
-        """Return which points (n, 3), just off the surface, the mesh hides from a place (3,): (n,) bool."""
+        """Return whether the mesh occludes each point (n, 3) from a viewpoint `place` (3,): (n,) bool.
+
+        The points must lie just off the surface.
+        """
         starts = points - self._center
         rays = np.concatenate([starts, place - self._center - starts], axis=1).astype(np.float32)
         return np.asarray(self._scene.test_occlusions(self._tensor(rays), tnear=0.0, tfar=1.0).numpy())
@@ -135,7 +138,7 @@ def surface_errors(
         mesh: the built surface, in the truth's world, metres; it must have faces.
         truth: the true closed mesh, with samples of its surface.
         samples: number of points spread over the built mesh.
-        judged: returns which points (n, 3) of either surface count, (n,) bool; None: all.
+        judged: function from points (n, 3) to whether each is evaluated, (n,) bool; None: all are.
     """
     from scipy.spatial import cKDTree
 
@@ -155,7 +158,7 @@ def surface_errors(
 
 
 def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
-    """Measure the distances between a surface and the true object, around the object and above the floor.
+    """Measure the distances between a mesh and the true object, near the object and above the floor only.
 
     Only surface in the true object's box, enlarged by 30 mm, and more than 15 mm above the floor counts. The
     result is None if the mesh or the object has no surface there.
@@ -182,10 +185,10 @@ def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
 
 
 def surface_figures(errors: SurfaceErrors, thresholds_m: Sequence[float] = THRESHOLDS_M) -> SurfaceFigures:
-    """Return accuracy, completeness, precision, recall and F.
+    """Return accuracy, completeness, precision, recall and F-score, for all surface and for visible surface.
 
-    Source: Knapitsch et al., "Tanks and Temples" (ACM TOG 2017), eqs. 2-4, for points spread evenly
-    over both surfaces, with exact distances to the triangles; `visible` is defined here.
+    Precision, recall and F-score are those of Knapitsch et al., "Tanks and Temples" (ACM TOG 2017), eqs. 2-4,
+    but at points spread evenly over both surfaces, and with exact distances to the triangles.
     """
     built_m = np.abs(errors.built_m)
     return SurfaceFigures(

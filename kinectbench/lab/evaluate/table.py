@@ -1,4 +1,4 @@
-"""The figures of an evaluation for terminal and page, in millimetres, degrees and per cent."""
+"""Table rows of an evaluation's figures, for terminal and page, in millimetres, degrees and per cent."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ UNITS: Mapping[str, tuple[float, int]] = {
 
 @dataclass(frozen=True)
 class FigureRow:
-    """One line of the table: figure, value as text, unit (may be empty)."""
+    """One row of the table: name of the figure, value as text, unit (may be empty)."""
 
     figure: str
     value: str
@@ -50,14 +50,14 @@ class FigureRow:
 
 @dataclass(frozen=True)
 class Section:
-    """The figures of one stage; no rows if it was not built."""
+    """A titled group of rows, such as those of one stage; without rows if the stage was not built."""
 
     title: str
     rows: tuple[FigureRow, ...]
 
 
 def sections(evaluation: Evaluation) -> tuple[Section, ...]:
-    """Return all figures by stage, in the order of the build."""
+    """Return all figures as sections, in the order of the stages of a build."""
     e = evaluation
     parts: tuple[tuple[str, Callable[[Any], Iterator[FigureRow]], Any], ...] = (
         ("Worlds", _alignment, e.alignment),
@@ -75,7 +75,7 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
 
 
 def evaluation_table(evaluation: Evaluation) -> "Table":
-    """Return the terminal table: figure, value, unit."""
+    """Return the evaluation as a table for the terminal, with columns figure, value and unit."""
     from rich.table import Table
 
     table = Table("figure", title=f"{evaluation.subject}: built against the truth", title_justify="left")

@@ -1,4 +1,4 @@
-"""Effects of a colour camera on a rendered frame: motion blur, exposure, softness and grain."""
+"""Simulate a colour camera on a rendered frame: motion blur, exposure, softness and grain."""
 
 import numba
 import numpy as np
@@ -21,12 +21,12 @@ FIXED = 1 << SHIFT
 
 
 def exposure_gains(time_s: Float64, drift: float, rng: np.random.Generator) -> Float64:
-    """Return the gain (n,) of an automatic exposure at times (n,); it wanders over seconds.
+    """Return the brightness gain (n,) of an automatic exposure, which varies slowly with time.
 
     Args:
-        time_s: seconds.
+        time_s: (n,) times, seconds.
         drift: gains stay between 1 / (1 + drift) and 1 + drift.
-        rng: draws the course of the gain.
+        rng: draws the gain's random course.
     """
     course = np.clip(draw_waves(GAIN_HZ, 1, rng).at(time_s)[:, 0], -1, 1)
     return np.asarray((1 + drift) ** course)
@@ -39,15 +39,16 @@ def expose(
     gain: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """Return colour (height, width, 3) uint8 of one exposure.
+    """Return the colour image (height, width, 3) uint8 of one exposure, with blur, gain and grain.
 
-    A pixel averages the rendered image along its streak, which leads from its surface point's pixel at the
-    start to its pixel at the end. So no ray is cast again. One effect is missing: a near object does not
-    smear over the background beside it. Averages are of display values.
+    Motion blur averages the image rendered at mid-exposure along each pixel's streak: from where its surface
+    point projects at the start of the exposure to where it projects at the end. So no rays are cast again.
+    One effect is missing: a near object does not smear over the background beside it. Display values are
+    averaged, not linear light.
 
     Args:
-        rendering: exact, as seen in the middle of the exposure.
-        camera: the camera that it was rendered with.
+        rendering: noise-free rendering from the pose in the middle of the exposure.
+        camera: the camera of the rendering.
         T_room_cameras: poses (4, 4) at the start, in the middle and at the end of the exposure.
         gain: factor on brightness; values above 255 saturate.
         rng: draws the grain.
@@ -63,7 +64,7 @@ def expose(
 
 
 def _pixels_to(camera: Camera, T_then_now: Float64) -> Float64:
-    """Return the (3, 4) matrix from present (u, v, 1, 1 / z) to homogeneous pixels at the other time."""
+    """Return the (3, 4) matrix that maps (u, v, 1, 1 / z) now to homogeneous pixels at the other time."""
     K = camera.K
     turned = K @ T_then_now[:3, :3] @ np.linalg.inv(K)
     return np.column_stack([turned, K @ T_then_now[:3, 3]])
@@ -71,7 +72,7 @@ def _pixels_to(camera: Camera, T_then_now: Float64) -> Float64:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _smear(color_rgb, depth_m, homographies, grain, gain):  # type: ignore[no-untyped-def]
-    """Average along streaks, times the gain, plus grain; see `expose`."""
+    """Average colours along streaks, multiply by the gain and add grain: (height, width, 3) uint8."""
     height, width = depth_m.shape
     smeared = np.empty((height, width, 3), np.uint8)
     streaks = np.empty((width, 2), np.float32)
@@ -106,7 +107,7 @@ def _level(value):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _streaks(before, after, v, depth_m, streaks):  # type: ignore[no-untyped-def]
-    """Return motion (du, dv) of each pixel of row v during the exposure, (width, 2) pixels, and its start."""
+    """Write the motion (du, dv) of row v's pixels during the exposure into `streaks` (width, 2), pixels."""
     one, y = np.float32(1), np.float32(v)
     for u in range(len(depth_m)):
         x, near = np.float32(u), one / depth_m[u] if depth_m[u] > 0 else np.float32(0)

@@ -30,10 +30,10 @@ DISTORTION_AT_M, DISTORTION_SHARE = 4.0, 0.004
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
-    """Return the pixels that the projector reaches, by a depth buffer along its columns (exact).
+    """Return the mask of pixels that the projector lights, by a depth buffer over the projector's columns.
 
-    The projector is beside the camera in +x. So a point at column u of the camera lies at column
-    u - f b / z of the projector, in the same row; a shadow falls to the left of its object.
+    The projector is beside the camera in +x. So a point at column u of the camera is at column u - f b / z of
+    the projector, in the same row, and an object's shadow is to the left of the object.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = nothing there.
@@ -69,18 +69,18 @@ def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-untyped-def]
-    """Return the source pixel of each measurement: its own, or at an edge a random neighbour.
+    """Return for each pixel which pixel's depth it measures: its own, or at an edge a random neighbour's.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.
-        around_m: smallest and largest depth in 5x5 pixels, as far as a pixel is displaced.
-        right: normal variates at half the resolution, for the displacement to the right.
-        down: normal variates for the displacement downwards.
+        around_m: pair (smallest, largest) of the depth in each 5x5 window, the reach of the displacement.
+        right: standard normal variates at half the resolution, for the displacement to the right.
+        down: the same for the displacement downwards.
         cosine: (height, width) float32, cosine of incidence.
         noise: `KinectNoise`.
 
     Returns:
-        (height, width) int32, index into the flat image.
+        (height, width) int32, index of that pixel in the flattened image.
     """
     height, width = seen_m.shape
     source = np.empty((height, width), np.int32)
@@ -100,16 +100,16 @@ def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-u
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-untyped-def]
-    """Return reported depth, (height, width) float32 metres, 0 = no measurement; see `measured_depth`.
+    """Return reported depth, (height, width) float32 metres, 0 = none: steps 2 to 4 of `measured_depth`.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.
-        around_m: smallest and largest depth in 3x3 pixels.
+        around_m: pair (smallest, largest) of the depth in each 3x3 window.
         source: result of `displace`.
-        surface: cosine of incidence and albedo, both (height, width) float32.
-        device: `KinectNoise`, distortion of disparity in pixels (height, width) float32, and sunlight.
-        drawn: normal variates, float32: for depth noise, (height, width), and for the required signal
-            strength, at half the resolution.
+        surface: pair (cosine of incidence, albedo), both (height, width) float32.
+        device: triple (`KinectNoise`, distortion of disparity (height, width) float32 in pixels, sunlight).
+        drawn: pair of standard normal variates, float32: (height, width) for depth noise, and at half the
+            resolution for the required signal strength.
     """
     noise, distortion_px, sunlight = device
     axial, weak = drawn
@@ -141,16 +141,17 @@ def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _lateral_sigma_px(cosine):  # type: ignore[no-untyped-def]
-    """Return the standard deviation of an edge's place in the image, pixels (Nguyen et al. 2012, eq. 1)."""
+    """Return the lateral noise of an edge: its standard deviation in pixels (Nguyen et al. 2012, eq. 1)."""
     angle = np.arccos(max(cosine, STEEPEST_COS))
     return 0.8 + 0.035 * angle / (np.pi / 2 - angle)
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
-    """Return the standard deviation of depth, metres (Nguyen et al. 2012, eq. 3 and 4), before rounding.
+    """Return the standard deviation of the axial noise to draw, metres, before depth is quantised.
 
-    The variance of rounding inverse depth to 1 / `scale` is subtracted, because `sense` adds it.
+    It is the published value (Nguyen et al. 2012, eq. 3 and 4) without the variance of rounding inverse depth
+    to multiples of 1 / `scale`, which `sense` adds.
     """
     sigma = np.float32(0.0012) + np.float32(0.0019) * (z - np.float32(0.4)) ** 2
     if cosine < np.float32(0.5):
@@ -161,10 +162,10 @@ def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _margin(z, cosine, albedo, noise, sunlight):  # type: ignore[no-untyped-def]
-    """Return the strength of the pattern, in standard deviations above the required strength.
+    """Return the pattern's signal strength, in standard deviations above the mean required strength.
 
-    The pattern's light on the surface falls as cos / z², and the surface reflects the albedo's share of it.
-    Reflected sunlight drowns the pattern.
+    The signal is albedo * cos(incidence) / z², weakened by reflected sunlight. Grazing incidence lowers the
+    result, and `any_margin` limits it.
     """
     drowned = z * z * (np.float32(1) + np.float32(noise.sun) * sunlight * albedo)
     signal = max(albedo * cosine / drowned, np.float32(1e-9))
@@ -182,9 +183,10 @@ class KinectNoise(NamedTuple):
         focal_px: focal length of the infrared camera at its own resolution, pixels (Khoshelham & Elberink).
         baseline_m: from camera to projector, which stands in +x (Khoshelham & Elberink).
         steps_per_px: disparity steps per pixel (Khoshelham & Elberink).
-        smooth_share: share of the noise variance that neighbouring pixels have in common. Chosen so that
-            errors on planes correlate as measured in 7-Scenes' red kitchen (docs/evidence/simulation.md).
-        smooth_px: standard deviation of the blur that makes them common; chosen by the same measurement.
+        smooth_share: share of the axial noise's variance that is correlated between neighbouring pixels.
+            Chosen so that errors on planes correlate as in 7-Scenes' red kitchen
+            (docs/evidence/simulation.md).
+        smooth_px: standard deviation of the blur that correlates it; chosen by the same measurement.
         same_surface: largest relative difference of depth between pixels of one surface.
         weakest_signal: albedo * cos(incidence) / z² in 1/m² at which half the pixels are lost (chosen here: a
             grey wall, albedo 0.6, is lost beyond 8.7 m, a black cushion, albedo 0.05, beyond 2.5 m).
@@ -193,11 +195,12 @@ class KinectNoise(NamedTuple):
             wall is lost beyond 2.4 m).
         graze_cos: cosine of incidence at which half the pixels are lost (chosen here: 80°).
         graze_softness: standard deviation of that cosine.
-        edge_margin: pixels at edges are lost if a normal variate exceeds this (chosen here: 31 %).
-        edge_mix: pixels at edges mix near and far if the variate is at most this much below `edge_margin`
-            (chosen here: 7 %).
-        hole_px: standard deviation of the blur that makes holes blobs.
-        any_margin: any pixel is lost if the variate exceeds this (chosen here: 0.1 %).
+        edge_margin: a pixel at an edge is lost if its standard normal variate exceeds this (chosen here: 31 %
+            of them).
+        edge_mix: a pixel at an edge mixes near and far depth if its variate is at most this much below
+            `edge_margin` (chosen here: 7 % of them).
+        hole_px: standard deviation of the blur of the variates, which makes holes coherent blobs.
+        any_margin: any pixel is lost if its variate exceeds this (chosen here: 0.1 % of them).
         blind_share: share of the width at the right without depth: 8 of 640 columns, as in 7-Scenes.
     """
 
@@ -223,7 +226,7 @@ class KinectNoise(NamedTuple):
 
 @dataclass(frozen=True)
 class KinectUnit:
-    """One Kinect and its lighting.
+    """One individual Kinect and the sunlight on its scene.
 
     Attributes:
         noise: parameters that all devices share.
@@ -237,19 +240,19 @@ class KinectUnit:
 
 
 def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.random.Generator) -> KinectUnit:
-    """Draw a device's depth distortion: an error of disparity that varies smoothly over the image.
+    """Draw an individual Kinect, with a random disparity error that varies smoothly over the image.
 
     Herrera et al. correct disparity pixel by pixel, Teichman et al. find smooth maps whose effect grows with
-    distance. Here the error of disparity is a sum of cosines with up to two periods over the image, without a
-    constant, and the same at every distance, so that depth is off by z² / (f b) times it. (In Herrera et al.
-    it also decays with disparity; that is left out.) Its size is chosen here: at `distortion` 1 its root mean
-    square is 0.4 % of depth at 4 m: 16 mm there, 2 mm at 1.5 m, as a factory calibration may leave it.
+    distance. Here the disparity error is a sum of cosines with up to two periods over the image and zero
+    mean, the same at every distance: a disparity error e shifts depth by e z² / (f b). (In Herrera et al. e
+    also decays with disparity; that is left out.) Its size is chosen here: at `distortion` 1, the root mean
+    square error is 0.4 % of depth at 4 m: 16 mm there, 2 mm at 1.5 m, as a factory calibration may leave it.
 
     Args:
         camera: the camera whose depth is distorted.
         distortion: 1 for a typical device, 0 for none.
         sunlight: 0 to 1.
-        rng: draws the map.
+        rng: draws the error map.
     """
     noise = KinectNoise()
     # A smaller image is a reduced Kinect image: blurs cover fewer of its pixels.
@@ -261,11 +264,11 @@ def draw_device(camera: Camera, distortion: float, sunlight: float, rng: np.rand
 
 
 def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Float64:
-    """Draw an error (height, width) that varies smoothly over the image, without a constant.
+    """Draw a random map (height, width) that varies smoothly over the image and has zero mean.
 
     Args:
         camera: the image's camera.
-        spread: root mean square of the error, in any unit.
+        spread: root mean square of the map, in its unit.
         rng: draws the error.
     """
     waves = np.arange(DISTORTION_WAVES + 1)
@@ -284,22 +287,23 @@ def smooth_error(camera: Camera, spread: float, rng: np.random.Generator) -> Flo
 def measured_depth(
     rendering: Rendering, camera: Camera, device: KinectUnit, rng: np.random.Generator
 ) -> Float32:
-    """Return a Kinect's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
+    """Return a Kinect's depth image of a noise-free rendering: (height, width) metres, 0 = no measurement.
 
-    In this order, for each pixel:
-        1. Where the window of pixels that is matched straddles an edge, the surface that is measured is one
-           drawn from about the pixel (lateral noise), so that outlines are ragged.
-        2. No depth in the projector's shadow, out of range, in the blind columns, where the pattern's light
-           is too weak for the surface's albedo, incidence, distance and the sun, at grazing incidence, and
-           at some edges. The strength needed varies smoothly over the image, so that holes are blobs.
-        3. Some edge pixels mix the nearest and the farthest surface in 3x3 pixels, in disparity.
-        4. Distortion, axial noise, quantised disparity. The published standard deviation was measured on
-           real, that is quantised, depth. So the variance that rounding adds (a step squared over 12) is
-           taken off before the noise is drawn, and the sum has the published value.
+    The steps, in this order, for each pixel:
+        1. Lateral noise: near a depth edge, a pixel measures the surface of a random neighbour, so that
+           outlines are ragged.
+        2. Lost pixels: there is no depth in the projector's shadow, out of range, in the blind columns, at
+           grazing incidence, at some edges, and where albedo, incidence, distance and sunlight leave too weak
+           a signal. The required signal varies smoothly over the image, so that holes are blobs.
+        3. Mixed pixels: some edge pixels average the disparities of the nearest and the farthest surface in
+           their 3x3 window.
+        4. Distortion, axial noise, and quantised disparity. The published standard deviation was measured on
+           real depth, which is quantised. So the variance of quantisation (a step squared over 12) is
+           subtracted before noise is drawn, and the result has the published value.
 
     Args:
-        rendering: the exact rendering.
-        camera: the camera that it was rendered with.
+        rendering: the noise-free rendering.
+        camera: the camera of the rendering.
         device: the Kinect.
         rng: draws all noise of this frame.
     """
@@ -327,7 +331,7 @@ def measured_depth(
 
 
 def smooth_normal(shape: tuple[int, int], blur_px: float, rng: np.random.Generator) -> Float32:
-    """Draw a blurred field of normal variates with standard deviation 1."""
+    """Draw normal variates of standard deviation 1, correlated between pixels by a Gaussian blur: float32."""
     import cv2
 
     reach = int(np.ceil(3 * blur_px))

@@ -1,4 +1,4 @@
-"""Camera paths that look at the object: carried around it by hand, or unordered views."""
+"""Camera paths around the object: a hand-held walk, or views in random order."""
 
 from dataclasses import dataclass
 
@@ -31,12 +31,12 @@ GOLDEN_SHARE = (np.sqrt(5) - 1) / 2
 
 @dataclass(frozen=True)
 class Waves:
-    """Smooth random curves: sums of sines with random phases, each of standard deviation 1.
+    """Smooth random functions of time: each is a sum of k sines, with standard deviation 1.
 
     Attributes:
-        frequency_hz: (k,) frequencies.
-        amplitude: (k,) amplitudes, for a standard deviation of 1.
-        phase_rad: (k, curves) phases.
+        frequency_hz: (k,) frequencies of the sines, the same for all curves.
+        amplitude: (k,) amplitudes of the sines.
+        phase_rad: (k, curves) random phases.
     """
 
     frequency_hz: Float64
@@ -44,14 +44,14 @@ class Waves:
     phase_rad: Float64
 
     def at(self, time_s: Float64) -> Float64:
-        """Return values (n, curves) at times (n,) in seconds."""
+        """Return the curves' values (n, curves) at times (n,) in seconds."""
         angle = 2 * np.pi * self.frequency_hz[:, None] * time_s
         waves = np.sin(angle[:, :, None] + self.phase_rad[:, None, :])
         return np.asarray(np.einsum("k,knc->nc", self.amplitude, waves))
 
 
 def draw_waves(frequency_hz: Float64, curves: int, rng: np.random.Generator) -> Waves:
-    """Draw curves whose amplitudes fall as 1 / frequency."""
+    """Draw random curves from sines of these frequencies, whose amplitudes fall as 1 / frequency."""
     amplitude = 1 / frequency_hz
     amplitude = amplitude * np.sqrt(2 / np.sum(amplitude**2))
     return Waves(frequency_hz, amplitude, rng.uniform(0, 2 * np.pi, (len(frequency_hz), curves)))
@@ -66,13 +66,13 @@ class CameraPath:
         target_room: (3,) the point to look at, metres.
         distance_m: mean distance to the target.
         start_rad: azimuth from the target to the camera at the start.
-        swing_phase_rad: phase of the rise and fall at the start.
+        swing_phase_rad: phase of the elevation's rise and fall at the start.
         knots_s: (k,) ascending times.
         knots_share: (k,) share of the path covered at these times, 0 to 1.
-        shake: six curves, for position and orientation.
-        reach: one curve, for the distance.
-        jolt: (6,) direction of the knock: unit vectors for position and orientation.
-        stations_rad: (frames, 2) azimuth and elevation of unordered views; None on a walk.
+        shake: six curves of the hand's shake: three for position, three for orientation.
+        reach: one curve, for the relative change of the distance.
+        jolt: (6,) unit vectors of the knock's displacement and rotation.
+        stations_rad: (frames, 2) azimuth and elevation of views in random order; None on a walk.
     """
 
     settings: PathSettings
@@ -93,7 +93,7 @@ class CameraPath:
         return (self.settings.frames - 1) / self.settings.rate_hz
 
     def poses(self, time_s: Float64) -> Float64:
-        """Return `T_room_camera` (n, 4, 4), optical axes, at times (n,) in seconds; also beyond both ends."""
+        """Return `T_room_camera` (n, 4, 4), optical axes, at any times (n,) in seconds."""
         chosen = self.settings
         turn, rise = self._stations(time_s)
         lowest = np.arcsin(np.clip((chosen.lowest_m - self.target_room[2]) / self.distance_m, -1, 1))
@@ -115,7 +115,7 @@ class CameraPath:
         return looks
 
     def _stations(self, time_s: Float64) -> tuple[Float64, Float64]:
-        """Return azimuth and elevation, radians, (n,) each: of the walk, or of the frame nearest in time."""
+        """Return azimuth and elevation (n,) in radians at times (n,): of the walk, or of the nearest view."""
         chosen = self.settings
         if self.stations_rad is not None:
             frame = np.clip(np.rint(time_s * chosen.rate_hz), 0, chosen.frames - 1).astype(np.int64)
@@ -131,9 +131,9 @@ class CameraPath:
         return self.start_rad + chosen.arc_rad * share, rise
 
     def _turns(self, time_s: Float64) -> Float64:
-        """Return rotation vectors (n, 3), camera axes, of turns to the side and back.
+        """Return rotation vectors (n, 3), in camera axes, of the camera's repeated turns to a side and back.
 
-        The camera turns about each axis to one side, then to the other; each turn starts and ends at rest.
+        About roll, pitch and yaw in turn, it turns to one side and back, then to the other side and back.
         """
         chosen = self.settings
         # The angle A (1 - cos(2 pi t / period)) / 2 is fastest at a quarter of its period: pi A / period.
@@ -143,7 +143,10 @@ class CameraPath:
         return np.asarray(angle_rad[:, None] * TURN_AXES[axis])
 
     def _knock(self, time_s: Float64) -> Float64:
-        """Return the knock's motion (n, 6): a damped swing from two thirds of the path on; peak about 1."""
+        """Return displacement and rotation (n, 6) by a knock against the camera, with a peak of about 1.
+
+        It is a damped oscillation that starts after two thirds of the recording.
+        """
         since = np.maximum(time_s - self.duration_s * 2 / 3, 0)
         course = 1.6 * np.exp(-since / JOLT_DECAY_S) * np.sin(2 * np.pi * JOLT_HZ * since)
         return np.asarray(course[:, None] * self.jolt)
@@ -156,14 +159,14 @@ def draw_path(
     rng: np.random.Generator,
     min_range_m: float = 0.0,
 ) -> CameraPath:
-    """Draw a path around a subject at the room's origin.
+    """Draw a camera path around a subject at the room's origin.
 
     Args:
         settings: the path's shape; without a distance, the subject just fits into the image.
         subject: the subject's mesh, z up, metres.
         camera: the depth camera.
         rng: draws all random parts of the path.
-        min_range_m: least range of the sensor; limits the distance unless the settings state one.
+        min_range_m: minimum range of the sensor; without a distance in the settings, the camera keeps it.
     """
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
     target_room = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
@@ -189,11 +192,12 @@ def draw_path(
 
 
 def _shuffled_rad(settings: PathSettings, start_rad: float, rng: np.random.Generator) -> Float64:
-    """Return azimuth and elevation (frames, 2), radians, of views spread evenly by area over the walk's band.
+    """Return azimuth and elevation (frames, 2), radians, of views in random order.
 
-    The views are a spherical Fibonacci lattice in random order: the sine of the elevation in even steps, the
-    azimuth in steps of the golden share of the arc (Gonzalez: Measurement of Areas on a Sphere Using
-    Fibonacci and Latitude-Longitude Lattices, Mathematical Geosciences 42, 2010).
+    They are spread evenly by area over the azimuths and elevations of the walk, as a spherical Fibonacci
+    lattice: the sine of the elevation in even steps, the azimuth in steps of the golden ratio's share of the
+    arc (Gonzalez: Measurement of Areas on a Sphere Using Fibonacci and Latitude-Longitude Lattices,
+    Mathematical Geosciences 42, 2010).
     """
     low, high = np.sin(
         np.clip(settings.elevation_rad + np.array([-1, 1]) * settings.swing_rad, -STEEPEST_RAD, STEEPEST_RAD)
@@ -207,10 +211,10 @@ def _shuffled_rad(settings: PathSettings, start_rad: float, rng: np.random.Gener
 def _fitting_distance_m(
     subject: TriangleMesh, target_room: Float64, camera: Camera, min_range_m: float, reach_share: float
 ) -> float:
-    """Return the distance at which a ball around the subject just fits into the image, with a small margin.
+    """Return the distance in metres at which a bounding sphere of the subject just fits into the image.
 
-    The distance is large enough that the ball stays beyond the sensor's least range where the hand is
-    nearest.
+    It has a small margin, and is large enough that the sphere stays beyond the sensor's minimum range even
+    where the hand comes nearest.
     """
     radius_m = float(np.linalg.norm(subject.vertices - target_room, axis=1).max())
     half_view = min(np.arctan(camera.width / 2 / camera.fx), np.arctan(camera.height / 2 / camera.fy))
@@ -219,7 +223,7 @@ def _fitting_distance_m(
 
 
 def _progress(settings: PathSettings, pace: Waves) -> tuple[Float64, Float64]:
-    """Return times (k,) in seconds and the share of the path (k,) covered by then; the pace varies."""
+    """Return times (k,) in seconds and the share of the path (k,) covered by each, at a varying pace."""
     duration_s = (settings.frames - 1) / settings.rate_hz
     if duration_s == 0:
         return np.array([0.0]), np.array([0.0])
@@ -232,7 +236,10 @@ def _progress(settings: PathSettings, pace: Waves) -> tuple[Float64, Float64]:
 
 
 def look_at(position_room: Float64, target_room: Float64) -> Float64:
-    """Return the level pose (4, 4) `T_room_camera` towards a target that is not straight above or below."""
+    """Return the pose (4, 4) `T_room_camera`, without roll, of a camera that looks at a target.
+
+    The target must not be straight above or below the camera.
+    """
     forward = target_room - position_room
     forward = forward / np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""The plan of a simulated recording: frames, stamps and given poses, with faults."""
+"""Plan a simulated recording: its frames, stamps and given poses, with the faults of the settings."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,10 +16,10 @@ DRIFT_RAD_PER_M = 0.5
 
 @dataclass(frozen=True)
 class PlannedFrame:
-    """One frame of the recording, before rendering.
+    """One planned frame of the recording, before it is rendered.
 
     Attributes:
-        source: index of the frame on the walk, before frames were dropped.
+        source: index of the frame before some frames were dropped.
         time_s: time at which depth is taken, seconds since the start.
         stamp_ns: the recorded stamp of depth.
         color_stamp_ns: the recorded stamp of colour.
@@ -36,11 +36,11 @@ class PlannedFrame:
 
 
 def plan_frames(spec: SimulationSpec, T_world_camera: Float64) -> tuple[PlannedFrame, ...]:
-    """Plan the recording of a walk.
+    """Plan which frames are recorded, with which stamps and poses.
 
     Args:
         spec: the settings of the simulation, with its faults.
-        T_world_camera: (n, 4, 4), the true pose of every frame of the walk.
+        T_world_camera: (n, 4, 4), the true poses of all frames, before any is dropped.
 
     Returns:
         The frames, in the order of recording.
@@ -73,7 +73,7 @@ def plan_frames(spec: SimulationSpec, T_world_camera: Float64) -> tuple[PlannedF
 
 
 def given_trajectory(spec: SimulationSpec, T_world_camera: Float64) -> Float64 | None:
-    """Return the trajectory (n, 4, 4) that comes with the recording, made from the true one; or None."""
+    """Return the given trajectory (n, 4, 4) to record: the true one, perhaps with errors; None for none."""
     given, rng = spec.given, spec.rng(GIVEN)
     if given.trajectory == "none":
         return None
@@ -90,14 +90,14 @@ def given_trajectory(spec: SimulationSpec, T_world_camera: Float64) -> Float64 |
 
 
 def _disturbed(poses: Float64, sigma_m: float, sigma_rad: float, rng: np.random.Generator) -> Float64:
-    """Add independent noise to every pose, in the camera's frame."""
+    """Add independent Gaussian noise to every pose, in camera axes."""
     turns = Rotation.from_rotvec(rng.standard_normal((len(poses), 3)) * sigma_rad).as_matrix()
     shifts = rng.standard_normal((len(poses), 3)) * sigma_m
     return np.stack([T @ rigid(R, t) for T, R, t in zip(poses, turns, shifts, strict=True)])
 
 
 def _drifting(poses: Float64, drift_m_per_m: float, rng: np.random.Generator) -> Float64:
-    """Add odometry drift to the poses: every step has a small error in the same direction."""
+    """Add odometry drift to the poses: errors in one direction, proportional to each step's length."""
     shift, turn = (axis / np.linalg.norm(axis) for axis in rng.standard_normal((2, 3)))
     drifted = [poses[0]]
     for before, after in pairwise(poses):

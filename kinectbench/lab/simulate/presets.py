@@ -1,7 +1,7 @@
-"""Named recordings: versioned presets, the sample recordings and the demo's, and functions that write them.
+"""Named simulations: versioned presets, the sample recordings, the demo's recordings, and their writer.
 
-Figures of different package versions are compared on the presets. So a preset never changes; a better one
-gets the next version. `tests/lab/simulate/test_simulate_presets.py` has the hash of each.
+Presets serve to compare figures of different package versions. So a preset never changes; a better one gets
+the next version. `tests/lab/simulate/test_simulate_presets.py` has the hash of each.
 """
 
 from collections.abc import Mapping, Sequence
@@ -153,7 +153,7 @@ def preset_spec(name: str, changes: Mapping[str, object], overrides: Sequence[st
 
 
 def _spec(name: str, frames: int, form: str, world: WorldFrame) -> SimulationSpec:
-    """Return the spec of a short, small recording: 320x240 at 5 Hz, without noise-free depth to save space.
+    """Return the spec of a short recording at 320x240 and 5 Hz; to save space, it has no noise-free depth.
 
     Around tables the camera is held low, so that it also sees below the top.
     """
@@ -191,13 +191,13 @@ def simulate_named(
     progress: NamedProgress,
     jobs: int = 1,
 ) -> list[Path]:
-    """Write one recording, or the sample recordings, or the demo's.
+    """Simulate and write one recording, or all sample recordings, or all of the demo.
 
     Args:
-        out: path of one recording; without a stated format a ROS 1 bag if it ends in .bag, else a TUM folder.
+        out: path of one recording; its default format is a ROS 1 bag if it ends in .bag, else the preset's.
         preset: preset of `out`, such as "orbit-v1".
-        changes: changes for `out`, nested values as in SimulationSpec.
-        overrides: overrides for `out`, `section.key=value`.
+        changes: nested values as in SimulationSpec, which replace the preset's.
+        overrides: `section.key=value`, which replace `changes`.
         samples: folder for the sample recordings.
         demo: folder for the demo's recordings.
         progress: called with (recording, frames done, frames), or (folder, recordings done, recordings).
@@ -231,6 +231,6 @@ def simulate_named(
 
 
 def _simulated(task: tuple[Path, SimulationSpec]) -> None:
-    """Write one recording of several."""
+    """Simulate one (path, spec) of several; the task of a worker process."""
     path, spec = task
     simulate(spec, path)

@@ -1,4 +1,4 @@
-"""Ray casting of a scene, shading of hits, and tests of which surface points a camera sees."""
+"""Render a scene by ray casting, and test which surface points a camera sees."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -25,10 +25,10 @@ TILE_CONTRAST = 0.25
 
 
 def make_texture(rng: np.random.Generator) -> Float32:
-    """Draw smooth noise (512, 512) in [-1, 1] that repeats every 2 m.
+    """Draw a periodic noise texture (512, 512) in [-1, 1], which covers 2 m x 2 m.
 
-    White noise is blurred at four scales, each normalised, then summed. Detail at every scale lets a tracker
-    work from near and far.
+    It is a normalised sum of white noise blurred at four scales: detail at every scale lets a tracker work
+    from near and far.
     """
     frequency = np.fft.fftfreq(TEXTURE_PX)
     squared = frequency[:, None] ** 2 + frequency[None, :] ** 2
@@ -42,12 +42,12 @@ def make_texture(rng: np.random.Generator) -> Float32:
 
 
 class Looks(NamedTuple):
-    """The look of each item of a scene, in the scene's order; the last row is the background.
+    """Material of each item of a scene, in the scene's order; the last row is the background.
 
     Attributes:
         color_rgb: (n, 3) float32 in [0, 1].
-        contrast: (n,) float32, strength of the noise.
-        tile_m: (n,) float32, size of tiles, 0 for none.
+        contrast: (n,) float32, strength of the noise texture, in [0, 1].
+        tile_m: (n,) float32, edge of floor tiles, metres; 0: no tiles.
         albedo: (n,) float32, share of infrared light that is reflected.
         subject: (n,) bool, whether the item belongs to the subject.
     """
@@ -60,14 +60,14 @@ class Looks(NamedTuple):
 
 
 class Rendering(NamedTuple):
-    """One noise-free frame.
+    """Noise-free images of one frame.
 
     Attributes:
-        depth_m: (height, width) float32 along z, 0 where nothing is hit.
+        depth_m: (height, width) float32, metres along z, 0 where nothing is hit.
         color_rgb: (height, width, 3) uint8.
-        mask: (height, width) bool, the subject.
-        cos_incidence: (height, width) float32 in [0, 1], between the ray and the surface's normal.
-        albedo: (height, width) float32.
+        mask: (height, width) bool, the subject's silhouette.
+        cos_incidence: (height, width) float32 in [0, 1], cosine between the ray and the surface's normal.
+        albedo: (height, width) float32, share of infrared light that the surface reflects.
     """
 
     depth_m: Float32
@@ -78,11 +78,11 @@ class Rendering(NamedTuple):
 
 
 def pixel_rays(camera: Camera, T_room_camera: Float64) -> Float32:
-    """Return rays (height, width, 6) through integer pixel centres: origin, then direction, frame `room`.
+    """Return rays (height, width, 6) through pixel centres: origin and direction, frame `room`.
 
-    The camera's pose is (4, 4), or with a rolling shutter (height, 4, 4), one for each row. Directions have z
-    = 1 in the camera, so that a hit's ray parameter is its depth. (Open3D's own pinhole rays are half a pixel
-    off integer centres.)
+    The camera's pose is (4, 4), or with a rolling shutter (height, 4, 4), one for each row. Directions have
+    z = 1 in the camera's frame, so that a hit's ray parameter is its depth. Pixel centres have integer
+    coordinates; Open3D's own pinhole rays are half a pixel off them.
     """
     size, lens = (camera.height, camera.width), (camera.fx, camera.fy, camera.cx, camera.cy)
     T_rows = np.broadcast_to(T_room_camera, (camera.height, 4, 4))
@@ -107,14 +107,14 @@ def _rays(size, lens, T_rows):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-untyped-def]
-    """Shade every hit: Lambert's law with one distant light, times the texture at the point in the room.
+    """Shade every hit: Lambert's law with one distant light, times the texture at the hit's room position.
 
     So a point has the same colour in every view. Light and texture have no published source.
 
     Args:
         rays: (height, width, 6) float32, from `pixel_rays`.
         hit_m: (height, width) float32, ray parameters, infinite where nothing is hit.
-        item: (height, width), row of `looks` of the hit item; any number without a hit.
+        item: (height, width), index of the hit item, which is its row in `looks`; any number without a hit.
         normals_room: (height, width, 3) float32, unit.
         looks: `Looks` of the scene.
         image: (512, 512) float32, from `make_texture`.
@@ -151,7 +151,7 @@ def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-unt
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[no-untyped-def]
-    """Compute light, incidence, and coordinates along the two room axes that span the surface."""
+    """Compute a row's light, cosine of incidence, and hits along the two room axes that span the surface."""
     for u in range(len(depth_m)):
         dx, dy, dz = rays[u, 3], rays[u, 4], rays[u, 5]
         nx, ny, nz = normals[u, 0], normals[u, 1], normals[u, 2]
@@ -169,7 +169,7 @@ def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
-    """Interpolate the texture between its pixels, bilinear and periodic."""
+    """Sample the periodic texture at a row's texture coordinates, by bilinear interpolation."""
     wrap, one = TEXTURE_PX - 1, np.float32(1)
     for u in range(len(noise)):
         x, y = plane_m[0, u] * np.float32(PIXELS_PER_M), plane_m[1, u] * np.float32(PIXELS_PER_M)
@@ -185,7 +185,7 @@ def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _tile_row(plane_m, row, looks, image, noise):  # type: ignore[no-untyped-def]
-    """Turn noise into a factor around 1, with the tiles' dark joints and different shades."""
+    """Convert a row's noise to brightness factors around 1, with dark joints and varying shades of tiles."""
     for u in range(len(noise)):
         factor = np.float32(1) + looks.contrast[row[u]] * noise[u]
         tile_m = looks.tile_m[row[u]]
@@ -204,7 +204,7 @@ LIFT_M = 1e-4
 
 
 class Renderer:
-    """A scene, prepared once for ray casting from any camera."""
+    """Renders one scene from any camera by ray casting."""
 
     def __init__(self, items: Sequence[Item], texture: Float32) -> None:
         """Build the acceleration structure of the items (Open3D's, which is Embree)."""
@@ -219,11 +219,11 @@ class Renderer:
         )
 
     def render(self, camera: Camera, T_room_rig: Float64, T_rig_camera: Float64 | None = None) -> Rendering:
-        """Render one noise-free frame of one of the cameras of a rig, on one thread.
+        """Render one noise-free frame of a camera of a rig, on one thread.
 
         Args:
             camera: intrinsics.
-            T_room_rig: the rig's pose (4, 4), or (height, 4, 4), one for each row.
+            T_room_rig: the rig's pose (4, 4), or (height, 4, 4), one for each row of the image.
             T_rig_camera: (4, 4), the camera's pose in the rig; None: the identity.
         """
         rays = pixel_rays(camera, T_room_rig if T_rig_camera is None else T_room_rig @ T_rig_camera)
@@ -236,7 +236,7 @@ class Renderer:
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
     ) -> Bools:
-        """Return which surface points a camera sees: in its image, facing it and unoccluded.
+        """Return whether a camera sees each surface point: in the image, facing the camera, and unoccluded.
 
         Args:
             points_room: (n, 3), metres.

@@ -48,7 +48,7 @@ THING_RGB: tuple[Vector3, ...] = (
 
 @dataclass(frozen=True)
 class Item:
-    """One mesh of the scene and its look.
+    """One mesh of the scene, with its role and material.
 
     Attributes:
         role: the item's role in the benchmark.
@@ -70,15 +70,15 @@ class Item:
 def make_scene(
     subject: Subject, yaw_rad: float, reach_m: float, settings: SceneSettings, rng: np.random.Generator
 ) -> list[Item]:
-    """Put a subject, turned by `yaw_rad` about z, into surroundings drawn by `rng`.
+    """Place a subject, turned by `yaw_rad` about z, in surroundings drawn by `rng`.
 
-    Near clutter is low and at least 0.6 m from the subject; tall clutter is behind the camera's path. So
-    neither hides a part of the subject.
+    Clutter on the floor near the subject is low and at least 0.6 m away; tall clutter is behind the camera's
+    path. So neither occludes the subject.
 
     Args:
         subject: the subject, which stands at the room's origin.
         yaw_rad: its rotation about z, radians.
-        reach_m: largest distance of the camera from the vertical through the origin, metres.
+        reach_m: largest horizontal distance of the camera from the origin, metres.
         settings: settings of the surroundings.
         rng: draws all random parts.
 
@@ -114,7 +114,7 @@ def make_scene(
 
 
 def _floor(draw: Draw, *, outdoor: bool) -> Item:
-    """Draw tiles, or a carpet or boards without joints; outdoors paving, lawn or sand."""
+    """Draw the ground: a floor with tiles or without joints; outdoors paving, lawn or sand."""
     side_m = GROUND_M if outdoor else FLOOR_M
     mesh = box_mesh(OrientedBox((0, 0, -THICK_M / 2), (side_m, side_m, THICK_M)))
     if outdoor:
@@ -126,7 +126,7 @@ def _floor(draw: Draw, *, outdoor: bool) -> Item:
 
 
 def _wall(turn_rad: float, at_m: float, draw: Draw) -> list[Item]:
-    """Draw a wall in one direction, with a cabinet or two standing against it."""
+    """Draw a wall `at_m` from the origin in one direction, with one or two cabinets against it."""
     gray = draw.between(0.7, 0.85)
     outward = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
     along = np.array([-outward[1], outward[0], 0.0])
@@ -145,7 +145,7 @@ def _wall(turn_rad: float, at_m: float, draw: Draw) -> list[Item]:
 
 
 def _low_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
-    """Draw low boxes on the floor around the subject, evenly spread."""
+    """Draw low boxes on the floor, spread evenly around the subject."""
     items = []
     start = draw.between(0, 2 * np.pi)
     for k in range(count):
@@ -166,7 +166,7 @@ def _lowered(item: Item, by_m: float) -> Item:
 
 
 def _table(subject_radius_m: float, draw: Draw) -> list[Item]:
-    """Draw a table with four legs and its top at z = 0; the subject stands anywhere on it within its edge."""
+    """Draw a table whose top is at z = 0, placed at random so that the subject at the origin stands on it."""
     long, deep = draw.between(*TABLE_LONG_M), draw.between(*TABLE_DEEP_M)
     (x, y), turn = (
         (
@@ -191,7 +191,7 @@ def _table(subject_radius_m: float, draw: Draw) -> list[Item]:
 
 
 def _table_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
-    """Draw boxes and books on the table around the subject, higher ones farther away."""
+    """Draw boxes and books on the table, spread evenly around the subject; the higher, the farther away."""
     items = []
     start = draw.between(0, 2 * np.pi)
     for k in range(count):
@@ -206,7 +206,7 @@ def _table_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item
 
 
 def _neighbour(subject_room: TriangleMesh, draw: Draw) -> Item:
-    """Draw a box that stands against the subject's outermost vertex in a random direction."""
+    """Draw a box that touches the subject: it stands at its outermost vertex in a random direction."""
     turn = draw.between(0, 2 * np.pi)
     outward = np.array([np.cos(turn), np.sin(turn)])
     flat = subject_room.vertices[:, :2]

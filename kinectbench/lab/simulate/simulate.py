@@ -1,4 +1,4 @@
-"""A simulated recording: a scene, a camera path, the sensor's frames, and the truth."""
+"""Simulate a recording: draw scene, camera path and sensor; write the sensor's frames and the truth."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -50,20 +50,20 @@ OWN_COLORS = 1_000_000
 
 @dataclass(frozen=True)
 class Simulation:
-    """Everything about a recording before its frames are rendered.
+    """A drawn recording, ready to be rendered frame by frame.
 
     Attributes:
         spec: the settings of the simulation.
         subject: the object.
         renderer: renderer of the scene, frame `room`.
-        foreign: renderer of another scene, if the plan has foreign frames.
+        foreign: renderer of another scene, for frames that show it as a fault; None without such frames.
         path: the camera's motion, frame `room`.
         device: the individual sensor's errors; None for an ideal sensor.
-        gains: gains of colour, one per frame.
+        gains: (n,) brightness gains of the colour images, one per frame.
         rig: the cameras that record.
         T_world_room: (4, 4) float64, room to world.
         T_room_object: (4, 4) float64, object to room.
-        frames: the recorded frames.
+        frames: the n frames to record.
     """
 
     spec: SimulationSpec
@@ -80,23 +80,23 @@ class Simulation:
 
     @property
     def T_world_object(self) -> Float64:
-        """The object's pose, (4, 4) float64."""
+        """The object's pose in the world, (4, 4) float64."""
         return np.asarray(self.T_world_room @ self.T_room_object)
 
     @property
     def T_world_camera(self) -> Float64:
-        """The true camera pose of every recorded frame relative to the object's world, (n, 4, 4) float64."""
+        """The true camera poses of all recorded frames, (n, 4, 4) float64; the object rests in this world."""
         times = np.array([frame.time_s for frame in self.frames])
         return np.asarray(self.T_world_room @ self.path.poses(times))
 
 
 @dataclass(frozen=True)
 class SimulatedFrame:
-    """One recorded frame and its truth.
+    """One recorded frame and its true images.
 
     Attributes:
         frame: the sensor's output.
-        depth_m: (height, width) float32, noise-free, metres, 0 where no surface is hit.
+        depth_m: (height, width) float32, noise-free depth, metres, 0 where no surface is hit.
         mask: (height, width) bool, the subject's silhouette.
     """
 
@@ -120,7 +120,7 @@ def make_subject(spec: SimulationSpec) -> Subject:
 
 
 def prepare(spec: SimulationSpec) -> Simulation:
-    """Draw the object, its surroundings, the camera's path, the sensor, and the plan of the recording.
+    """Draw the object, its surroundings, the camera path and the sensor, and plan the recording.
 
     Raises:
         SettingsError, RecordingError: as in `make_subject`.
@@ -161,7 +161,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
 
 
 def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
-    """Render one frame of the recording, and simulate its measurement.
+    """Render one frame of the recording, and simulate the sensor's measurement of it.
 
     Args:
         simulation: the result of `prepare`.
@@ -191,7 +191,7 @@ def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
 
 
 def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float64:
-    """Return the depth camera's poses (height, 4, 4), the middle row at `time_s`; (4, 4) if all are equal."""
+    """Return the depth camera's pose (4, 4) at a time; with a rolling shutter (height, 4, 4), one per row."""
     readout_s = simulation.spec.sensor.readout_s
     if readout_s == 0:
         return np.asarray(simulation.path.poses(np.array([time_s]))[0])
@@ -201,7 +201,7 @@ def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float6
 def _measured(
     exact: Rendering, device: KinectUnit | TimeOfFlightDevice, spec: SimulationSpec, rng: np.random.Generator
 ) -> Float32:
-    """Return the device's measurement of exact depth."""
+    """Return the device's depth image of a noise-free rendering: (height, width) metres, 0 = none."""
     if isinstance(device, TimeOfFlightDevice):
         return measure_time_of_flight(exact, spec.camera, device, rng)
     return measured_depth(exact, spec.camera, device, rng)
@@ -215,7 +215,7 @@ def _color(
     middle_s: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """Return the colour image of a time; it is rendered again only for another camera or time."""
+    """Return the colour image at a time; `exact` is rendered again if colour's camera or time differs."""
     sensor = simulation.spec.sensor
     times_s = middle_s + np.array([-0.5, 0.0, 0.5]) * sensor.exposure_s
     T_depth_color = invert_rigid(simulation.rig.T_color_depth)
@@ -231,7 +231,7 @@ def _color(
 def _own_colors(
     simulation: Simulation, renderer: Renderer | StillRenderer, exact: Rendering, index: int
 ) -> tuple[ColorImage, ...] | None:
-    """Return the images of a separate colour stream since the last depth; None without such a stream."""
+    """Return the images of a separate colour stream since the previous depth frame; None without one."""
     spec, plans = simulation.spec, simulation.frames
     rate_hz, delay_s = spec.sensor.color_rate_hz, spec.sensor.color_delay_s
     if rate_hz is None:
@@ -252,7 +252,7 @@ def _own_colors(
 
 
 def _device(spec: SimulationSpec) -> KinectUnit | TimeOfFlightDevice | None:
-    """Return the sensor with its lighting."""
+    """Draw the individual sensor, with the scene's sunlight; None for an ideal sensor."""
     if spec.sensor.model == "ideal":
         return None
     sensor, rng = spec.sensor, spec.rng(DEVICE)
@@ -263,21 +263,21 @@ def _device(spec: SimulationSpec) -> KinectUnit | TimeOfFlightDevice | None:
 
 
 def _rig(spec: SimulationSpec) -> Rig:
-    """Return the cameras: colour registered to depth, or beside it."""
+    """Return the camera rig: colour registered to depth, or a colour camera beside the depth camera."""
     if spec.sensor.color_registered:
         return Rig(spec.camera, spec.camera, True, np.eye(4))
     return Rig(spec.camera, spec.camera, False, rigid(np.eye(3), [-spec.sensor.color_baseline_m, 0.0, 0.0]))
 
 
 def _foreign(spec: SimulationSpec, reach_m: float) -> Renderer:
-    """Return a renderer of another object in other surroundings."""
+    """Return a renderer of another object in other surroundings, for foreign frames."""
     subject = make_object("table" if spec.object.startswith("chair") else "chair", spec.seed)
     rng = spec.model_copy(update={"seed": spec.seed + FOREIGN_SEED}).rng(SCENE)
     return Renderer(make_scene(subject, 0.0, reach_m, spec.scene, rng), make_texture(rng))
 
 
 def _world(spec: SimulationSpec, T_room_first: Float64) -> Float64:
-    """Return the room's pose in the world, (4, 4)."""
+    """Return the room's pose in the recording's world, (4, 4), by the setting `world`."""
     if spec.world == "first_camera":
         return invert_rigid(T_room_first)
     if spec.world == "random":
@@ -287,19 +287,19 @@ def _world(spec: SimulationSpec, T_room_first: Float64) -> Float64:
 
 
 def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, total: None) -> Path:
-    """Write a simulated recording to `out` and its truth beside it; return the folder of the truth.
+    """Write a simulated recording to `out`, and its truth beside it; return the folder of the truth.
 
-    The truth has the files of `truth.py`, `masks/<frame>.png` (255 = subject, noise-free silhouettes in depth
-    pixels) and, with `save_depth`, `depth/<frame>.png` (noise-free, 5000 units a metre); `<frame>` is the
-    recorded frame's index in six digits.
+    This folder has the files of `write_truth`, `masks/<frame>.png` (noise-free silhouettes in depth pixels,
+    255 = subject) and, with `save_depth`, `depth/<frame>.png` (noise-free, 5000 units per metre); `<frame>`
+    is the recorded frame's index in six digits.
 
     Args:
         spec: the settings of the simulation.
-        out: a folder; for formats of one file, a path with their suffix, such as .bag.
+        out: the folder to write; for formats of one file, the file's path with their suffix, such as .bag.
         progress: called with (frames done, frames in all).
 
     Raises:
-        SettingsError: the path does not fit the format, or holds something else; or the family is unknown.
+        SettingsError: the path does not fit the format, or holds other content; or the family is unknown.
         RecordingError: the mesh cannot be used.
         StorageError: the recording cannot be written.
     """
@@ -325,7 +325,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
 
 
 class _Recorder:
-    """Renders frame by frame, and stores the truth at the same time."""
+    """Renders the frames of a recording one by one, and writes each frame's true images to a folder."""
 
     def __init__(self, simulation: Simulation, folder: Path, progress: Progress) -> None:
         spec = simulation.spec
@@ -339,7 +339,7 @@ class _Recorder:
             (folder / "depth").mkdir()
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """Yield every frame of the recording."""
+        """Yield every frame of the recording, after writing its true mask and depth."""
         simulation = self._simulation
         for index, plan in enumerate(simulation.frames):
             recorded = record_frame(simulation, index)
@@ -380,7 +380,7 @@ class _Recorder:
 
 
 def _check_place(spec: SimulationSpec, out: Path) -> None:
-    """Refuse a path that does not fit the format, or holds anything else than a simulated recording."""
+    """Refuse a path that does not fit the format, or that holds anything but a simulated recording."""
     suffix = formats()[spec.format].suffix
     foreign = {".truth", *(one.suffix for one in formats().values())} - {"", suffix}
     if not out.name or (suffix and out.suffix != suffix) or out.suffix.lower() in foreign:

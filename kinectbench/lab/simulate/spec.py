@@ -1,4 +1,4 @@
-"""Settings of a simulation: every choice with default, range and unit. The same spec gives the same bytes."""
+"""Settings of a simulation, with defaults, ranges and units. The same spec gives the same bytes."""
 
 from typing import Any, Literal, Self
 
@@ -47,7 +47,7 @@ LATER = {
 
 
 class GrownSettings(Settings):
-    """Settings with keys that were added later (`LATER`)."""
+    """Settings whose later added keys (`LATER`) are left out of stored specs at their defaults."""
 
     @model_serializer(mode="wrap")
     def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:
@@ -140,7 +140,7 @@ class SensorSettings(GrownSettings):
     @model_validator(mode="before")
     @classmethod
     def _of_its_own_size(cls, values: Any) -> Any:
-        """Use the sensor's image size by default."""
+        """Fill in the sensor model's own image size where none is set."""
         model = values.get("model") if isinstance(values, dict) else None
         if not isinstance(model, str) or model not in NATIVE:
             return values
@@ -149,7 +149,7 @@ class SensorSettings(GrownSettings):
 
 
 class FaultSettings(Settings):
-    """Faults for tests."""
+    """Faults to put into the recording, for tests."""
 
     drop_share: float = Field(0.0, ge=0, le=0.9, description="share of frames that are missing")
     stamp_jitter_s: float = Field(0.0, ge=0, le=10, description="standard deviation of errors in the stamps")
@@ -171,7 +171,7 @@ class GivenSettings(GrownSettings):
 
 
 class SimulationSpec(Settings):
-    """Settings of a simulation. Same spec, same bytes (on one machine with the pinned packages)."""
+    """Settings of a simulation. The same spec gives the same bytes (one machine, pinned packages)."""
 
     object: str = Field("chair:seed=0", description="family and seed, such as chair:seed=3")
     mesh: str | None = Field(None, description="a mesh file in metres, instead of `object`")
@@ -189,7 +189,7 @@ class SimulationSpec(Settings):
     @field_validator("format")
     @classmethod
     def _format_is_known(cls, name: str) -> str:
-        """Refuse a format that nothing installed writes."""
+        """Refuse a format for which no writer is installed."""
         if name not in formats():
             hint = f"{near_miss(name, list(formats()))} choose one of {listed(formats())}".lstrip()
             raise ValueError(f"'{name}': unknown; {hint}")
@@ -205,7 +205,7 @@ class SimulationSpec(Settings):
 
     @model_validator(mode="after")
     def _blurs_only_what_moves(self) -> Self:
-        """Refuse motion blur before a still camera: it assumes a single motion of the whole image."""
+        """Refuse motion blur with a static camera: `expose` assumes that the whole scene moves as one."""
         if self.path.moves != "camera" and self.sensor.exposure_s > 0:
             raise ValueError(
                 "sensor.exposure_s must be 0 unless path.moves is camera: it would blur what stands still"
@@ -214,16 +214,16 @@ class SimulationSpec(Settings):
 
     @property
     def camera(self) -> Camera:
-        """The depth camera: the sensor's own scaled to this width, centred."""
+        """The depth camera: the sensor's focal length scaled to this width, the principal point centred."""
         width, height = self.sensor.width, self.sensor.height
         own_focal_px, own_width, _ = NATIVE[self.sensor.model]
         focal_px = own_focal_px * width / own_width
         return Camera(width, height, focal_px, focal_px, (width - 1) / 2, (height - 1) / 2)
 
     def rng(self, stream: int, index: int = 0) -> np.random.Generator:
-        """Return the random generator of a stream (and a frame)."""
+        """Return an independent random generator for one purpose (`stream`) and one frame (`index`)."""
         return np.random.default_rng([self.seed, stream, index])
 
     def stamp_ns(self, index: int) -> int:
-        """Return the true time of a frame in nanoseconds, rounded to microseconds."""
+        """Return the true stamp of a frame in nanoseconds, rounded to microseconds."""
         return FIRST_STAMP_NS + round(index * 10**6 / self.path.rate_hz) * 1000

@@ -1,7 +1,7 @@
-"""A static camera before an object that turns on a turntable, or is moved by a hand.
+"""Render a static camera in front of an object that turns on a turntable or is moved by a hand.
 
-The camera's view of the object depends only on its pose relative to the object. `path` gives that pose in the
-frame `room`, which moves with the object. Everything else is seen from the static camera.
+A camera path gives the camera's pose relative to the object, in frame `room`, which here moves with the
+object. From this pose the object is rendered; everything else is rendered from the static camera.
 """
 
 from collections.abc import Sequence
@@ -29,14 +29,14 @@ HELD_M = 0.8
 
 @dataclass(frozen=True)
 class StillRenderer:
-    """Renders two scenes into one image: items that move with the object, and the surroundings.
+    """Renders moving items and static surroundings, each from its own pose, into one image.
 
-    The light moves with the object. The interface is that of `Renderer`.
+    It has the methods of `Renderer`. On the object, the light moves with the object.
 
     Attributes:
-        own: renderer of the object and the arm that holds it.
+        own: renderer of the object, and of the arm or the plate that moves with it.
         around: renderer of everything else.
-        T_room_still: (4, 4), the static pose of the camera rig, from which `around` is seen.
+        T_room_still: (4, 4), the static pose of the camera rig, from which `around` is rendered.
     """
 
     own: Renderer
@@ -44,7 +44,7 @@ class StillRenderer:
     T_room_still: Float64
 
     def render(self, camera: Camera, T_room_rig: Float64, T_rig_camera: Float64 | None = None) -> Rendering:
-        """Do the same as `Renderer.render`; `T_room_rig` is the rig's pose relative to the object."""
+        """Render one frame like `Renderer.render`; `T_room_rig` is the rig's pose relative to the object."""
         own = self.own.render(camera, T_room_rig, T_rig_camera)
         around = self.around.render(camera, self.T_room_still, T_rig_camera)
         nearer = (own.depth_m > 0) & ((around.depth_m == 0) | (own.depth_m < around.depth_m))
@@ -59,20 +59,20 @@ class StillRenderer:
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
     ) -> Bools:
-        """Do the same as `Renderer.visible`; surroundings do not occlude."""
+        """Return which points a camera sees, as `Renderer.visible` does; only moving items occlude."""
         return self.own.visible(points_room, normals_room, camera, T_room_camera)
 
 
 def still_renderer(
     items: Sequence[Item], texture: Float32, T_room_first: Float64, settings: PathSettings
 ) -> StillRenderer:
-    """Make the renderer of a camera that stays at the start of the path.
+    """Make a renderer whose camera stays where the path starts, while the object moves.
 
     Args:
         items: items of the scene, with the object at the origin.
         texture: texture of all surfaces.
-        T_room_first: (4, 4), the first pose.
-        settings: `moves` is turntable or hand.
+        T_room_first: (4, 4), the path's first pose.
+        settings: settings of the path, with `moves` set to "turntable" or "hand".
     """
     own = [item for item in items if item.role == "subject"]
     T_room_still = T_room_first.copy()
@@ -92,7 +92,7 @@ def still_renderer(
 
 
 def turning_only(settings: PathSettings) -> PathSettings:
-    """Return the path of a turntable: without shake, rise, fall, or change of distance."""
+    """Return a turntable's path settings without shake, rise, fall or varying distance; others unchanged."""
     if settings.moves != "turntable":
         return settings
     still = {

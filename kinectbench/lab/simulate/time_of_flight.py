@@ -1,4 +1,4 @@
-"""Time-of-flight errors on exact depth: an Azure Kinect, and a phone with a LiDAR scanner.
+"""Simulate time-of-flight errors on exact depth: those of an Azure Kinect, and of a phone's LiDAR scanner.
 
 Sources:
     Microsoft: Azure Kinect DK hardware specification (NFOV unbinned: 640x576 pixels, 0.5 to 3.86 m; standard
@@ -34,7 +34,9 @@ STEEPEST_COS = np.float32(0.05)
 
 
 class TimeOfFlight(NamedTuple):
-    """Parameters of a sensor. The signal is albedo * cos(incidence) / z², in 1/m²: 0.6 is grey at 1 m.
+    """Parameters of a time-of-flight sensor.
+
+    The signal of a pixel is albedo * cos(incidence) / z², in 1/m²; a grey wall at 1 m gives 0.6.
 
     Attributes:
         focal_px: focal length of the image to which the pixel-valued parameters below refer.
@@ -44,17 +46,17 @@ class TimeOfFlight(NamedTuple):
             section IV: the square root of all light over the demodulated light).
         ambient: light and read-out noise that carry no distance, in units of the signal.
         sun: full sun on a white surface, in units of the signal (as in `KinectNoise`).
-        worst_m: pixels with a larger standard deviation give no measurement, metres.
+        worst_m: pixels with a larger standard deviation of depth give no measurement, metres.
         worst_softness: standard deviation of the logarithm of that limit.
-        smooth_share: share of the noise's variance that neighbouring pixels have in common.
-        smooth_px: standard deviation of the blur that makes it common (chosen here, except the phone's).
+        smooth_share: share of the noise's variance that is correlated between neighbouring pixels.
+        smooth_px: standard deviation of the blur that correlates it (chosen here, except the phone's).
         mixed_px: standard deviation of the blur by which a pixel gets its neighbours' light.
         same_surface: largest relative difference of depth between pixels of one surface.
         edge_margin: pixels within 1.5 times `mixed_px` of an edge are lost if a normal variate exceeds this.
-        hole_px: standard deviation of the blur that makes holes blobs.
-        multipath: share of the indirect light that the sensor takes for direct.
+        hole_px: standard deviation of the blur of these variates, which makes holes coherent blobs.
+        multipath: share of the indirect light that the sensor does not separate from direct light.
         distortion_m: root mean square of one device's systematic error, metres.
-        step_m: depth is reported in multiples of this, metres; 0 for any depth.
+        step_m: reported depth is a multiple of this, metres; 0: it is not quantised.
     """
 
     focal_px: float
@@ -132,10 +134,10 @@ RECEIVER_PX, SENDER_PX, STEPS_FOCAL_PX = 8, 12, 504.0
 
 @dataclass(frozen=True)
 class TimeOfFlightDevice:
-    """One sensor and its lighting.
+    """One individual sensor and the sunlight on its scene.
 
     Attributes:
-        sensor: parameters that all devices of the model share, in pixels of the image.
+        sensor: parameters that all devices of the model share, scaled to the image's pixels.
         offset_m: (height, width) float32, systematic error of the device, metres.
         sunlight: sunlight on the scene, 0 to 1.
     """
@@ -148,14 +150,14 @@ class TimeOfFlightDevice:
 def draw_time_of_flight(
     model: str, camera: Camera, distortion: float, sunlight: float, rng: np.random.Generator
 ) -> TimeOfFlightDevice:
-    """Draw a device's systematic error, which varies smoothly over the image and not with depth.
+    """Draw an individual sensor, with a systematic error that varies smoothly over the image, not with depth.
 
     Args:
         model: a key of `SENSORS`.
         camera: the depth camera.
         distortion: 1 for a typical device, 0 for none.
         sunlight: 0 to 1.
-        rng: draws the map.
+        rng: draws the map of the error.
     """
     sensor = SENSORS[model]
     # A smaller image is a reduced image of the sensor: blurs cover fewer of its pixels.
@@ -171,19 +173,19 @@ def draw_time_of_flight(
 def measure_time_of_flight(
     rendering: Rendering, camera: Camera, device: TimeOfFlightDevice, rng: np.random.Generator
 ) -> Float32:
-    """Return the sensor's measurement of an exactly rendered frame: (height, width) metres, 0 = none.
+    """Return the sensor's depth image of a noise-free rendering: (height, width) metres, 0 = none.
 
-    In this order:
-        1. Multipath: light that reached a surface by way of another comes later (`multipath_m`).
-        2. Mixed pixels: each gets some of its neighbours' light, and reports the mean of their depths
-           weighted by it (the phase of a sum of returns, where they differ by little of the wavelength).
-           Beside an edge these are flying pixels, between the two depths. Some pixels at edges are lost.
+    The steps, in this order:
+        1. Multipath: light that reached a surface by way of another surface comes later (`multipath_m`).
+        2. Mixed pixels: a pixel gets some of its neighbours' light, and reports the light-weighted mean of
+           their depths (the phase of a sum of returns whose distances differ by little of the wavelength).
+           Beside an edge, such flying pixels lie between the two depths. Some pixels at edges are lost.
         3. The device's systematic error, and noise, which grows with distance and falls with albedo.
         4. No depth out of range, or where the noise is too strong.
 
     Args:
-        rendering: the exact rendering.
-        camera: the camera that it was rendered with.
+        rendering: the noise-free rendering.
+        camera: the camera of the rendering.
         device: the sensor.
         rng: draws all noise of this frame.
     """
@@ -214,7 +216,7 @@ def measure_time_of_flight(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _report(exact_m, around_m, returned, device, drawn):  # type: ignore[no-untyped-def]
-    """Return reported depth, (height, width) float32 metres, 0 = none; see `measure_time_of_flight`."""
+    """Return reported depth, (height, width) float32 metres, 0 = none: last steps of the measurement."""
     light, weighted, albedo, offset_m = returned
     sensor, sunlight = device
     normal, weak = drawn
@@ -241,15 +243,15 @@ def _report(exact_m, around_m, returned, device, drawn):  # type: ignore[no-unty
 
 
 def multipath_m(rendering: Rendering, camera: Camera, sensor: TimeOfFlight) -> Float32:
-    """Return the range error of each pixel by indirect light: (height, width) metres.
+    """Return each pixel's error of depth by indirect light, multipath: (height, width) metres along z.
 
-    The model is one diffuse bounce between Lambertian surfaces that the image shows. Left out (chosen here)
-    are further bounces, surfaces out of view or hidden, and occlusion between two surfaces. The light source
-    is at the camera. A patch q of albedo rho in the solid angle W of its pixels sends the light rho * W to
-    all sides. Of that, a surface at p receives, per area, cos_p cos_q / (pi r² + A_q), the form factor of a
-    disc of q's area; directly from the source it has cos(incidence) / d². The detour is (d_q + r - d_p) / 2
-    in distance. The sensor reports the mean of distances weighted by light, as for mixed pixels, but takes
-    only its `multipath` share of indirect light for direct.
+    The model is one diffuse bounce between Lambertian surfaces in the image. Further bounces, surfaces out of
+    view, and occlusion between two surfaces are left out (chosen here). The light source is at the camera.
+    A patch q with albedo rho and the solid angle W of its pixels reflects the light rho * W. A surface at p
+    receives of it, per area, the form factor cos_p cos_q / (pi r² + A_q) of a disc of q's area A_q at
+    distance r; directly from the source it receives cos(incidence) / d_p². Here d_p and d_q are distances
+    from the camera. Indirect light seems (d_q + r - d_p) / 2 farther away. The sensor reports the
+    light-weighted mean of distances, as for mixed pixels, with only its `multipath` share of indirect light.
     """
     fine, coarse = (max(1, round(step * camera.fx / STEPS_FOCAL_PX)) for step in (RECEIVER_PX, SENDER_PX))
     receivers = _patches(rendering.depth_m, rendering.albedo, camera, fine)
@@ -259,11 +261,11 @@ def multipath_m(rendering: Rendering, camera: Camera, sensor: TimeOfFlight) -> F
 
 
 def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tuple[Float32, tuple[int, int]]:
-    """Return surface patches at every `step`th pixel, and the numbers of their rows and columns.
+    """Return one surface patch for every `step`th pixel of every `step`th row, and their (rows, columns).
 
     Returns:
-        (n, 9) float32: point and unit normal in the camera's frame (metres), sent light, area in m², and
-        cosine of incidence; light and area are 0 without a hit.
+        (n, 9) float32: point in metres and unit normal, both in the camera's frame; reflected light; area in
+        m²; cosine of incidence. Light and area are 0 without a hit. And the number of rows and of columns.
     """
     lens = (camera.fx, camera.fy, camera.cx, camera.cy)
     rows, columns = (len(range(step // 2, size, step)) for size in depth_m.shape)
@@ -272,7 +274,7 @@ def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tu
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-def]
-    """Do the work of `_patches`; a normal is of the plane through a pixel and similar neighbours."""
+    """Compute the patches (n, 9) of `_patches`; normals are from each pixel's neighbours at similar depth."""
     fx, fy, cx, cy = lens
     height, width = depth_m.shape
     patches = np.zeros((size[0] * size[1], 9), np.float32)
@@ -313,7 +315,7 @@ def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
-    """Return the error along z of each receiver, (n,) float32 metres; see `multipath_m`."""
+    """Return the multipath error of each receiving patch along z: (n,) float32 metres; see `multipath_m`."""
     late_m = np.zeros(len(receivers), np.float32)
     far = np.sqrt(senders[:, 0] ** 2 + senders[:, 1] ** 2 + senders[:, 2] ** 2)
     for i in range(len(receivers)):
@@ -342,7 +344,7 @@ def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _spread(late_m, depth_m, step):  # type: ignore[no-untyped-def]
-    """Interpolate values of patches to all pixels, among the four neighbours at similar depth."""
+    """Interpolate the patches' errors to all pixels, mostly from neighbouring patches at similar depth."""
     rows, columns = late_m.shape
     height, width = depth_m.shape
     spread = np.zeros((height, width), np.float32)

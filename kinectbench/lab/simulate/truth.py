@@ -1,4 +1,4 @@
-"""The truth of a simulated recording: written beside it, read back, and sampled on any grid."""
+"""The truth of a simulated recording: write it, read it, and sample its solid on a grid."""
 
 import json
 import re
@@ -26,13 +26,12 @@ DEPTH_SCALE = 5000.0
 
 @dataclass(frozen=True)
 class SurfaceTruth:
-    """Samples spread evenly over the object's surface, and in how many frames they were seen.
+    """Samples spread evenly over the object's surface, each with the number of frames that see it.
 
     Attributes:
         points_world: (m, 3) float64, metres.
         normals_world: (m, 3) float64, unit, outward.
-        frames_seen: (m,) uint16, number of frames in which the point was in view and not hidden; 0 = never
-            seen.
+        frames_seen: (m,) uint16, number of frames in which the point was in view and not occluded.
     """
 
     points_world: NDArray[np.float64]
@@ -42,13 +41,13 @@ class SurfaceTruth:
 
 @dataclass(frozen=True)
 class TrueCells:
-    """True states of a grid's cells, by their centres: bool grids of its shape.
+    """True states of a grid's cells, sampled at their centres: bool arrays of the grid's shape.
 
     Attributes:
-        exact: the cell is in the exact solid.
-        solid: the cell is in the seeable solid: in the exact solid, or where no camera could tell; a slit is
-            air.
-        judged: the cell is not in a slit so narrow that sensors differ on it.
+        exact: the cell is in the exact solid, inside the true mesh.
+        solid: the cell is in the seeable solid: in the exact solid, or in space that no camera could see,
+            except slits.
+        judged: the cell is evaluated: it is not in a slit, so narrow that sensors differ on it.
     """
 
     exact: Bools
@@ -61,7 +60,7 @@ class Truth:
     """The truth of a simulated recording. Frame indices are those of the written recording.
 
     Attributes:
-        folder: the folder of masks and depth.
+        folder: the truth's folder, with the images of masks and depth.
         subject: name of the object, such as "chair:seed=3".
         origin: where the solid comes from and how it was closed.
         mesh_world: the solid's surface: watertight, outward; world frame, metres.
@@ -70,7 +69,7 @@ class Truth:
         stamps_ns: (n,) int64, the recorded depth stamps, in the order of the frames.
         T_world_camera: (n, 4, 4) float64; NaN where a frame shows another scene.
         surface: samples of the object's surface.
-        limits: limits of the sensor that define air; None: air is defined by the object's size.
+        limits: sensor limits that define which space is seeable; None: they follow from the object's size.
     """
 
     folder: Path
@@ -86,13 +85,13 @@ class Truth:
 
     @cached_property
     def seeable(self) -> SeeableSolid:
-        """The solid by the definition of air (`core.voxels.seeable`); computed once, takes some seconds."""
+        """The seeable solid (`core.voxels.seeable`): all space that no camera could see; takes seconds."""
         longest_m = float(np.ptp(self.mesh_world.vertices, axis=0).max())
         limits = self.limits or SensorLimits.of_size(longest_m)
         return seeable_solid(self.mesh_world, self.T_world_object, limits)
 
     def cells(self, grid: Grid) -> "TrueCells":
-        """Return the true states of a grid's cells in this world; the grid's last side is a multiple of 8."""
+        """Return the true states of a grid's cells; its last side must be a multiple of 8."""
         exact, seeable = mesh_occupancy(self.mesh_world, grid), self.seeable
         closed = seeable.on(grid, seeable.closed & ~seeable.slit)
         return TrueCells(exact, exact | closed, exact | ~seeable.on(grid, seeable.slit))
@@ -142,16 +141,16 @@ def is_truth(folder: Path) -> bool:
 
 
 def added_files(folder: Path, recording: Path) -> list[str]:
-    """Return what lies in a simulated recording's folder, though its simulation did not write it, sorted.
+    """Return the files and folders in a simulated recording's folder that its simulation did not write.
 
-    Hidden files and folders do not count. Of an added folder only its own name is returned.
+    Hidden ones are ignored. An added folder is named without its content.
 
     Args:
-        folder: the recording's truth; without one, the result is empty.
-        recording: the recording; a file holds no names.
+        folder: the folder of the recording's truth; without a truth, the result is empty.
+        recording: the recording; if it is a file, the result is empty.
 
     Returns:
-        Names relative to the recording.
+        Sorted names relative to the recording.
     """
     if not recording.is_dir() or not is_truth(folder):
         return []
@@ -175,17 +174,17 @@ def _names_below(folder: Path) -> list[str]:
 
 
 def _numberless(name: str) -> str:
-    """Return a name with # for its numbers: those of frames."""
+    """Return a file's name with # in place of each number, such as a frame's."""
     return re.sub(r"\d+", "#", name)
 
 
 def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = None) -> None:
     """Write everything but the images into the existing folder of the truth.
 
-    The files are truth.json (contains the spec's JSON values and, of a folder `recording`, the names below
-    it, with # for numbers), frames.npz (`stamps_ns`, `T_world_camera`),
-    trajectory.txt (the same poses as TUM text, without frames of another scene), floor.json, object.ply
-    (world frame) and surface.npz (`points_world`, `normals_world`, `frames_seen`).
+    The files are truth.json (with the spec's JSON values and, if `recording` is a folder, the names below it,
+    with # for numbers), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt (the same poses as TUM
+    text, without frames of another scene), floor.json, object.ply (world frame) and surface.npz
+    (`points_world`, `normals_world`, `frames_seen`).
     """
     from kinectbench.core.geometry.mesh import write_ply
     from kinectbench.core.trajectory.trajectory_file import trajectory_text
@@ -265,7 +264,7 @@ def read_truth(folder: Path) -> Truth:
 
 
 def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
-    """Return the cells of a grid with centres inside a closed mesh (world frame): bool (grid.shape).
+    """Return which cells of a grid have their centre inside a closed mesh in the world: bool (grid.shape).
 
     The grid's last side must be a multiple of 8.
     """

@@ -1,4 +1,4 @@
-"""Make the files of one model: one artefact, written atomically."""
+"""Make the pairs of one model, and write their files atomically as one artefact."""
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -28,13 +28,13 @@ ELSEWHERE = {"name", "license", "models", "categories", "seed", "train", "valida
 
 @dataclass(frozen=True)
 class Task:
-    """One model to make.
+    """One model whose pairs are to be made.
 
     Attributes:
         model: the model.
-        split: the part of the benchmark that it belongs to.
+        split: the benchmark's split that it belongs to.
         settings: settings of the run.
-        work: the folder of all artefacts.
+        work: the folder of all models' artefacts.
     """
 
     model: Model
@@ -44,7 +44,7 @@ class Task:
 
     @property
     def groups(self) -> dict[str, int]:
-        """{name of a group of views: steps in a full turn of roll, pitch and yaw (`all_views`)}.
+        """Groups of views: {group: steps in a full turn of each of roll, pitch and yaw (`all_views`)}.
 
         "sv" is same viewing; "cv" is cross viewing, which only validation and test have (paper).
         """
@@ -57,7 +57,7 @@ class Task:
         return self.work / self.model.name
 
     def artefact(self) -> Artefact:
-        """The artefact, with the mesh file's bytes among its inputs."""
+        """The artefact of the model's files; its inputs are the settings and the mesh file's content."""
         source = sha256_file(Path(self.model.path)) if self.model.path else sha256_text(str(self.model.seed))
         settings = self.settings.stored(without=ELSEWHERE)
         own = {"split": self.split, "category": self.model.category, "model": self.model.name}
@@ -67,7 +67,7 @@ class Task:
 
 
 def make_model(task: Task) -> None:
-    """Write all pairs of one model into its artefact, unless they exist.
+    """Write all pairs of one model into its artefact, unless the artefact is up to date.
 
     Raises:
         ShapeError: the mesh cannot be used.
@@ -94,7 +94,7 @@ def make_model(task: Task) -> None:
 
 
 def drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
-    """Return the orientations of one group, or a random subset that depends only on the model's name."""
+    """Return the views of one group: all, or `most_views` drawn at random by the model's name."""
     views, most = all_views(steps), task.settings.most_views
     if most is None or most >= len(views):
         return views
@@ -103,7 +103,7 @@ def drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
 
 
 def _quality(model: Model, checked: CheckedMesh) -> SynthesisedQualityFile:
-    """Return the quality of a model's truth for benchmark.json."""
+    """Return a model's entry on quality for benchmark.json: filling rule, source, number of faces, notes."""
     return SynthesisedQualityFile(
         verdict="good",
         method=checked.rule,
@@ -119,7 +119,7 @@ Pairs = Iterator[tuple[ViewAngles, Pair, str | None]]
 def _write_release(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
 ) -> MadeGroup:
-    """Write pairs, views and object of one recording; return its views and refusals."""
+    """Write a group's pairs, views and object as a recording of a release; return its views and refusals."""
     recording = f"{task.model.name}-{group}"
     for name in ("pairs", "views", "objects"):
         (files / name / recording).mkdir(parents=True)
@@ -150,7 +150,7 @@ def _write_release(
 def _write_recgan(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
 ) -> MadeGroup:
-    """Write the authors' two files of each pair; return the views and refusals."""
+    """Write a group's pairs as the paper authors' two files each; return its views and refusals."""
     model, names, refused = task.model, [], []
     for view, pair, reason in pairs:
         if reason:

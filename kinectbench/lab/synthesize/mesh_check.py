@@ -1,4 +1,4 @@
-"""Load a model's mesh and check it; unusable meshes are reported and left out."""
+"""Load, clean and check a model's mesh, and choose the rule that fills it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,13 +22,14 @@ MOST_STEP = 0.3 / 252
 
 @dataclass(frozen=True)
 class CheckedMesh:
-    """A mesh that is valid for pairs.
+    """A cleaned mesh from which pairs can be made.
 
     Attributes:
         mesh: the mesh, in the model's own frame and unit, without duplicate vertices and collapsed triangles.
-        rule: "winding" if it is closed, else "six-rays"; "seeable" with a seeable solid.
+        rule: the rule that fills it: "winding" if it is closed, else "six-rays"; "seeable" with `seeable`.
         notes: remarks for the user, one line each.
-        seeable: the parts of its solid by the definition of air; None: only the mesh decides.
+        seeable: its seeable solid (`core.voxels.seeable`), which includes space that no camera could see;
+            None: only the inside of the mesh is solid.
     """
 
     mesh: TriangleMesh
@@ -38,7 +39,7 @@ class CheckedMesh:
 
 
 def load_model(model: Model, max_faces: int) -> CheckedMesh:
-    """Load, clean and check a model.
+    """Load the mesh of a model, or draw it by its seed; clean and check it.
 
     Raises:
         ShapeError: the model cannot be used; the message says why, without the model's name.
@@ -54,9 +55,9 @@ def load_model(model: Model, max_faces: int) -> CheckedMesh:
 
 
 def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
-    """Return the mesh with its solid by the definition of air (`core.voxels.seeable`), as for recordings.
+    """Add the mesh's seeable solid (`core.voxels.seeable`): also space that no camera could see is solid.
 
-    The model stands on a plane at its lowest point. Open meshes are returned unchanged, with a note.
+    The model stands on a plane at its lowest point. An open mesh is returned unchanged, with a note.
 
     Args:
         checked: the mesh; its unit is a metre.
@@ -76,18 +77,19 @@ def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
 
 
 def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
-    """Clean a mesh, and choose the rule that fills it.
+    """Clean a mesh, check it, and choose the rule that fills it.
 
-    Vertices at the same place are merged, and triangles that collapse are dropped. A mesh is closed if every
-    edge is used equally often in both directions, no triangle occurs twice, and its volume is positive: then
-    the winding number counts in how many bodies a point lies.
+    Equal vertices are merged, and triangles that collapse are dropped. A mesh counts as closed if every edge
+    is used equally often in both directions, no triangle occurs twice, and its volume is positive: then the
+    winding number of a point is the number of bodies that contain it.
 
     Args:
         mesh: any triangles.
         max_faces: meshes with more are refused.
 
     Raises:
-        ShapeError: the mesh is empty, too large, not finite, inside out, or too far from its origin.
+        ShapeError: the mesh is empty, too large, without area, not finite, inside out, or too far from its
+            origin.
     """
     if len(mesh.faces) > max_faces:
         raise ShapeError(f"{len(mesh.faces)} faces, more than {max_faces}", what="bad-mesh")
@@ -117,7 +119,7 @@ def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
 
 
 def missing_materials(path: Path) -> tuple[str, ...]:
-    """Return a note for each missing material library of an OBJ file, and for each missing texture."""
+    """Return a note for each missing file of an OBJ file: material libraries, and their textures."""
     notes = []
     for library in _named(path, "mtllib"):
         if not _is_file(library):
@@ -129,7 +131,7 @@ def missing_materials(path: Path) -> tuple[str, ...]:
 
 
 def _is_file(path: Path) -> bool:
-    """Return whether there is such a file; a name that is too long for the disk is that of none."""
+    """Return whether a file exists; False if its name is too long for the disk."""
     try:
         return path.is_file()
     except OSError:
@@ -137,7 +139,7 @@ def _is_file(path: Path) -> bool:
 
 
 def _named(path: Path, keyword: str) -> list[Path]:
-    """Return the files named in lines with a keyword, relative to the file; none if it cannot be read."""
+    """Return the paths that a text file names in lines that begin with a keyword; [] if it is unreadable."""
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -147,7 +149,7 @@ def _named(path: Path, keyword: str) -> list[Path]:
 
 
 def _load(path: Path) -> TriangleMesh:
-    """Load all triangles of a mesh file, with its scene's transforms applied."""
+    """Load all triangles of a mesh file, with the transforms of its scene graph applied."""
     import trimesh
 
     try:

@@ -1,4 +1,4 @@
-"""Settings of `synthesize`: which models exist, which are used, and in which split."""
+"""Settings of `synthesize`; find the models, draw those to use, and assign them to splits."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ Categories = Annotated[tuple[Category, ...], Field(strict=False)]
 
 
 class SynthesisSettings(Settings):
-    """Settings of a synthesis. Same settings and meshes, same bytes."""
+    """Settings of `synthesize`. The same settings and meshes give the same bytes."""
 
     name: Name = Field("synthetic", description="name of the benchmark")
     license: str = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
@@ -60,13 +60,13 @@ class SynthesisSettings(Settings):
         return self.up or ("z" if self.models is None else "y")
 
     def stored(self, without: set[str]) -> dict[str, JsonValue]:
-        """Return the settings as JSON; `noise` only if there is some, so that others keep their bytes."""
+        """Return the settings as JSON values, without some keys; `noise` is left out if it is "none"."""
         values = self.model_dump(mode="json", exclude=without)
         return {key: value for key, value in values.items() if (key, value) != ("noise", "none")}
 
     @property
     def wanted(self) -> dict[Split, int]:
-        """{split: models per category}, in the order of assignment."""
+        """The requested {split: models per category}, in the order in which splits are filled."""
         return {"train": self.train, "validation": self.validation, "test": self.test}
 
 
@@ -79,11 +79,11 @@ LONGEST_NAME = 77
 
 @dataclass(frozen=True, order=True)
 class Model:
-    """A model that is rendered from all sides.
+    """A CAD mesh or a parametric object from which pairs are made.
 
     Attributes:
         category: the category, such as "chair".
-        name: unique name among all models, allowed as a file name.
+        name: the model's name, unique among all models and valid as a file name.
         path: the mesh file; "" for a parametric model.
         seed: seed for the parametric family `category`; -1 for a file.
     """
@@ -101,14 +101,14 @@ class Model:
 
 @dataclass(frozen=True, order=True)
 class LeftOut:
-    """An unused model, and the reason in a few words."""
+    """A model, or a category, that cannot be used, and the reason in a few words."""
 
     model: str
     reason: str
 
 
 def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
-    """Return parametric models: seeds 0 to count - 1 of the named families, by default the paper's furniture.
+    """Return parametric models of each family, seeds 0 to count - 1; by default of the paper's furniture.
 
     Raises:
         SettingsError: unknown family.
@@ -120,10 +120,11 @@ def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
 
 
 def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model, ...], tuple[LeftOut, ...]]:
-    """Return the models in a folder, sorted, and the models rejected at once.
+    """Return the models in a folder, sorted, and those left out, by their names or for want of a mesh file.
 
     Layouts: `<synset>/<model>/models/model_normalized.obj` (ShapeNet v2), `<synset>/<model>/model.obj` (v1),
-    `<category>/<name>.obj` (or .ply, .stl, .off, .glb). Each may use a synset or a category's name.
+    `<category>/<name>.obj` (or .ply, .stl, .off, .glb). In each, the first folder may be a synset or a
+    category's name.
 
     Raises:
         SettingsError: the folder does not exist, has no category, or lacks a requested one.
@@ -157,7 +158,7 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
 
 
 def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
-    """Yield the models of one category's folder."""
+    """Yield the models in one category's folder, and those left out for their name or a missing mesh file."""
     if problem := category_problem(category):
         yield LeftOut(folder.name, f"a category's name: {problem}")
         return
@@ -180,12 +181,12 @@ def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
 
 @dataclass(frozen=True)
 class Dealt:
-    """The models of one category.
+    """The models of one category after their assignment to splits.
 
     Attributes:
         split_of: {model: its split}.
         left_out: models that were checked and cannot be used.
-        unused: number of other models, which were not requested.
+        unused: number of models that were not needed, and not checked.
     """
 
     split_of: dict[Model, Split]
@@ -203,15 +204,15 @@ def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> 
     """Draw models and assign them to the splits, separately for each category.
 
     The models are shuffled by the seed and checked in that order until enough are usable. With fewer usable
-    ones than requested, every split shrinks in proportion. The paper says only "randomly selected".
+    models than requested, every split shrinks in proportion. The paper says only "randomly selected".
 
     Args:
         models: the models, sorted.
-        settings: `seed` and the counts, which are per category.
-        check: takes models; returns for each why it cannot be used, or None.
+        settings: `seed` and the numbers of models per category and split are used.
+        check: function from models to the reason why each cannot be used, or None.
 
     Returns:
-        {category: its models}, sorted by category.
+        {category: its models with their splits}, sorted by category.
     """
     wanted = sum(settings.wanted.values())
     waiting = {name: _shuffled(models, name, settings.seed) for name in sorted({m.category for m in models})}
@@ -234,15 +235,15 @@ def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> 
 
 
 def _shuffled(models: Sequence[Model], category: str, seed: int) -> list[Model]:
-    """Return the models of one category in random order."""
+    """Return the models of one category in an order drawn by the seed."""
     chosen = [model for model in models if model.category == category]
     return [chosen[n] for n in np.random.default_rng([seed, *category.encode()]).permutation(len(chosen))]
 
 
 def shares(wanted: dict[Split, int], available: int) -> dict[Split, int]:
-    """Return {split: number of models}: as requested, or reduced in proportion, at least one.
+    """Return {split: number of models}: as requested, or if fewer are available, reduced in proportion.
 
-    With fewer models than splits, test gets one first, then train, then validation.
+    Every requested split gets at least one; with fewer models than splits, test comes first, then train.
     """
     total = sum(wanted.values())
     if available >= total:

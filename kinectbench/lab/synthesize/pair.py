@@ -1,4 +1,4 @@
-"""One synthetic pair: depth of a virtual camera, the complete shape, and the authors' files."""
+"""Make one synthetic pair, from the depth of a virtual camera and the full shape."""
 
 import numpy as np
 
@@ -22,21 +22,21 @@ NOTHING_MEASURED = "a Kinect measures nothing of it, from 0.4 to 4.5 m; give mod
 def make_synthetic_pair(
     checked: CheckedMesh, eye: DepthCamera, view: ViewAngles, settings: SynthesisSettings, name: str = ""
 ) -> tuple[Pair, str | None]:
-    """Render a model from one side, and voxelise the visible and the full shape in one cube.
+    """Render a model's depth in one view, and voxelise the visible part and the full shape in one cube.
 
-    The cube is the paper's, around the full shape's box in the view's axes; or, in framing `view`, it is
-    placed by the visible part alone. The world frame is the model's own, in metres. All cells are known,
-    except for slits of a seeable solid; the surface is exact.
+    In framing `object`, the paper's, the cube is placed around the full shape's box in the view's axes; in
+    framing `view`, around the visible part alone. The world frame is the model's own, in metres. All cells
+    are known, except for slits of a seeable solid; the surface is exact.
 
     Args:
         checked: the model.
-        eye: the virtual camera before it.
+        eye: the virtual camera in front of the model.
         view: the orientation.
         settings: `up_axis`, `framing`, `noise`, `seed` and `min_containment` are used.
         name: the model's name; name, view and seed determine the noise.
 
     Returns:
-        The pair, and why it must not be used, or None.
+        The pair; and the reason why it must not be used, None if it may be.
     """
     camera = eye.camera
     T_world_camera = camera_pose(eye.corners_world, view, camera, settings.up_axis)
@@ -73,7 +73,7 @@ def make_synthetic_pair(
 
 
 def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
-    """Return two packed grids: the cells inside, and the known cells."""
+    """Return two packed bit grids: the cells in the solid, and the known cells (all but slits)."""
     full = VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, grid)
     if checked.seeable is None:
         return full, np.full_like(full, 255)
@@ -83,7 +83,7 @@ def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
 
 
 def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
-    """Return the share of a shape's cells, in the cube around it, whose centres lie outside another cube."""
+    """Return the share of a shape that a cube cuts off: of its cells in the grid `whole`, those outside."""
     corners = transform_points(grid.T_grid_world, checked.mesh.vertices)
     side_m = grid.shape[0] * grid.voxel_size_m
     if corners.min() >= 0 and corners.max() <= side_m:
@@ -95,7 +95,7 @@ def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
 
 
 def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
-    """Return why a pair must not be used, or None."""
+    """Return the reason why a pair must not be used; None if it may be."""
     if cut_share > MAX_CUT_SHARE:
         return f"the cube of framing view cuts off {cut_share:.1%} of it, more than {MAX_CUT_SHARE:.0%}"
     if not pair.full.any():
@@ -109,12 +109,11 @@ def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
 
 
 def recgan_bytes(pair: Pair) -> tuple[bytes, bytes]:
-    """Return the two files of a pair, visible and full shape, both at 256^3 cells.
+    """Return a pair as the 3D-RecGAN authors' two files: visible part and full shape, at 256^3 cells.
 
-    Both are cropped to the box of the full shape and of surface cells just beyond it, whose centres are
-    outside the solid. The key is `arr_0`, int8, (x, y, z, 1), with x to the left and y up: the authors'
-    back-projection is x = -(u - w/2) z / f, y = -(v - h/2) z / f, so their grid is ours with x and y
-    reversed.
+    Both are cropped to the bounding box of all cells that are set in either. The key is `arr_0`, int8,
+    (x, y, z, 1), with x to the left and y up: the authors' back-projection is x = -(u - w/2) z / f,
+    y = -(v - h/2) z / f, so their grid is ours with x and y reversed.
     """
     seen, full = unpack(pair.partial_256), unpack(pair.full)
     occupied = seen | full

@@ -1,4 +1,4 @@
-"""`synthesize`: find models, check and assign them, make every pair, and collect everything in one folder."""
+"""`kinectbench synthesize`: find, check and assign models, make their pairs, collect these in one folder."""
 
 import os
 import shutil
@@ -53,7 +53,7 @@ FEW = 40
 def assemble(
     tasks: Sequence[Task], settings: dict[str, Any], out: Path, lines: Sequence[str]
 ) -> tuple[int, str]:
-    """Move the artefacts of all tasks into `out`, atomically replacing its content.
+    """Collect the files of all finished tasks in `out`, atomically replacing its content.
 
     Files are linked instead of copied, if the disk allows it.
 
@@ -61,12 +61,13 @@ def assemble(
         tasks: the tasks, all finished.
         settings: the run's settings, without paths.
         out: the folder to write.
-        lines: the report, for the card or synthesis.json.
+        lines: the report, for the dataset card or synthesis.json.
 
     Returns:
-        The number of pairs, and the release's identity or "".
+        The number of pairs, and the release's benchmark_sha256; "" in layout recgan.
 
     Raises:
+        PairError: every pair was refused.
         StorageError: the disk is full or read-only, or an artefact is missing.
     """
     with replaced_folder(out) as folder:
@@ -98,7 +99,7 @@ def _complete(
     folder: Path,
     lines: Sequence[str],
 ) -> str:
-    """Write the small files of a release; return its identity."""
+    """Write all files of a release but the pairs, views and objects; return its benchmark_sha256."""
     targets: list[Target] = []
     infos: dict[str, RecordingInfo] = {}
     for task, content in zip(tasks, made, strict=True):
@@ -136,7 +137,7 @@ def _complete(
 
 
 def _link(source: Path, target: Path) -> None:
-    """Link or copy every file below `source` to below `target`."""
+    """Hard-link, or else copy, every file below `source` to the same place below `target`."""
     if not source.is_dir():
         raise StorageError(f"{source}: gone while it was needed; run the command again", what="changed")
     for path in sorted(source.rglob("*")):
@@ -154,11 +155,11 @@ class Report:
     """The result of a synthesis.
 
     Attributes:
-        folder: the folder of the result.
+        folder: the folder that was written.
         models: number of models used.
         pairs: number of pairs.
         left_out: models that could not be used, and why.
-        benchmark_sha256: the release's identity; "" for layout recgan.
+        benchmark_sha256: hash that identifies the release; "" in layout recgan.
         lines: the report in words: counts per category, rules, notes, models left out.
     """
 
@@ -175,8 +176,8 @@ def synthesize(
 ) -> Report:
     """Make the paper's synthetic pairs (Sec. 3.6) from a folder of meshes or from parametric furniture.
 
-    Finished models are kept in `<out>.work/` until the run is complete, so that a stopped run can continue.
-    The result depends neither on stops nor on `jobs`.
+    Finished models are kept in `<out>.work/` until the run is complete, so that an interrupted run can
+    continue. The result depends neither on interruptions nor on `jobs`.
 
     Args:
         settings: the settings; `models` is relative to the working folder.
@@ -239,7 +240,7 @@ def _is_ours(out: Path) -> bool:
 
 
 def _check_work(work: Path) -> None:
-    """Refuse a folder of that name that is not an unfinished run's."""
+    """Refuse the folder for unfinished work if it holds anything but an unfinished run's files."""
     if work.exists() and not (work.is_dir() and ((work / ".lock").is_file() or not any(work.iterdir()))):
         raise SettingsError(
             f"{work}: holds something else, and is needed for unfinished work; move it away",
@@ -249,7 +250,7 @@ def _check_work(work: Path) -> None:
 
 @contextmanager
 def _kept_if_used(work: Path) -> Iterator[None]:
-    """Delete the folder of unfinished work at the end of the block if it has no finished model."""
+    """At the end of the block, delete the folder of unfinished work unless it has a finished model."""
     try:
         yield
     finally:
@@ -266,7 +267,7 @@ def _models(settings: SynthesisSettings) -> tuple[tuple[Model, ...], tuple[LeftO
 def _check_all(
     models: Sequence[Model], max_faces: int, jobs: int, progress: NamedProgress
 ) -> list[str | None]:
-    """Return why each model cannot be used, or None."""
+    """Load and check each model; return the reason why it cannot be used, or None, for each."""
     jobs = jobs if len(models) > FEW else 1
     return run_tasks(partial(_reason, max_faces=max_faces), models, jobs, partial(progress, "checking"))
 

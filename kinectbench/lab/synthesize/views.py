@@ -1,4 +1,4 @@
-"""The virtual camera: viewing angles, pose, and depth without noise or as measured by a Kinect."""
+"""The virtual camera of synthetic pairs: its views, its poses, and its depth, exact or as of a Kinect."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -21,10 +21,10 @@ UPRIGHT_MODEL = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 
 
 @dataclass(frozen=True)
 class ViewAngles:
-    """One orientation of the object, as steps of 2 pi / n.
+    """One orientation of the object: roll, pitch and yaw as multiples of 2 pi / n.
 
     Attributes:
-        steps: steps of roll, pitch and yaw, each from 0 to n - 1.
+        steps: the multiples for roll, pitch and yaw, each from 0 to n - 1.
         n: number of steps in a full turn.
     """
 
@@ -39,7 +39,7 @@ class ViewAngles:
 
     @property
     def rotation(self) -> NDArray[np.float64]:
-        """The rotation (3, 3) of the upright object: Rz(yaw) Ry(pitch) Rx(roll), about fixed axes."""
+        """The upright object's rotation (3, 3): Rz(yaw) Ry(pitch) Rx(roll), about fixed axes."""
         roll, pitch, yaw = self.angles_rad
         return _about(2, yaw) @ _about(1, pitch) @ _about(0, roll)
 
@@ -57,7 +57,7 @@ def all_views(n: int) -> tuple[ViewAngles, ...]:
 
 
 def virtual_camera(image_px: int) -> Camera:
-    """Return the authors' camera: field of view 49.124 degrees, principal point at half the width."""
+    """Return the paper authors' camera: field of view 49.124 degrees, principal point at half the width."""
     focal_px = image_px / (2 * np.tan(FIELD_OF_VIEW_RAD / 2))
     return Camera(image_px, image_px, focal_px, focal_px, image_px / 2, image_px / 2)
 
@@ -67,9 +67,9 @@ def camera_pose(
 ) -> NDArray[np.float64]:
     """Return the camera's pose for a view: T_world_camera (4, 4), in the model's own frame.
 
-    Instead of the object, the camera turns about the centre of the object's box. Its distance is such that a
-    ball around the centre that contains all vertices just fits into the image. So the object fits in every
-    orientation, and the distance is the same for all views of a model.
+    Instead of the object, the camera rotates about the centre of the object's bounding box. Its distance is
+    such that the smallest sphere around this centre that contains all vertices just fits into the image. So
+    the object fits in every orientation, and the distance is the same for all views of a model.
 
     Args:
         vertices_world: (n, 3), the model's vertices, or only the corners of its convex hull.
@@ -87,7 +87,7 @@ def camera_pose(
 
 
 def hull_corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return those of the vertices (n, 3) that a box in any orientation can touch: (k, 3)."""
+    """Return the vertices (k, 3) on the convex hull of points (n, 3); all points if they span no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -106,7 +106,7 @@ def _about(axis: int, angle_rad: float) -> NDArray[np.float64]:
 
 
 class DepthCamera:
-    """A virtual camera before a mesh, prepared once for all views.
+    """A virtual depth camera in front of one mesh, prepared once for all views.
 
     Attributes:
         camera: the camera's intrinsics.
@@ -125,13 +125,13 @@ class DepthCamera:
         self._y = (np.arange(camera.height) - camera.cy) / camera.fy
 
     def depth_m(self, T_world_camera: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Render depth along z (height, width) float32 through integer pixel centres, 0 without a hit."""
+        """Render exact depth (height, width) float32, metres along z, at integer pixel centres; 0: no hit."""
         return self._seen(T_world_camera)[0]
 
     def kinect_depth_m(
         self, T_world_camera: NDArray[np.float64], rng: np.random.Generator
     ) -> NDArray[np.float32]:
-        """Render depth as measured by a Kinect v1, another one for each view; 0 without a measurement.
+        """Render depth as a newly drawn Kinect v1 measures it: (height, width) metres, 0 = no measurement.
 
         Args:
             T_world_camera: (4, 4) pose of the camera.

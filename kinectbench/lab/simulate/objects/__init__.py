@@ -1,4 +1,4 @@
-"""The recorded objects: read from mesh files, or drawn by a seed; related families share a file.
+"""Objects of simulated recordings: read from mesh files, or drawn at random from a family by a seed.
 
 Packages add families by the entry point `kinectbench.families` (`kinectbench.lab.plugins`); a checkout after
 `make setup` has the families of `benchmarks/plugins`.
@@ -31,7 +31,7 @@ PAPER_FURNITURE: Mapping[str, Family] = {
 
 
 class ObjectName(NamedTuple):
-    """An object: its family and the seed that draws it."""
+    """An object's name: its family, and the seed that draws it."""
 
     family: str
     seed: int
@@ -39,7 +39,7 @@ class ObjectName(NamedTuple):
 
 @cache
 def families() -> Mapping[str, Family]:
-    """Return all families: the paper's furniture, then those of plug-ins.
+    """Return {name: family} of all families: the paper's furniture, then those of plug-ins.
 
     Raises:
         SettingsError: a plug-in cannot be used.
@@ -48,10 +48,10 @@ def families() -> Mapping[str, Family]:
 
 
 def check_family(family: str) -> str:
-    """Return the name of a family of objects if it exists.
+    """Return the name of a family unchanged if the family exists.
 
     Raises:
-        SettingsError: the family is unknown; the most similar name is suggested.
+        SettingsError: the family is unknown; the message suggests the most similar name.
     """
     if family in families():
         return family
@@ -60,7 +60,7 @@ def check_family(family: str) -> str:
 
 
 def parse_object(text: str) -> ObjectName:
-    """Read `chair` or `chair:seed=3`.
+    """Parse an object's name, such as `chair` or `chair:seed=3`.
 
     Raises:
         SettingsError: the text is not of this form, or there is no such family.
@@ -72,10 +72,10 @@ def parse_object(text: str) -> ObjectName:
 
 
 def make_object(family: str, seed: int) -> Subject:
-    """Draw an object in its object frame: z up, on z = 0, centred at x = y = 0.
+    """Draw an object of a family in its object frame: z up, standing on z = 0, centred at x = y = 0.
 
     Chairs, benches and couches face +y; no part of the paper's furniture is thinner than 15 mm. The mesh is
-    the union of the pieces. The same family and seed give the same vertices.
+    the union of the parts. The same family and seed give the same vertices.
 
     Raises:
         SettingsError: unknown family.

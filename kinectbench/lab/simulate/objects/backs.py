@@ -1,4 +1,4 @@
-"""Backs of chairs and benches between two posts: ladders, slats, spindles, crosses, splats and panels."""
+"""Backrests of chairs and benches between two posts: ladders, slats, spindles, crosses, splats, panels."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -27,12 +27,12 @@ class Back:
     """The dimensions of a backrest, metres, frame `object`; it leans to -y.
 
     Attributes:
-        half: x of the posts' centres.
-        y: y of the back's middle at the height of the seat.
+        half: distance in x of the posts' centres from the middle.
+        y: y of the posts' centres at the height of the seat.
         seat: height of the seat's upper face.
         top: height of the back's upper end.
         slope: metres backwards for each metre up.
-        bow: how far the middle is bent behind the sides.
+        bow: how far the middle of the back is bent behind its posts.
         thick: thickness of the posts.
         look: material of all parts.
     """
@@ -47,21 +47,21 @@ class Back:
     look: Look
 
     def point(self, x: float, z: float) -> Vector3:
-        """Return the point of the back's middle surface at x and height z."""
+        """Return the point (x, y, z) halfway through the back's thickness at x and height z."""
         bend = self.bow * (1 - (x / self.half) ** 2)
         return x, self.y - self.slope * (z - self.seat) - bend, z
 
     def posts(self) -> Parts:
-        """Make two posts from inside the seat to the top."""
+        """Make the two posts, from inside the seat to the back's upper end."""
         return [self.upright("post", s * self.half, self.seat - 0.012, self.top, self.thick) for s in SIDES]
 
     def upright(self, name: str, x: float, low: float, high: float, wide: float, deep: float = 0.0) -> Part:
-        """Make a leaning bar between two heights."""
+        """Make a bar that leans with the back, at x, between the heights `low` and `high`."""
         size = (wide, deep or self.thick)
         return Part(name, leg(self.point(x, low), self.point(x, high), size, size), self.look)
 
     def rail(self, low: float, high: float, deep: float = 0.02, name: str = "rail") -> Part:
-        """Make a bent board from post to post between two heights."""
+        """Make a board bent with the back, from post to post, between the heights `low` and `high`."""
         y, half = self.point(self.half, self.seat)[1], self.half
         board = bowed((-half, y - deep / 2, low), (half, y + deep / 2, high), self.bow)
         return Part(name, leaned(board, self.seat, self.slope), self.look)
@@ -75,7 +75,7 @@ def _ladder(draw: Draw, back: Back) -> Parts:
 
 
 def _between_rails(draw: Draw, back: Back) -> tuple[float, float, Parts]:
-    """Make a low and a high rail; return the heights of the space between them, and the rails."""
+    """Make a lower and an upper rail; return the lower and upper end of the gap between, and the rails."""
     low = back.seat + draw.between(0.06, 0.14)
     crest = draw.between(0.05, 0.09)
     rails = [back.rail(low - 0.025, low + 0.015), back.rail(back.top - crest, back.top, 0.024, "crest")]
@@ -151,12 +151,12 @@ KINDS: dict[str, Callable[[Draw, Back], Parts]] = {
 
 
 def filling(draw: Draw, back: Back, kinds: tuple[str, ...] = tuple(KINDS)) -> Parts:
-    """Fill a back between its posts, in one of the kinds."""
+    """Make the parts between a back's posts, of a kind drawn from `kinds`."""
     return KINDS[draw.choose(kinds)](draw, back)
 
 
 def hoop(draw: Draw, back: Back) -> Parts:
-    """Make a bent hoop with spindles, without posts, as on a Windsor chair."""
+    """Make a backrest without posts: a bent hoop with spindles, as on a Windsor chair."""
     # An even number, so that no corner of the hoop lies on the middle spindle's axis.
     angle = np.linspace(0, np.pi, 20)
     flat = 0.62
@@ -173,7 +173,7 @@ def hoop(draw: Draw, back: Back) -> Parts:
 
 
 def board_back(draw: Draw, back: Back) -> Parts:
-    """Make a bent board with round corners and perhaps an opening, on two short posts."""
+    """Make a backrest of a bent board with round corners, perhaps with an opening, on two short posts."""
     high = back.top - back.seat
     low = back.seat + high * draw.between(0.3, 0.5)
     # The posts are behind the board and reach into it.

@@ -98,12 +98,12 @@ def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> "Manifold":
 
 
 def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m: float = 0.0) -> Parts:
-    """Make bars between four legs, in the shape of an H or of a ring.
+    """Make horizontal bars between four legs, in the shape of an H or of a closed rectangle.
 
     Args:
         draw: draws the shape and the bars' thickness.
-        half_m: x and y of a front leg's middle; the others mirror it.
-        height_m: height of the bars' middles above the floor.
+        half_m: x and y of a front leg's axis; the other legs mirror it.
+        height_m: height of the bars' axes above the floor.
         look: material of the bars.
         rake_m: how much farther back the rear legs stand.
     """
@@ -122,12 +122,12 @@ def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m:
 
 
 def apron(half_m: Vector2, head_m: float, high_m: float, look: Look) -> Parts:
-    """Make four boards between legs at +-`half_m` (x, y), `high_m` high, with the upper edges at `head_m`."""
+    """Make four boards, `high_m` high and up to the height `head_m`, between legs at (+-x, +-y), `half_m`."""
     return ring("apron", half_m, (head_m - high_m, head_m), 0.01, look)
 
 
 def ring(name: str, half_m: Vector2, z_m: Vector2, thick_m: float, look: Look) -> Parts:
-    """Make four boards or bars between legs at +-`half_m` (x, y), from one height to another (`z_m`).
+    """Make four boards between legs at (+-x, +-y) of `half_m`, from the lower to the upper height of `z_m`.
 
     They extend `thick_m` to both sides of the line between two legs.
     """
@@ -155,7 +155,7 @@ def round_legs(
 
 
 def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, look: Look) -> Parts:
-    """Make two bent tubes, each a pair of splayed legs with a bar between, and two bars that join them."""
+    """Make two bent tubes, each of two splayed legs and a bar between, and two bars that join the tubes."""
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
         # The legs continue below the floor, where they are cut off level.

@@ -40,7 +40,7 @@ def bench(draw: Draw) -> Parts:
 
 
 def _park(draw: Draw, size: _Size) -> Parts:
-    """Draw a slatted seat and back on two or three cast frames, perhaps with armrests."""
+    """Draw a park bench: a slatted seat and back on two or three cast frames, perhaps with armrests."""
     iron, wood = draw.pick(looks.IRONS), draw.pick(looks.WOODS)
     slat, lean, top = draw.between(0.02, 0.035), draw.between(0.1, 0.2), size.seat + draw.between(0.33, 0.45)
     thick, y = draw.between(0.028, 0.04), size.y
@@ -63,7 +63,7 @@ def _park(draw: Draw, size: _Size) -> Parts:
 
 
 def _slats(draw: Draw, size: _Size, thick: float, look: Look) -> Parts:
-    """Draw the seat's boards, from left to right."""
+    """Draw the seat's boards, each as long as the bench."""
     count = draw.integer(3, 8)
     edges = np.linspace(-size.y + 0.015, size.y + 0.015, count + 1)
     wide = float(edges[1] - edges[0])
@@ -76,7 +76,11 @@ def _slats(draw: Draw, size: _Size, thick: float, look: Look) -> Parts:
 def _back_slats(
     draw: Draw, size: _Size, thick: float, back: tuple[float, float, float, float], look: Look
 ) -> Parts:
-    """Draw the back's boards before the leaning frame; `back`: slope, height of its start, top, distance."""
+    """Draw the back's boards in front of its leaning frame.
+
+    `back` is (slope of the frame, height at which it starts to lean, height of the back's top, distance of
+    the boards in front of the frame).
+    """
     slope, rest, top, ahead = back
     count, low = draw.integer(2, 6), size.seat + draw.between(0.07, 0.14)
     step = (top - low) / count
@@ -90,7 +94,7 @@ def _back_slats(
 
 
 def _base(draw: Draw, size: _Size, head: float, wood: Look) -> Parts:
-    """Draw legs, panels, crosses or trestles under a wooden seat."""
+    """Draw the base of a wooden bench, up to the height `head`: legs, panels, crossed legs or trestles."""
     half = (size.x - draw.between(0.05, 0.16), size.y - 0.04)
     kind = draw.choose(["legs", "legs", "panels", "crossed", "trestle"])
     if kind == "legs":
@@ -130,7 +134,7 @@ def _plank(draw: Draw, size: _Size) -> Parts:
 
 
 def _curved(draw: Draw, size: _Size, thick: float, wood: Look) -> Parts:
-    """Draw a seat bent to an arc in plan, on three pairs of legs."""
+    """Draw a bench whose seat is an arc as seen from above, on three pairs of legs."""
     bow, under = draw.between(0.08, 0.2), size.seat - thick
 
     def arc(points: Points) -> Points:
@@ -194,7 +198,7 @@ def _padded(draw: Draw, size: _Size) -> Parts:
 
 
 def _slatted(draw: Draw, size: _Size) -> Parts:
-    """Draw a backless slatted seat on steel loops."""
+    """Draw a backless bench: a slatted seat on steel loops."""
     wood, steel, thick = draw.pick(looks.WOODS), draw.pick(looks.METALS), draw.between(0.022, 0.035)
     yield from _slats(draw, size, thick, wood)
     x, bar = size.x * draw.between(0.7, 0.9), draw.between(0.03, 0.05)
@@ -204,7 +208,7 @@ def _slatted(draw: Draw, size: _Size) -> Parts:
 
 
 def _stone(draw: Draw, size: _Size) -> Parts:
-    """Draw a thick slab on two or three blocks."""
+    """Draw a stone bench: a thick slab on two or three blocks."""
     stone, thick = draw.pick(looks.STONES), draw.between(0.07, 0.12)
     look = stone if draw.chance(0.5) else draw.pick(looks.WOODS)
     under, y = size.seat - thick, size.y + 0.02

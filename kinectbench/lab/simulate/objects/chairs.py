@@ -49,7 +49,7 @@ def chair(draw: Draw) -> Parts:
 
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
-    """Draw front legs, rear legs that continue as back posts, a seat, perhaps aprons, stretchers and arms."""
+    """Draw a wooden chair whose rear legs continue as posts of the back, perhaps with aprons and armrests."""
     wood, thick, post = draw.pick(looks.WOODS), draw.between(0.018, 0.03), draw.between(0.028, 0.042)
     under, x, y = size.seat - thick, size.x - post / 2, size.y - post / 2
     rake, slope = draw.between(0.0, 0.06), draw.between(0.05, 0.26)
@@ -75,7 +75,7 @@ def _wooden(draw: Draw, size: _Size) -> Parts:
 
 
 def _seat_pad(draw: Draw, size: _Size) -> Parts:
-    """Draw a cushion on the seat, or none."""
+    """Draw a cushion on the seat by chance, else nothing."""
     if draw.chance(0.55):
         return []
     look, inset, thick = draw.pick(looks.COVERS), draw.between(0.012, 0.03), draw.between(0.025, 0.05)
@@ -126,7 +126,7 @@ def _board(draw: Draw, size: _Size) -> Parts:
 
 
 def _windsor(draw: Draw, size: _Size) -> Parts:
-    """Draw a thick seat on splayed round legs, and a hoop with spindles."""
+    """Draw a Windsor chair: a thick seat on splayed round legs, and a hoop with spindles as its back."""
     wood, thick = draw.pick(looks.WOODS), draw.between(0.032, 0.045)
     seat = plate(ellipse((2 * size.x, 2 * size.y)), size.seat - thick, size.seat, 0.012)
     yield Part("seat", seat, wood)
@@ -148,7 +148,7 @@ def _windsor(draw: Draw, size: _Size) -> Parts:
 
 
 def _shell(draw: Draw, size: _Size) -> Parts:
-    """Draw a seat and back in one bent piece, on legs, a tube frame, a column or a star."""
+    """Draw a shell chair: seat and back in one bent piece, on legs, a tube frame, a column or a star."""
     look = draw.pick(looks.PLASTICS + looks.WOODS[:5] + looks.CLOTHS[:5])
     thick, lean = draw.between(0.017, 0.022), draw.between(0.08, 0.17)
     under = size.seat - thick
@@ -186,7 +186,7 @@ def _shell(draw: Draw, size: _Size) -> Parts:
 
 
 def _shell_base(draw: Draw, size: _Size, under: float) -> Parts:
-    """Draw the base of a shell; a plate under the seat compensates for its dished underside."""
+    """Draw the base of a shell chair; it reaches a little above the shell's underside at height `under`."""
     metal, wood, head = draw.pick(looks.METALS), draw.pick(looks.WOODS), under + 0.008
     kind = draw.choose(["wood", "tube", "sled", "star", "column"])
     if kind == "wood":
@@ -209,7 +209,7 @@ def _shell_base(draw: Draw, size: _Size, under: float) -> Parts:
 
 
 def _upholstered(draw: Draw, size: _Size) -> Parts:
-    """Draw a padded seat and a padded back on wooden legs, perhaps with padded sides."""
+    """Draw an upholstered chair: padded seat and back on wooden legs, perhaps with padded sides."""
     look, wood = draw.pick(looks.COVERS), draw.pick(looks.WOODS)
     x, y, thick = size.x + draw.between(0.0, 0.04), size.y + draw.between(0.0, 0.03), draw.between(0.07, 0.11)
     under, deep = size.seat - thick, draw.between(0.06, 0.09)
@@ -230,7 +230,7 @@ def _upholstered(draw: Draw, size: _Size) -> Parts:
 
 
 def _tubular(draw: Draw, size: _Size) -> Parts:
-    """Draw a cantilever: one bent tube at each side carries a pad for the seat and one for the back."""
+    """Draw a cantilever chair: a bent tube on each side carries the pads of seat and back."""
     metal, look = draw.pick(looks.METALS), draw.pick(looks.LEATHERS + looks.CLOTHS + looks.WOODS[:3])
     radius, x, y = draw.between(0.0095, 0.0125), size.x, size.y
     lean, z = draw.between(0.05, 0.13), size.seat - 0.03
@@ -258,7 +258,7 @@ def _tubular(draw: Draw, size: _Size) -> Parts:
 
 
 def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: float, look: Look) -> Parts:
-    """Draw two bent tubes from the back to the front of the frame's sides."""
+    """Draw armrests: two bent tubes, each from the back to the front of the frame on its side."""
     z, front = size.seat + draw.between(0.17, 0.23), size.y - draw.between(0.05, 0.12)
     wood = draw.pick(looks.WOODS)
     for s in SIDES:
@@ -272,7 +272,7 @@ def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: fl
 
 
 def _office(draw: Draw, size: _Size) -> Parts:
-    """Draw a padded seat on a star with castors, a back on a spine, perhaps armrests."""
+    """Draw an office chair: a padded seat on a star with castors, a back on a spine, perhaps armrests."""
     look, metal = draw.pick(looks.COVERS), draw.pick(looks.METALS)
     thick, x, y = draw.between(0.06, 0.09), size.x, size.y
     under, slope = size.seat - thick, draw.between(0.08, 0.2)

@@ -43,11 +43,11 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
 
 
 def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np.uint8]:
-    """Draw objects of one family, each with its name and height below it.
+    """Draw objects of one family in rows of four, each with its name and height below it.
 
     Args:
         family: one of `families()`.
-        seeds: seeds of the objects; four pictures are in a row.
+        seeds: seeds of the objects.
         size_px: edge of one picture.
 
     Returns:

@@ -79,7 +79,7 @@ def couch(draw: Draw) -> Parts:
 
 
 def _sofa(draw: Draw, size: _Size) -> Parts:
-    """Draw a body with a back, arms, cushions and feet."""
+    """Draw a sofa: a body with a back, arms, cushions and feet."""
     look, soft = draw.pick(looks.COVERS), draw.between(0.02, 0.045)
     inner = size.x - size.arm
     yield _body(size, look)
@@ -156,7 +156,7 @@ def _back_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
 
 
 def _pillows(draw: Draw, size: _Size, inner: float, ahead: float) -> Parts:
-    """Draw one or two square pillows that lean in the seat's corners, `ahead` metres before the back."""
+    """Draw one or two square pillows in the seat's corners, leaning `ahead` metres in front of the back."""
     look, edge = draw.pick(looks.CLOTHS), draw.between(0.34, 0.42)
     y = -size.y + size.deep + ahead
     for s in SIDES[: draw.integer(1, 3)]:
@@ -188,7 +188,7 @@ def _feet(draw: Draw, size: _Size, half: tuple[float, float]) -> Parts:
 
 
 def _corner(draw: Draw, size: _Size) -> Parts:
-    """Draw an L: a couch whose last seat extends to the front as a chaise."""
+    """Draw a corner couch, an L in plan: its last seat extends to the front as a chaise."""
     look, soft, side = draw.pick(looks.COVERS), draw.between(0.02, 0.04), draw.choose(SIDES)
     size = replace(size, seats=max(2, size.seats), arm=max(0.1, size.arm))
     size = replace(size, x=min(1.04, max(0.85, size.x)))
@@ -221,7 +221,7 @@ def _corner(draw: Draw, size: _Size) -> Parts:
 
 
 def _chesterfield(draw: Draw, size: _Size) -> Parts:
-    """Draw arms and a back of one height with a roll on top, and turned feet."""
+    """Draw a Chesterfield: arms and a back of one height with a roll on top, and turned feet."""
     look, wood = draw.pick(looks.LEATHERS + looks.CLOTHS), draw.pick(looks.WOODS)
     size = replace(size, foot=draw.between(0.07, 0.12), seats=max(2, size.seats))
     size = replace(size, x=max(0.72, min(1.05, size.x)), base=max(size.base, size.foot + 0.12))
@@ -247,7 +247,7 @@ def _chesterfield(draw: Draw, size: _Size) -> Parts:
 
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
-    """Draw a wooden frame with open arms that carries loose cushions on slats."""
+    """Draw a couch with a wooden frame: open arms, and loose cushions on slats."""
     wood, look = draw.pick(looks.WOODS), draw.pick(looks.COVERS)
     size = replace(
         size, arm=0.05, x=max(0.42, size.x - size.arm + 0.05), top=size.seat + draw.between(0.34, 0.44)
@@ -287,7 +287,7 @@ def _wooden(draw: Draw, size: _Size) -> Parts:
 
 
 def _tub(draw: Draw, size: _Size) -> Parts:
-    """Draw a round wall around one or two seats, lower at the front."""
+    """Draw a tub couch: a round wall, lower at the front, around one or two seats."""
     look, wide = draw.pick(looks.COVERS), draw.between(0.09, 0.13)
     x, y = draw.between(0.40, 0.46) + (0.26 if draw.chance(0.4) else 0.0), size.y
     radius = draw.between(0.55, 0.95) * min(x, y)

@@ -1,4 +1,4 @@
-"""Shared code of object families: parts with a look, random draws, gluing parts into an object."""
+"""Shared code of object families: parts with a material, random draws, and the union of parts."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ CORNERS = tuple(product(SIDES, SIDES))
 
 @dataclass(frozen=True)
 class Part:
-    """A closed part of an object, with one look; frame `object`, metres."""
+    """A closed part of an object, of one material; frame `object`, metres."""
 
     name: str
     shape: "Manifold"
@@ -35,10 +35,10 @@ Parts = Iterable[Part]
 
 
 class Draw:
-    """Random choices of a family or scene."""
+    """Makes the random choices of a family or a scene."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        """Draw from a generator (`rng`), one number after another."""
+        """Take all random numbers from the generator `rng`, in order."""
         self.rng = rng
 
     def choose(self, options: Sequence[Choice]) -> Choice:
@@ -46,7 +46,7 @@ class Draw:
         return options[int(self.rng.integers(len(options)))]
 
     def pick(self, looks: Sequence[Look]) -> Look:
-        """Return one of the looks, with random brightness."""
+        """Return one of the materials, with equal probability, at a random brightness."""
         look, tint = self.choose(looks), self.between(0.88, 1.08)
         red, green, blue = (min(1.0, value * tint) for value in look.color_rgb)
         return Look((red, green, blue), look.albedo)
@@ -60,24 +60,24 @@ class Draw:
         return bool(self.rng.random() < probability)
 
     def integer(self, low: int, above: int) -> int:
-        """Return a whole number from `low` to below `above`."""
+        """Return an integer drawn uniformly from `low` to `above` - 1."""
         return int(self.rng.integers(low, above))
 
 
 @dataclass(frozen=True)
 class Family:
-    """Objects of one kind, drawn by chance.
+    """A kind of objects, drawn at random.
 
-    Some families are for development: rules and constants are chosen on them (`looked_at`). Nobody looks at
-    results of the rest meanwhile, so that reported figures hold for unseen shapes. A family whose results
-    were looked at after all becomes a development family, and another replaces it.
+    Rules and constants of the package are chosen on development families (`looked_at`) only. The results of
+    all other families stay unseen meanwhile, so that reported figures hold for new shapes. A family whose
+    results were seen becomes a development family, and another one replaces it.
 
     Attributes:
         draw: draws the parts of one object.
-        looked_at: whether rules may be chosen on this family.
+        looked_at: whether this is a development family.
         furniture: whether the thresholds for furniture apply to it.
-        closed_below: whether no space behind the underside is open to the air, by the parts; then `underside:
-            closed` is true. Slats, trays, shells and vessels on feet are open.
+        closed_below: whether its parts leave no space behind the underside open to the air, so that the
+            setting `underside: closed` is true of it. Slats, trays, shells and vessels on feet are open.
     """
 
     draw: Callable[[Draw], Parts]
@@ -87,7 +87,7 @@ class Family:
 
 
 def glue(name: str, parts: Parts, origin: str) -> Subject:
-    """Glue parts into one solid, centred by its bounding box at x = y = 0 and standing on z = 0.
+    """Unite parts into one solid, with its bounding box centred at x = y = 0 and standing on z = 0.
 
     Args:
         name: the subject's name.

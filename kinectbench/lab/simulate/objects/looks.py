@@ -7,7 +7,7 @@ from kinectbench.lab.simulate.objects.shapes import Vector3
 
 @dataclass(frozen=True)
 class Look:
-    """The look of a material.
+    """Colour and infrared albedo of a material.
 
     Attributes:
         color_rgb: red, green and blue, each in [0, 1].

@@ -30,11 +30,11 @@ SKIN_CELLS = 0.9
 
 
 def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
-    """Load a mesh file as a subject: z up, on z = 0, centred at x = y = 0 by its bounding box.
+    """Load a mesh file as a subject: z up, on z = 0, with its bounding box centred at x = y = 0.
 
-    A mesh of closed bodies becomes their exact union. Small holes of bodies are filled. Any other mesh is
-    voxelised by the paper authors' rule. If anything was changed, the camera sees the surface of the solid in
-    the file's colours, so that pictures and truth agree.
+    Closed bodies, and bodies with small holes, which are filled, become their exact union. Any other mesh is
+    voxelised by the paper authors' rule. If this changed the surface, the camera sees the solid's surface
+    instead, in the file's colours, so that images and truth agree.
 
     Args:
         path: obj, ply, stl, glb or off, in metres.
@@ -42,7 +42,7 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
 
     Returns:
         The subject, with a piece for each colour of the file; without colours or materials it has one colour.
-        `origin` says how the solid was closed, with figures.
+        Its `origin` says how the solid was closed, with figures.
 
     Raises:
         RecordingError: the file is missing, unreadable or empty, has infinite vertices or no volume, or is
@@ -69,9 +69,10 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
 
 
 def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | None:
-    """Return the union of the bodies, if each is closed or has only small holes, and how it was closed.
+    """Return the union of a mesh's bodies; None unless each is closed or has only small holes.
 
-    The last value is whether the file's own faces show the same surface.
+    Returns:
+        The union, one line on how it was closed, and whether the file's own faces show the same surface.
     """
     if not (bodies := closed_bodies(whole)):
         return None
@@ -84,7 +85,10 @@ def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | 
 
 
 def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, str]:
-    """Make a smooth surface at 0.9 cells around the cells that the paper authors' rule marks."""
+    """Voxelise a mesh by the paper authors' rule, and return a closed surface 0.9 voxels outside it.
+
+    The second value is one line on how it was closed.
+    """
     from scipy import ndimage
 
     from kinectbench.core.geometry.mesh import isosurface
@@ -118,7 +122,7 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
 
 
 def _nearest(mesh: TriangleMesh, points: Float64) -> tuple[Float64, Int64]:
-    """Return distance (n,) in metres and index (n,) of the face nearest to each point (n, 3)."""
+    """Return each point's distance (n,) in metres to its nearest face, and that face's index (n,)."""
     scene, tensor = raycaster(mesh)
     hits = scene.compute_closest_points(tensor(points.astype(np.float32)))
     nearest = hits["points"].numpy().astype(np.float64)
@@ -126,7 +130,7 @@ def _nearest(mesh: TriangleMesh, points: Float64) -> tuple[Float64, Int64]:
 
 
 def _painted(mesh: TriangleMesh, parts: list[tuple[TriangleMesh, Vector3]]) -> list[Piece]:
-    """Cut a solid's surface into pieces, one for each colour; a face gets the colour of the nearest part."""
+    """Split a solid's surface into pieces of one colour; a face gets the colour of the part nearest to it."""
     drawn = join([part for part, _ in parts])
     owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part, _ in parts])
     _, nearest = _nearest(drawn, mesh.vertices[mesh.faces].mean(axis=1))
@@ -156,7 +160,7 @@ def _check(path: Path, whole: TriangleMesh) -> None:
 
 
 def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
-    """Return the triangles of a mesh file in its own frame, one part for each colour."""
+    """Return the triangles of a mesh file in its own frame, as one (mesh, RGB in [0, 1]) for each colour."""
     import trimesh
 
     if not path.is_file():
@@ -190,7 +194,7 @@ def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
 
 
 def _face_colors(mesh: "trimesh.Trimesh") -> NDArray[np.uint8]:
-    """Return colours (m, 3) of a mesh's faces, at most 64 different ones."""
+    """Return RGB colours (m, 3) of a mesh's faces; more than 64 different ones are reduced to 64."""
     visual = mesh.visual
     default = np.round(np.array(DEFAULT_RGB) * 255).astype(np.uint8)
     faces = len(mesh.faces)

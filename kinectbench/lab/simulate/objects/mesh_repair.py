@@ -1,4 +1,4 @@
-"""Repair a mesh into closed bodies: merge vertices, unify winding, fill small holes."""
+"""Repair a mesh into closed bodies: merge vertices, make windings consistent, fill small holes."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -22,11 +22,11 @@ SHEET_M = 1e-4
 
 @dataclass(frozen=True)
 class Body:
-    """A closed body.
+    """One closed body of a mesh, after repair.
 
     Attributes:
         shape: the closed solid, oriented outwards.
-        reversed: whether the body was inside out.
+        reversed: whether the mesh's faces were oriented inwards.
         holes: number of filled holes.
     """
 
@@ -44,17 +44,17 @@ def merged_vertices(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def open_edges(mesh: TriangleMesh) -> int:
-    """Return the number of edges without exactly two faces."""
+    """Return the number of a mesh's edges that do not have exactly two faces."""
     _, faces_at_edge = np.unique(_edges(mesh.faces)[1], return_counts=True)
     return int((faces_at_edge != 2).sum())
 
 
 def closed_bodies(mesh: TriangleMesh) -> list[Body] | None:
-    """Return the closed bodies of a merged mesh; None if a body cannot be closed without inventing shape.
+    """Split a mesh with merged vertices into closed bodies; None if a body is open and cannot be repaired.
 
-    A mesh that is closed with consistent winding is used unchanged; its bodies may touch at edges and
-    vertices. Otherwise each connected part gets a consistent winding, and its holes are filled in their plane
-    if each has at most a third of the area around it.
+    A mesh that is closed with consistent winding is not changed; its bodies may touch at edges and vertices.
+    Otherwise each connected part gets a consistent winding, and its holes are filled with planar patches. A
+    part with a hole larger than a third of its area cannot be repaired.
     """
     import trimesh
 
@@ -71,7 +71,7 @@ def closed_bodies(mesh: TriangleMesh) -> list[Body] | None:
 
 
 def _outward(vertices: Float64, faces: Int32) -> "tuple[Manifold, bool] | None":
-    """Return a closed mesh as a solid of positive volume, and whether it was turned over; None if open."""
+    """Return a closed mesh as a solid of positive volume, and whether faces were flipped; None if open."""
     for inside_out in (False, True):
         shape = solid(vertices, faces[:, ::-1] if inside_out else faces)
         if shape is None or shape.volume() > 0:
@@ -80,7 +80,7 @@ def _outward(vertices: Float64, faces: Int32) -> "tuple[Manifold, bool] | None":
 
 
 def _body(mesh: TriangleMesh, holes: int) -> Body | None:
-    """Return a closed mesh as a body; None if it is not closed, or a folded sheet without volume."""
+    """Return a closed mesh as a body with `holes` filled holes; None if it is open or has no volume."""
     body = _outward(mesh.vertices, mesh.faces)
     if body is None or body[0].volume() < SHEET_M * body[0].surface_area() / 2:
         return None
@@ -88,7 +88,7 @@ def _body(mesh: TriangleMesh, holes: int) -> Body | None:
 
 
 def _repaired(part: TriangleMesh) -> Body | None:
-    """Repair one part: consistent winding, small holes filled."""
+    """Close one connected part: make its winding consistent, and fill its small holes; None if impossible."""
     faces = _one_winding(part)
     loops = None if faces is None else _hole_loops(faces)
     if faces is None or loops is None:
@@ -103,7 +103,7 @@ def _repaired(part: TriangleMesh) -> Body | None:
 
 
 def united(parts: list[Body]) -> "Manifold":
-    """Return the union of bodies; a body that is inside out and within the others is a cavity."""
+    """Return the union of bodies; a reversed body inside the others is subtracted as a cavity."""
     outer = [part.shape for part in parts if not part.reversed]
     turned = [part.shape for part in parts if part.reversed]
     whole = union(outer)
@@ -114,15 +114,15 @@ def united(parts: list[Body]) -> "Manifold":
 
 
 def _edges(faces: Int32) -> tuple[Int64, Int64]:
-    """Return the edges (3m, 2) of faces, face by face, and a key (3m,) that is equal for both directions."""
+    """Return all faces' edges as vertex pairs (3m, 2), and a key (3m,) that ignores an edge's direction."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
     return edges, edges.min(axis=1) * (int(faces.max(initial=0)) + 1) + edges.max(axis=1)
 
 
 def _one_winding(part: TriangleMesh) -> Int32 | None:
-    """Return the faces of one body, flipped to the first face's winding.
+    """Return the faces (m, 3) of one connected part, flipped to the winding of its first face.
 
-    The result is None if the body has only one side, or an edge has more than two faces.
+    The result is None if the part is not orientable, or an edge has more than two faces.
     """
     from open3d import geometry, utility
 
@@ -135,7 +135,7 @@ def _one_winding(part: TriangleMesh) -> Int32 | None:
 
 
 def _hole_loops(faces: Int32) -> list[Int64] | None:
-    """Return the closed vertex loop of each hole, in the direction of its patch; None if two loops touch."""
+    """Return each hole's loop of vertex indices, in its patch's winding; None if two loops share a vertex."""
     edges, number = _edges(faces)
     _, edge, faces_at_edge = np.unique(number, return_inverse=True, return_counts=True)
     lone = edges[faces_at_edge[edge] == 1]
@@ -154,7 +154,7 @@ def _hole_loops(faces: Int32) -> list[Int64] | None:
 
 
 def _patch(vertices: Float64, loop: Int64, most_m2: float) -> Int32 | None:
-    """Return triangles (k, 3) that fill a loop, made in its best-fitting plane; None if it is too large."""
+    """Return triangles (k, 3) that fill a loop, made in its mean plane; None if larger than `most_m2`."""
     from manifold3d import triangulate
 
     points = vertices[loop] - vertices[loop].mean(axis=0)

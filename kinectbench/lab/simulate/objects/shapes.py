@@ -1,8 +1,7 @@
-"""The recorded object and its closed parts: boards, cushions, legs, tubes, turned pieces.
+"""Shapes from which objects are made: boards, cushions, legs, tubes, turned pieces; and the object itself.
 
-Every function returns a Manifold of the library manifold3d: closed, outward, float64, metres. In frame
-`object`, x is to the right, y to the front, z up. Curved surfaces are inscribed polyhedra of `SEGMENTS`
-sides.
+Shapes are Manifolds of the library manifold3d: closed, oriented outwards, float64, metres. In frame `object`,
+x is to the right, y to the front, z up. Curved surfaces are inscribed polyhedra of `SEGMENTS` sides.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,7 +31,7 @@ BEND_EDGE_M = 0.05
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of an object with one look.
+    """A visible piece of an object, of one colour and albedo.
 
     Attributes:
         name: kind of the part, such as "leg".
@@ -65,7 +64,7 @@ class Subject:
 
 
 def box(low_m: Vector3, high_m: Vector3) -> "Manifold":
-    """Make the box between two corners."""
+    """Make the axis-aligned box between two opposite corners."""
     from manifold3d import Manifold
 
     low, high = np.array(low_m, np.float64), np.array(high_m, np.float64)
@@ -86,7 +85,7 @@ def rectangle(size_m: Vector2, radius_m: float = 0.0) -> Outline:
 
 
 def ellipse(size_m: Vector2) -> Outline:
-    """Return the outline (n, 2) float64 of an ellipse around the origin, metres."""
+    """Return the outline (n, 2) float64, metres, of an ellipse around the origin with these full axes."""
     angle = np.arange(2 * SEGMENTS) * np.pi / SEGMENTS
     return np.column_stack([np.cos(angle) * size_m[0], np.sin(angle) * size_m[1]]) / 2
 
@@ -114,7 +113,7 @@ def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) ->
 
 
 def cushion(low_m: Vector3, high_m: Vector3, radius_m: float, crown_m: float = 0.0) -> "Manifold":
-    """Make a box rounded in all directions, whose upper face may swell by `crown_m` beyond the box."""
+    """Make a box with rounded edges and corners, whose upper face bulges by `crown_m` in the middle."""
     from manifold3d import Manifold
 
     low, high = np.array(low_m, np.float64), np.array(high_m, np.float64)
@@ -168,7 +167,7 @@ def rod(a_m: Vector3, b_m: Vector3, radius_m: float) -> "Manifold":
 
 
 def bar_between(a_m: Vector3, b_m: Vector3, width_m: float, height_m: float) -> "Manifold":
-    """Make a rectangular bar between two points; its width is level, its ends are perpendicular to it."""
+    """Make a rectangular bar between two points; its width is horizontal, its ends are cut square."""
     from manifold3d import Manifold
 
     a, b = np.array(a_m, np.float64), np.array(b_m, np.float64)
@@ -177,7 +176,7 @@ def bar_between(a_m: Vector3, b_m: Vector3, width_m: float, height_m: float) -> 
 
 
 def _frame(a: Points, b: Points) -> NDArray[np.float64]:
-    """Return the transform (3, 4) that maps z to the direction from a to b, x to level, the origin to a."""
+    """Return the transform (3, 4) with origin a, z in the direction from a to b, and a horizontal x axis."""
     forward = (b - a) / np.linalg.norm(b - a)
     side = np.array([-forward[1], forward[0], 0.0])
     length = np.linalg.norm(side)
@@ -188,7 +187,7 @@ def _frame(a: Points, b: Points) -> NDArray[np.float64]:
 def tube(path_m: Sequence[Vector3] | Points, radius_m: float) -> "Manifold":
     """Make a round tube along a polyline (n, 3), mitred at its corners.
 
-    Its ends are flat; a planar path that ends where it begins makes a ring.
+    Its ends are flat. A planar path that ends where it begins gives a closed ring.
     """
     from manifold3d import Manifold, Mesh64
 
@@ -213,7 +212,7 @@ def tube(path_m: Sequence[Vector3] | Points, radius_m: float) -> "Manifold":
 
 
 def _tube_faces(rings: int, closed: bool) -> NDArray[np.uint64]:
-    """Return faces (m, 3) between rings of points, and over the ends unless the tube is closed to a ring."""
+    """Return the faces (m, 3) between a tube's consecutive rings of points, and of its ends unless closed."""
     ring = np.arange(TUBE_SEGMENTS)
     beside = (ring + 1) % TUBE_SEGMENTS
     faces = []
@@ -228,7 +227,7 @@ def _tube_faces(rings: int, closed: bool) -> NDArray[np.uint64]:
 
 
 def ribbon(path_yz_m: Sequence[Vector2] | Points, x_m: Vector2, thick_m: float) -> "Manifold":
-    """Make a strip with round ends along a path (n, 2) in y and z, as wide as the range `x_m`."""
+    """Make a strip of constant thickness along a path (n, 2) in y and z, over a range of x; round ends."""
     from manifold3d import CrossSection, Manifold, OpType
 
     disc = CrossSection.circle(thick_m / 2, 16)
@@ -240,7 +239,7 @@ def ribbon(path_yz_m: Sequence[Vector2] | Points, x_m: Vector2, thick_m: float) 
 
 
 def rounded_path(path_m: Sequence[Sequence[float]], radius_m: float) -> Points:
-    """Return a polyline (n, 2 or 3) whose corners are replaced by arcs that start `radius_m` before them."""
+    """Return a polyline (n, 2 or 3) with rounded corners: curves that start and end `radius_m` from them."""
     path = np.array(path_m, np.float64)
     share = np.linspace(0, 1, 6)[:, None]
     points = [path[:1]]
@@ -263,7 +262,7 @@ def turned(profile_rz_m: Sequence[Vector2]) -> "Manifold":
 
 
 def bent(shape: "Manifold", move: Callable[[Points], Points], edge_m: float = BEND_EDGE_M) -> "Manifold":
-    """Bend a shape: its edges are cut to `edge_m`, then its points (n, 3) are moved by a smooth map."""
+    """Deform a shape: subdivide its edges to at most `edge_m`, then map its vertices (n, 3) by `move`."""
     return shape.refine_to_length(edge_m).warp_batch(move)
 
 
@@ -291,7 +290,7 @@ def union(shapes: Sequence["Manifold"]) -> "Manifold":
 
 
 def solid(vertices: Points, faces: NDArray[np.integer]) -> "Manifold | None":
-    """Return the shape whose surface is a mesh (negative volume if inside out); None if the mesh is open."""
+    """Return the solid inside a mesh, with negative volume if its faces point inwards; None if it is open."""
     from manifold3d import Error, Manifold, Mesh64
 
     shape = Manifold(Mesh64(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.uint64)))

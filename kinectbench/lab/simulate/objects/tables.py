@@ -35,7 +35,7 @@ def table(draw: Draw) -> Parts:
 
 
 def _top(draw: Draw, size: _Size, look: Look, thick: float) -> Part:
-    """Draw a rectangular, rounded, or oval top."""
+    """Draw a table top: rectangular, with round corners, or oval."""
     full, edge = (2 * size.x, 2 * size.y), thick * draw.between(0.1, 0.45) if draw.chance(0.5) else 0.0
     kind = draw.choose(["rectangle", "rectangle", "rounded", "super"])
     radius = {"rectangle": 0.0, "rounded": draw.between(0.03, 0.1), "super": 0.6 * size.y}[kind]
@@ -43,7 +43,7 @@ def _top(draw: Draw, size: _Size, look: Look, thick: float) -> Part:
 
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
-    """Draw four or six wooden legs with aprons, and perhaps a shelf or a drawer."""
+    """Draw a table with four or six wooden legs and aprons, perhaps with a shelf or a drawer."""
     wood, thick, leg_m = draw.pick(looks.WOODS), draw.between(0.018, 0.04), draw.between(0.04, 0.08)
     top_look = wood if draw.chance(0.6) else draw.pick(looks.WOODS + looks.STONES)
     inset = leg_m / 2 + draw.between(0.01, 0.06)
@@ -75,7 +75,7 @@ def _drawer(draw: Draw, half: tuple[float, float], head: float, high: float, woo
 
 
 def _round(draw: Draw, size: _Size) -> Parts:
-    """Draw a round or oval top on a column, a star, three or four splayed legs, or two columns."""
+    """Draw a round or oval table on a column, a star, three or four splayed legs, or two columns."""
     look = draw.pick(looks.WOODS + looks.STONES + looks.PLASTICS[:1])
     base = draw.pick(looks.WOODS + looks.METALS)
     oval = size.x if draw.chance(0.35) else min(size.x, size.y * draw.between(1.0, 1.35))
@@ -108,7 +108,7 @@ def _round(draw: Draw, size: _Size) -> Parts:
 
 
 def _trestle(draw: Draw, size: _Size) -> Parts:
-    """Draw a long top on two trestles or on crossed legs."""
+    """Draw a long table on two trestles or on crossed legs."""
     wood, thick = draw.pick(looks.WOODS), draw.between(0.025, 0.045)
     under = size.top - thick
     half = (size.x * draw.between(0.62, 0.8), size.y * draw.between(0.75, 0.9))
@@ -120,7 +120,7 @@ def _trestle(draw: Draw, size: _Size) -> Parts:
 
 
 def _steel(draw: Draw, size: _Size) -> Parts:
-    """Draw a thin top on hairpins, square loops, or a frame of thin tubes."""
+    """Draw a table with a thin top on steel: hairpin legs, square loops, or a frame of thin tubes."""
     metal, look = draw.pick(looks.METALS), draw.pick(looks.WOODS + looks.STONES + looks.PLASTICS[:2])
     thick = draw.between(0.016, 0.03)
     under, half = size.top - thick, (size.x - 0.05, size.y - 0.05)
@@ -150,7 +150,7 @@ def _steel(draw: Draw, size: _Size) -> Parts:
 
 
 def _panels(draw: Draw, size: _Size) -> Parts:
-    """Draw two side panels under a top, with a panel or a shelf between them."""
+    """Draw a table on two side panels, with a panel or a shelf between them."""
     look, thick = draw.pick(looks.WOODS), draw.between(0.02, 0.05)
     under, inset = size.top - thick, 0.0 if draw.chance(0.5) else draw.between(0.04, 0.15)
     half = (size.x - inset - thick / 2, size.y - min(inset, 0.03))
@@ -166,7 +166,7 @@ def _panels(draw: Draw, size: _Size) -> Parts:
 
 
 def _drop_leaf(draw: Draw, size: _Size) -> Parts:
-    """Draw a narrow top on legs, with two leaves that hang down at its ends."""
+    """Draw a drop-leaf table: a narrow top on legs, with two leaves that hang down at its ends."""
     wood, thick = draw.pick(looks.WOODS), draw.between(0.018, 0.026)
     x, under = min(size.x, 0.55), size.top - thick
     yield Part("top", box((-x, -size.y, under), (x, size.y, size.top)), wood)
@@ -182,7 +182,7 @@ def _drop_leaf(draw: Draw, size: _Size) -> Parts:
 
 
 def _desk(draw: Draw, size: _Size) -> Parts:
-    """Draw a top on a chest of drawers at one side and on legs or a panel at the other."""
+    """Draw a desk: a top on a chest of drawers on one side and on legs or a panel on the other."""
     look, body, thick = draw.pick(looks.WOODS), draw.pick(looks.WOODS), draw.between(0.02, 0.035)
     side, under = draw.choose(SIDES), size.top - thick
     wide, foot = min(0.42, 0.7 * size.x), draw.between(0.0, 0.06)

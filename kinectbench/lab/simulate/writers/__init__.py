@@ -1,4 +1,4 @@
-"""Formats of recordings: a writer for each, registered by one line here.
+"""The registry of formats in which simulated recordings are written, each with its writer.
 
 Packages add formats by the entry point `kinectbench.formats` (`kinectbench.lab.plugins`); a checkout after
 `make setup` has the formats of `benchmarks/plugins`.
@@ -37,7 +37,7 @@ __all__ = ["OWN_FORMATS", "FileFormat", "RecordedFrame", "Rig", "cut", "formats"
 
 @cache
 def formats() -> Mapping[str, FileFormat]:
-    """Return all formats: TUM RGB-D, plain folders, bags of ROS 1 and 2, then those of plug-ins.
+    """Return {name: format}: TUM RGB-D, plain folders, bags of ROS 1 and 2, then those of plug-ins.
 
     Raises:
         SettingsError: a plug-in cannot be used.
@@ -46,14 +46,14 @@ def formats() -> Mapping[str, FileFormat]:
 
 
 def cut(path: Path, share: float) -> None:
-    """Cut off the end of a finished recording.
+    """Truncate the file of a finished recording, or the last file in its folder.
 
-    A file loses its last bytes; a bag also loses its index. In a folder, the bag or else the last depth image
-    by name loses its last bytes; all other files stay, including lists that name it.
+    In a folder, that is the bag, or else the last depth image by name; all other files stay, including lists
+    that name this image. A bag also loses its index.
 
     Args:
         path: the recording.
-        share: share of the bytes that is cut off, 0 to below 1.
+        share: share of the file's bytes that is cut off, 0 to below 1.
 
     Raises:
         RecordingError: the folder has no depth images.

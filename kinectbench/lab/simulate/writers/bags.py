@@ -36,24 +36,24 @@ COMPRESSED_DEPTH_HEADER = struct.pack("<iff", 0, 0.0, 0.0)
 
 
 class MessageMaker:
-    """Makes the messages of frames, one frame at a time.
+    """Makes the ROS messages of a recording, one frame at a time.
 
-    Depth with registered colour has topics below /camera/depth_registered in the frame of colour; other depth
-    is below /camera/depth in its own frame. Header stamps are those of depth, or of colour for colour and its
-    CameraInfo. PoseStamped is the depth camera's pose in frame `world`, optical axes; a frame without a pose
-    has no such message.
+    If colour is registered, depth has topics below /camera/depth_registered and the frame_id of colour; else
+    topics below /camera/depth and its own frame_id. Headers of colour and its CameraInfo have colour's stamp,
+    other headers depth's. PoseStamped is the depth camera's pose in frame `world`, optical axes; a frame
+    without a pose has no such message.
     """
 
     def __init__(
         self, types: Mapping[str, Callable[..., Message]], rig: Rig, depth_code: DepthCode, *, ros2: bool
     ) -> None:
-        """Prepare to make messages with a type store's `types`."""
+        """Prepare to make messages from the message classes `types` of a rosbags type store."""
         self._types, self._rig, self._code, self._ros2 = types, rig, depth_code, ros2
         self._depth_folder = "/camera/depth_registered" if rig.color_registered else "/camera/depth"
         self._depth_frame_id = COLOR_FRAME_ID if rig.color_registered else DEPTH_FRAME_ID
 
     def messages(self, frame: RecordedFrame, index: int) -> list[tuple[str, str, Message]]:
-        """Return topic, type and message of everything that belongs to a frame."""
+        """Return all messages of a frame as (topic, message type, message)."""
         depth_header = self.header(index, frame.stamp_ns, self._depth_frame_id)
         logged = [
             (f"{self._depth_folder}/camera_info", INFO, self.camera_info(depth_header, self._rig.depth)),
@@ -74,7 +74,7 @@ class MessageMaker:
         return logged
 
     def header(self, index: int, stamp_ns: int, frame_id: str) -> Message:
-        """Return a std_msgs/Header; ROS 2's has no number."""
+        """Return a std_msgs/Header; `index` is its sequence number, which ROS 2 lacks."""
         stamp = self._types["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
         number = {} if self._ros2 else {"seq": index}
         return self._types["std_msgs/msg/Header"](**number, stamp=stamp, frame_id=frame_id)
@@ -114,7 +114,7 @@ class MessageMaker:
         )
 
     def transform(self, T_parent_child: NDArray[np.float64]) -> Message:
-        """Return a geometry_msgs/Transform."""
+        """Return a transform (4, 4) as a geometry_msgs/Transform."""
         quaternion_xyzw = quaternion_xyzw_from_rotation(T_parent_child[:3, :3])
         return self._types["geometry_msgs/msg/Transform"](
             self._types["geometry_msgs/msg/Vector3"](*T_parent_child[:3, 3].tolist()),
@@ -122,7 +122,7 @@ class MessageMaker:
         )
 
     def static_transforms(self, stamp_ns: int) -> list[tuple[str, str, Message]]:
-        """Return the colour camera's pose relative to depth, for /tf_static; empty if they are one camera."""
+        """Return the /tf_static message: depth's pose in the colour camera's frame; [] if registered."""
         if self._rig.color_registered:
             return []
         header = self.header(0, stamp_ns, COLOR_FRAME_ID)
@@ -156,7 +156,7 @@ Messages = Iterator[tuple[str, str, int, Message]]
 def log_messages(
     writer: "Writer1 | Writer2", store: "Typestore", messages: Messages, *, ros2: bool = False
 ) -> None:
-    """Write messages to an open bag; a topic's connection is made at its first message."""
+    """Write (topic, type, stamp in ns, message) to an open bag; open each topic at its first message."""
     serialize = store.serialize_cdr if ros2 else store.serialize_ros1
     connections: dict[str, Connection] = {}
     for topic, kind, stamp_ns, message in messages:
@@ -168,13 +168,13 @@ def log_messages(
 def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, depth_code: DepthCode) -> None:
     """Write a ROS 1 bag; messages are logged at the stamps of their headers.
 
-    If colour is not registered, /tf_static has the pose of its camera.
+    If colour is not registered, /tf_static has the transform between the cameras.
 
     Args:
         path: the bag's path, which does not exist yet.
         rig: the cameras.
         frames: the recorded frames.
-        depth_code: coding of depth; raw 16UC1 is written in bz2 chunks, other codes in uncompressed chunks.
+        depth_code: encoding of depth; raw 16UC1 is written in bz2 chunks, others in uncompressed chunks.
     """
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -202,13 +202,13 @@ def write_rosbag2(
 ) -> None:
     """Write a ROS 2 bag into an empty folder: metadata.yaml, and recording.mcap or recording.db3.
 
-    If colour is not registered, /tf_static has the pose of its camera.
+    If colour is not registered, /tf_static has the transform between the cameras.
 
     Args:
         folder: an empty folder.
         rig: the cameras.
         frames: the recorded frames.
-        depth_code: coding of depth.
+        depth_code: encoding of depth.
         mcap: whether the file is MCAP instead of SQLite.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -219,7 +219,7 @@ def write_rosbag2(
     maker = MessageMaker(store.types, rig, depth_code, ros2=True)
 
     def messages() -> Messages:
-        """Yield the messages to log, frame by frame."""
+        """Yield (topic, type, stamp in ns, message) of all messages, frame by frame."""
         for index, frame in enumerate(frames):
             static = maker.static_transforms(frame.stamp_ns) if index == 0 else []
             for topic, kind, message in maker.messages(frame, index) + static:

@@ -1,4 +1,4 @@
-"""Input of the writers: the camera rig, and frames one by one; number formats of recordings."""
+"""Input of the writers, the camera rig and its frames; and what writers share, such as number formats."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -63,8 +63,8 @@ class RecordedFrame:
             None.
         pose_stamp_ns: recorded time of that pose, nanoseconds; None: the time of depth.
         mask: (height, width) bool, the object's mask given with the recording, in depth pixels; or None.
-        own_colors: images of a separate colour stream since the previous depth image, any number; None: one
-            colour image comes with each depth image. Formats that store pairs of images ignore it.
+        own_colors: images, any number, that a separate colour stream took since the previous depth image;
+            None: each depth image has one colour image. Formats that store pairs of images ignore it.
     """
 
     stamp_ns: int
@@ -85,7 +85,7 @@ class RecordedFrame:
 
     @property
     def given_ns(self) -> int:
-        """Stamp of the given pose, nanoseconds."""
+        """Recorded time of the given pose, nanoseconds; that of depth if it has none of its own."""
         return self.stamp_ns if self.pose_stamp_ns is None else self.pose_stamp_ns
 
     def color_jpegs(self) -> list[tuple[int, bytes]]:
@@ -120,17 +120,17 @@ class RecordedFrame:
 
 
 def frames_as_seconds(index: int, stamp_ns: int) -> int:
-    """Return the stamp, nanoseconds, in a layout without stamps: frame `index` is at `index` seconds."""
+    """Return the stamp in ns that readers give frame `index` in a layout without stamps: `index` seconds."""
     return index * NS_PER_S
 
 
 def whole_microseconds(index: int, stamp_ns: int) -> int:
-    """Return the stamp, nanoseconds, in a layout that keeps whole microseconds."""
+    """Return the stamp in nanoseconds as read from a layout that keeps only whole microseconds."""
     return stamp_ns // 1000 * 1000
 
 
 def nanoseconds(index: int, stamp_ns: int) -> int:
-    """Return the stamp, nanoseconds, in a layout that keeps it unchanged, such as bags."""
+    """Return the stamp in nanoseconds unchanged, as read from a layout that stores it whole, such as bags."""
     return stamp_ns
 
 
@@ -142,10 +142,9 @@ class FileFormat:
     """A format in which recordings are written.
 
     Attributes:
-        write: called with (path, cameras, frames); fills an empty folder, or makes a new file. It does not
-            get the truth.
-        stamp_as_read: called with (index of a written frame, from 0; its written stamp, nanoseconds); returns
-            the stamp, nanoseconds, that a reader finds.
+        write: called with (path, camera rig, frames); fills an empty folder, or makes a new file.
+        stamp_as_read: called with (index of a written frame, from 0; its stamp in nanoseconds); returns the
+            stamp in nanoseconds that a reader of the file finds.
         suffix: suffix of the file; "" for a folder.
         masks: whether the format can store masks.
     """
@@ -156,7 +155,7 @@ class FileFormat:
     masks: bool = False
 
     def write_new(self, stem: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Path:
-        """Write a recording to a new path, `stem` plus the suffix; return the path."""
+        """Write a recording to a new path, which is `stem` plus the format's suffix; return this path."""
         path = stem.with_name(stem.name + self.suffix)
         if not self.suffix:
             path.mkdir()
@@ -176,11 +175,10 @@ def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 
 
 def color_json(rig: Rig) -> dict[str, object]:
-    """Return the pose of colour relative to depth as plain JSON values.
+    """Return the colour camera's intrinsics and its pose relative to depth, as plain JSON values.
 
-    The keys are `color_registered`, which readers know, and, if that is false, `color_camera` (size and
-    intrinsics in pixels) and `T_color_depth` (four rows, metres, depth camera to colour camera), which
-    registration needs.
+    The key `color_registered` is always there. If it is false, so are `color_camera` (size and intrinsics in
+    pixels) and `T_color_depth` (four rows, metres, depth camera to colour camera), which registration needs.
     """
     if rig.color_registered:
         return {"color_registered": True}
@@ -192,12 +190,12 @@ def color_json(rig: Rig) -> dict[str, object]:
 
 
 def matrix_rows(matrix: NDArray[np.float64]) -> list[str]:
-    """Return the rows of a matrix (n, m) as text: numbers at full precision, separated by spaces."""
+    """Return each row of a matrix (n, m) as text: numbers at full precision, separated by spaces."""
     return [" ".join(repr(number) for number in row) for row in matrix.tolist()]
 
 
 def make_folders(folder: Path, *names: str) -> None:
-    """Make the folders for a recording's images."""
+    """Make subfolders of a recording's folder, for its images."""
     for name in names:
         (folder / name).mkdir()
 

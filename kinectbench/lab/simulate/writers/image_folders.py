@@ -31,8 +31,8 @@ def write_tum(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> None:
 
     Depth is PNG at 5000 units per metre, colour JPEG. The lists are in the order of the frames; colour has
     its own stamps. A frame without a pose has no row in groundtruth.txt; the file is missing if no frame has
-    a pose. `camera.json` holds facts that TUM folders lack: width, height, fx, fy, cx, cy, depth_scale, and
-    the keys of `color_json`. masks/ exists if frames have masks; a mask has the name of its depth image.
+    a pose. `camera.json` has what TUM's format lacks: width, height, fx, fy, cx, cy, depth_scale, and the
+    keys of `color_json`. masks/ exists if frames have masks; a mask has the name of its depth image.
     """
     make_folders(folder, "rgb", "depth")
     rows = {name: [header] for name, header in TUM_HEADERS.items()}
@@ -56,9 +56,9 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
     """Write a recording into an empty folder: depth/XXXXXX.png, color/XXXXXX.jpg, intrinsics, trajectory.
 
     Depth is in mm. Frames are numbered from 0 in their order; the layout has no stamps. masks/XXXXXX.png
-    exists if frames have masks. `camera_intrinsic.json` is Open3D's (`intrinsic_matrix` by columns) with
-    depth_scale and what `color_json` says beside it, which Open3D passes over. `trajectory.log` is not there
-    if no frame has a pose.
+    exists if frames have masks. `camera_intrinsic.json` is Open3D's (`intrinsic_matrix` by columns), with
+    depth_scale and the keys of `color_json` added, which Open3D ignores. `trajectory.log` is missing if no
+    frame has a pose.
     """
     make_folders(folder, "depth", "color")
     log: list[str] = []
@@ -79,19 +79,19 @@ def write_folder(folder: Path, rig: Rig, frames: Iterable[RecordedFrame]) -> Non
 
 
 def seconds(stamp_ns: int) -> str:
-    """Return a time stamp in seconds with six decimals, truncated to 1 µs, as TUM writes it."""
+    """Return a stamp as text in seconds with six decimals, truncated to 1 µs, as in TUM's files."""
     return format_stamp(stamp_ns // 1000 * 1000)[:-3]
 
 
 def tum_line(stamp_ns: int, T_world_camera: Float64) -> str:
-    """Return one pose as `t tx ty tz qx qy qz qw`, seconds and metres, camera to world."""
+    """Return one pose as TUM's line `t tx ty tz qx qy qz qw`: seconds, metres, camera to world."""
     quaternion_xyzw = quaternion_xyzw_from_rotation(T_world_camera[:3, :3])
     numbers = [*T_world_camera[:3, 3], *quaternion_xyzw]
     return " ".join([seconds(stamp_ns), *(f"{value:.9f}" for value in numbers)])
 
 
 def _add_stamped(folder: Path, name: str, stamp_ns: int, suffix: str, data: bytes) -> str:
-    """Write one image into `folder / name`, named by its stamp; return its row of the list, `stamp file`."""
+    """Write an image's bytes into `folder / name`, named by its stamp; return its list row, `stamp file`."""
     stamp = seconds(stamp_ns)
     file, copies = folder / name / f"{stamp}{suffix}", 1
     while file.exists():  # stamps may repeat, and every frame is kept
@@ -102,7 +102,7 @@ def _add_stamped(folder: Path, name: str, stamp_ns: int, suffix: str, data: byte
 
 
 def log_rows(index: int, frame: RecordedFrame) -> list[str]:
-    """Return a frame in Redwood's log: `i i i+1`, then camera to world in four rows; empty without a pose."""
+    """Return a frame's lines of Redwood's log: `i i i+1`, then the pose's four rows; [] without a pose."""
     if frame.T_world_camera is None:
         return []
     return [f"{index} {index} {index + 1}", *matrix_rows(frame.T_world_camera)]
