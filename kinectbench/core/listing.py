@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.untrusted import STEERING
 
 if TYPE_CHECKING:
@@ -56,9 +57,8 @@ class Listing:
 
 
 def spread(items: Sequence[T], most: int) -> list[T]:
-    """At most `most` of the items, evenly spread from the first to the last."""
-    count = min(most, len(items))
-    return [items[round(at * (len(items) - 1) / max(1, count - 1))] for at in range(count)]
+    """Return at most `most` of the items, evenly spaced from the first to the last."""
+    return [items[index] for index in evenly(len(items), most)]
 
 
 def inert_json(content: object) -> "Markup":
