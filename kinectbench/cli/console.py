@@ -119,7 +119,7 @@ def lines(kind: str, messages: Sequence[str], style: str) -> None:
     """Print one line per message on standard error, without wrapping, and the number of messages left out.
 
     Args:
-        kind: the first word of each line, such as "warning".
+        kind: the text before the colon in each line, such as "warning".
         messages: the messages, of which `at_most` are printed.
         style: rich's style for `kind`.
     """

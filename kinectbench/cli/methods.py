@@ -118,7 +118,7 @@ def predict_command(
     surface: Annotated[bool, typer.Option(help="with --score: surface metrics, too")] = True,
     device: Device = None,
 ) -> None:
-    """Write predictions of a trained network, with method.json; --score writes figures alone."""
+    """Write predictions of a trained network, with method.json; --score writes only their scores."""
     from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 

@@ -120,8 +120,8 @@ class Entry:
     """One file of a release.
 
     Attributes:
-        size: bytes, as the folder or archive states.
-        opener: opens the file, if it has no problem.
+        size: size in bytes, as the folder or archive states it.
+        opener: function that opens the file; to be called only if `problem` is None.
         problem: why the file must not be opened, or None.
     """
 

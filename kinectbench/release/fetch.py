@@ -57,7 +57,7 @@ class Fetched:
 
     Attributes:
         folder: the release's folder on this machine.
-        benchmark_sha256: the release's identity.
+        benchmark_sha256: the hash that identifies the release.
         pairs: number of pairs in the requested part.
         fetched: number of files of SHA256SUMS that were downloaded now.
         kept: number of files of SHA256SUMS that were already here.

@@ -42,9 +42,7 @@ def hub_name(url: str) -> str:
 def put_on_hub(folder: Path, name: str) -> PutSummary:
     """Make a dataset of the hub equal to a release: upload its files, delete those of an earlier release.
 
-    The dataset is created if missing.
-
-    The hub itself skips the upload of files that it already has.
+    The dataset is created if missing. The hub itself skips the upload of files that it already has.
 
     Args:
         folder: the release's folder on this machine.

@@ -54,7 +54,7 @@ class FetchedScan:
     Attributes:
         scan: the scan.
         fetched: whether it was downloaded now; False if it was here already or the download failed.
-        error: why the download failed, one line; None if the scan is here.
+        error: why the download (or with `fetch --stream` the build) failed, one line; None on success.
     """
 
     scan: Scan
@@ -239,7 +239,7 @@ class Recipe:
             raise SettingsError(f"{config}: does not include the scans; add `include: [{RECORDINGS}]` to it")
 
     def other_attribution(self, scans: Sequence[Scan]) -> list[str]:
-        """Return a line if earlier entries state another licence or source than sources.yaml.
+        """Return a line if entries of these scans state another licence or source than sources.yaml.
 
         Raises:
             SettingsError: benchmark.yaml is wrong.

@@ -27,7 +27,7 @@ MOST_DOTS = 500
 
 @dataclass(frozen=True)
 class Bar:
-    """The bar of one method in one category; lengths are per cent of the chart's width."""
+    """The bar of one method; `length` and `interval` (start, length) are per cent of the chart's width."""
 
     method: str
     text: str

@@ -67,7 +67,7 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
     The stated underside and the kind of truth come last.
 
     Args:
-        quality: a recording's quality.json; it is empty if the truth is held back or the pairs are imported.
+        quality: a recording's quality; it has no figures if the truth is held back or the pairs are imported.
     """
     words = {
         label: form.format(factor * value)
