@@ -10,7 +10,7 @@ from kinectbench.cli.common import SOME_FAILED, Common, Predictions, takes
 
 
 def _known_baselines(incomplete: str) -> list[str]:
-    """Return names for shell completion."""
+    """Return the names of baselines that complete an incomplete word in the shell."""
     from kinectbench.scoring.baselines.registry import BASELINES
 
     return [name for name in BASELINES if name.startswith(incomplete)]
@@ -29,7 +29,7 @@ def baseline_command(
 ) -> int:
     """Write predictions of simple methods: empty, base-rate, partial, hull, mirror, silhouette.
 
-    Where there are training pairs of every category, mean-shape and nearest too.
+    With training pairs of every category, mean-shape and nearest are written, too.
     """
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.predict import check_baseline_names, write_baselines
@@ -47,8 +47,8 @@ def baseline_command(
 def check_command(common: Common, predictions: Predictions) -> int:
     """Report all faults of folders of predictions, without scoring.
 
-    Of predictions in the camera frame it says how far each is from its view's depth, and what explains it.
-    Predictions that are constant, or the same for every view, are named.
+    For predictions in the camera frame, the distance of each from its view's depth is stated, and a likely
+    cause. Predictions that are constant, or the same for every view, are named.
     """
     from kinectbench.cli import console
     from kinectbench.scoring.camera_predictions import check_camera

@@ -68,7 +68,7 @@ STAGE_COMMANDS: Mapping[str, Command] = {
 
 
 def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
-    """Build recordings up to a stage (`build`: all stages), print the outcome; return the exit status."""
+    """Build recordings up to a stage (`build`: all stages) and print the outcome; return the exit status."""
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
@@ -97,7 +97,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
 
 
 def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
-    """Return the requested recordings in the part that `--shard` names; print a message if there are none."""
+    """Return jobs for the requested recordings that belong to the `--shard`; print a note if none does."""
     from kinectbench.cli import console
 
     chosen, part = chosen_jobs(common, ids), common.part
@@ -130,7 +130,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 
 def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
-    """Print the table of `build_recordings`' results for the last stage, with warnings below it."""
+    """Print a table of `build_recordings`' results up to a stage, and details of objects below it."""
     from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 
@@ -150,7 +150,7 @@ def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
 
 
 def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
-    """Return the requested recordings; refuse an unknown id and suggest the most similar one."""
+    """Return jobs for the requested recordings; an unknown id is an error that suggests a similar one."""
     from kinectbench.engine.stages import Job
     from kinectbench.settings.words import listed
 
@@ -168,9 +168,10 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 def build_recordings(
     common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = (), *, brief: bool = False
 ) -> "list[BuiltRecording]":
-    """Build, print warnings and errors, and return each recording's result, with its `error` or None.
+    """Build recordings up to a stage, print warnings and errors, and return each recording's result.
 
-    With `brief`, a failure that is not tried again because nothing changed is printed without its reason.
+    The `error` of a result is None on success. With `brief`, a failure that is not tried again because
+    nothing has changed is printed without its reason.
     """
     if missing := missing_extra("build"):
         raise SettingsError(missing, what="no-package")
@@ -222,10 +223,10 @@ def build_jobs(
     options: Sequence[str] = (),
     again: bool = False,
 ) -> "list[BuiltRecording]":
-    """Do the work of `build_recordings` for given jobs, on this many processes or by an executor.
+    """Build jobs with this many processes or an executor; print and return the same as `build_recordings`.
 
-    With `again`, warnings of current artefacts are repeated. `options` choose the same settings in the
-    printed command that shows all warnings.
+    With `again`, warnings of stages that were current are printed again. `options` are command-line options
+    that choose the same settings, for the printed command that shows all warnings.
     """
     from kinectbench.cli import console
     from kinectbench.engine.parallel import build as build_all
@@ -266,7 +267,7 @@ def build_jobs(
 
 
 def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: str) -> None:
-    """Print the most important warning of a recording, and the number of the rest; without it, print all.
+    """Print the warnings `own` of a recording: only `first` and the number of the rest, or all without it.
 
     `kinectbench <show_all>` is the command that prints all.
     """
@@ -287,7 +288,7 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: s
 
 
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
-    """Return the figures of a run's new and current results, with warnings of files that are not used."""
+    """Return the summary of a recording's results, to which the warnings `unused` are added."""
     from kinectbench.engine.summary import summary
 
     figures = summary(job, outcome)
@@ -295,7 +296,7 @@ def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "Record
 
 
 def _unused(job: "Job", upto: str) -> tuple[str, ...]:
-    """Return warnings of masks that benchmark.yaml does not name, and of a `pick` beside `segment_by`."""
+    """Return warnings on unused input: masks that benchmark.yaml does not name, `pick` with `segment_by`."""
     own, views = job.recording, upto in ("sample-views", "pairs")
     name, lines = own.id, list[str]()
     if own.pick and own.segment_by and (views or upto == "segment"):
@@ -307,7 +308,7 @@ def _unused(job: "Job", upto: str) -> tuple[str, ...]:
 
 
 def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
-    """Warn of recordings with the placeholder category that `init` writes if it knows no category."""
+    """Print a warning about recordings whose category is still the placeholder that `init` wrote."""
     from kinectbench.cli import console
     from kinectbench.settings.template import UNKNOWN_CATEGORY
     from kinectbench.settings.words import listed
@@ -326,7 +327,7 @@ def built(rows: "list[BuiltRecording]") -> list[str]:
 
 
 def exit_status(rows: "list[BuiltRecording]") -> int:
-    """Return 1 if no recording is usable, 3 if some failed, else 0; print again which of several failed."""
+    """Return 1 if all recordings failed, 3 if some did, else 0; if some did, print their ids again."""
     from kinectbench.cli import console
 
     failed = len(rows) - len(built(rows))
@@ -344,12 +345,12 @@ def need_some(rows: "list[BuiltRecording]") -> list[str]:
 
 
 def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
-    """Return the named release, or the local one; if there is none, build and publish it now.
+    """Open the release of `--benchmark`, or else the local one, which is built and published if missing.
 
     An existing release is never changed here: only `publish` replaces it.
 
     Returns:
-        The release, and the result of `build_recordings`; an empty list if the release existed.
+        The release, and the results of `build_recordings`, which are empty if the release existed.
     """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
@@ -374,7 +375,7 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
 
 
 def _tell_used(release: "Release") -> None:
-    """Print that the release is used as published, although settings or builds differ from it."""
+    """Print a note that the release is used as published, although settings or builds have changed since."""
     from kinectbench.cli import console
 
     numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}
@@ -387,7 +388,7 @@ def _tell_used(release: "Release") -> None:
 
 
 def release_here(benchmark: Path) -> Path:
-    """Return the folder of a release; a release named by its URL is downloaded into the local cache."""
+    """Return a release's local path; a release given by its URL is downloaded into the cache first."""
     from kinectbench.cli import console
 
     url = url_of(benchmark)

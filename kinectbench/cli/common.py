@@ -1,4 +1,4 @@
-"""The options that commands share, as one value, and how commands print results."""
+"""Define the options that commands share as one value, `Common`, which also prints results."""
 
 import inspect
 import os
@@ -28,7 +28,7 @@ DEFAULT_CONFIG = Path("benchmark.yaml")
 
 
 class OnInterrupt:
-    """What an interrupt says; a command that cannot be run again sets its own words."""
+    """The message after an interrupt (Ctrl-C); a command that cannot simply be run again changes it."""
 
     words = "stopped; run the same command again to go on from here"
 
@@ -38,15 +38,15 @@ on_interrupt = OnInterrupt()
 
 @dataclass(frozen=True)
 class Common:
-    """The options that many commands share; one that a command does not offer keeps its default.
+    """The options that many commands share; an option that a command does not offer has its default.
 
     Attributes:
         benchmark: a release to work on; None: the release of the benchmark that `config` describes.
-        config: the file of the benchmark's settings; the build is beside it.
-        overrides: settings that replace settings of the file, each `SECTION.KEY=VALUE`.
+        config: the file with the benchmark's settings; the folder build/ is beside it.
+        overrides: settings that replace those of the file, each `SECTION.KEY=VALUE`.
         jobs: the number of processes; None: one per core.
         force: whether to make current artefacts again.
-        wait: whether to wait for another run in the same folder, or to stop.
+        wait: whether to wait for another run in the same folder, or to stop with an error.
         as_json: whether standard output is JSON.
         shard: the part of the recordings to work on, `I/N`; None: all.
         cluster: the address of a cluster, or `local:N`; None: processes of this machine.
@@ -99,15 +99,15 @@ class Common:
 
     @property
     def place(self) -> Path:
-        """The folder or URL from which relative paths in benchmark.yaml start, as a path."""
+        """The folder or URL of benchmark.yaml, from which its relative paths start, as a path."""
         return self.config.parent
 
     @property
     def root(self) -> Path:
-        """The folder from which relative paths in benchmark.yaml start.
+        """The folder of benchmark.yaml, from which its relative paths start.
 
         Raises:
-            SettingsError: the benchmark is in a store, where only some commands work.
+            SettingsError: the benchmark is in a store (at a URL), where only some commands work.
         """
         url = url_of(self.place)
         if url is not None:
@@ -119,12 +119,12 @@ class Common:
         return self.place
 
     def beside(self, name: str) -> Path:
-        """Return a results folder: beside benchmark.yaml, or in the working folder if a release is named."""
+        """Return the path of a results folder: beside benchmark.yaml, or with `--benchmark` in the cwd."""
         return Path(name) if self.benchmark else self.root / name
 
     @property
     def options(self) -> list[str]:
-        """Return the options that choose the same settings on another command line."""
+        """The options (`--config`, `--set`) that choose the same settings on another command line."""
         given = [word for override in self.overrides or () for word in ("--set", override)]
         url = url_of(self.config)
         place = str(self.config) if url is None else shown(url)
@@ -132,16 +132,16 @@ class Common:
 
     @property
     def workers(self) -> int:
-        """The number of processes: as requested, or one per core."""
+        """The number of processes: as requested, or else one per core."""
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         return self.jobs or cores or 1
 
     @property
     def part(self) -> "Shard | None":
-        """The part of the recordings to work on; None: all.
+        """The part of the recordings that `--shard` names; None: all.
 
         Raises:
-            SettingsError: unknown part.
+            SettingsError: the value of `--shard` is invalid.
         """
         from kinectbench.engine.shards import parse_shard
 
@@ -149,7 +149,7 @@ class Common:
 
     @contextmanager
     def executor(self) -> Iterator["Executor | None"]:
-        """Yield the requested cluster, connected within the block; yield None if no cluster is requested.
+        """Connect to the requested cluster during a `with` block and yield it; yield None without one.
 
         Raises:
             SettingsError, ClusterError: the address is invalid, or nothing answers there.
@@ -182,7 +182,7 @@ class Common:
         return load_benchmark(self.config, self.overrides or ())
 
     def tell(self, value: object, lines: Iterable[str]) -> None:
-        """Print a result: as JSON if requested, else as these lines."""
+        """Print a result on standard output: `value` as JSON with `--json`, else `lines`."""
         from kinectbench.cli import console
 
         if self.as_json:
@@ -195,12 +195,12 @@ class Common:
         self.tell([str(path) for path in paths], (f"wrote {path}" for path in paths))
 
     def tell_problems(self, problems: list[str], well: str, shown: list[str] | None = None) -> None:
-        """Print one line per problem on standard error, at most a thousand, or one line that all is well.
+        """Print one line per problem on standard error, at most a thousand, or else the line `well`.
 
         Args:
-            problems: the problems, as printed in JSON.
-            well: the line if there are none.
-            shown: the lines for people; default: `problems`.
+            problems: the problems, as printed with `--json`.
+            well: the line that is printed if there are no problems.
+            shown: the lines that are printed for people; default: `problems`.
         """
         from kinectbench.cli import console
 
@@ -214,24 +214,24 @@ Command = Callable[..., None]
 def takes(
     *names: str, at_url: bool = False
 ) -> Callable[[Callable[Concatenate[Common, ...], int | None]], Command]:
-    """Add these options of `Common` to a command, which receives them as its first argument.
+    """Return a decorator that adds options of `Common` to a command, which gets a `Common` as first argument.
 
-    Typer reads options from a function's signature; here it is composed of the command's own parameters and
-    the named fields of `Common`. The exit status that the command returns, if any, ends the process.
+    Typer reads options from a function's signature. The decorated function has the command's own parameters
+    and the named fields of `Common`. If the command returns an exit status, the process ends with it.
 
     Args:
         names: names of the fields.
-        at_url: whether the command also works on a benchmark in a store; else a URL is refused at once.
+        at_url: whether the command also works on a benchmark in a store; else `--config URL` is an error.
     """
     shared = [field for field in fields(Common) if field.name in names]
     assert len(shared) == len(names), f"not all of {names} are fields of Common"
 
     def decorate(command: Callable[Concatenate[Common, ...], int | None]) -> Command:
-        """Return the command as typer sees it, with its own options and the shared ones."""
+        """Return the function that typer sees, with the command's own options and the shared ones."""
 
         @wraps(command)
         def run(**options: Any) -> None:
-            """Call the command with the shared options as `Common`, and exit with its status."""
+            """Call the command with the shared options as a `Common`, and exit with its status."""
             common = Common(**{field.name: options.pop(field.name, field.default) for field in shared})
             if not at_url:
                 _ = common.root
@@ -255,7 +255,7 @@ def takes(
 
 
 def _refuse_urls(options: Mapping[str, object]) -> None:
-    """Refuse a URL as a local path, which would create or search folders named like its parts.
+    """Raise an error if an option that takes a local path is a URL, as its parts would become folders.
 
     Raises:
         SettingsError: an option is a URL.
@@ -269,7 +269,7 @@ def _refuse_urls(options: Mapping[str, object]) -> None:
 
 
 def _known_ids(context: typer.Context, incomplete: str) -> list[str]:
-    """Return ids of the local benchmark for shell completion; none if benchmark.yaml is unreadable."""
+    """Return the recording ids that complete an incomplete word; none if benchmark.yaml is unreadable."""
     common = Common(config=context.params.get("config") or DEFAULT_CONFIG)
     try:
         known = [recording.id for recording in common.settings.recordings]

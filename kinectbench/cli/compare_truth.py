@@ -43,7 +43,7 @@ def compare_truth_command(
         Path | None, typer.Option(metavar="FOLDER", help="meshes named as the recordings or their objects")
     ] = None,
 ) -> int:
-    """Hold what was built against meshes that a scanner measured or somebody drew: reference.json."""
+    """Compare built objects with meshes that a scanner measured or somebody drew; write reference.json."""
     from kinectbench.cli import console
     from kinectbench.lab.evaluate.reference import compare_reference
 
@@ -86,7 +86,7 @@ def compare_truth_command(
 
 
 def _in_json(new: "ComparedMesh", whole: "ReferenceFile") -> dict[str, object]:
-    """Return the file of all meshes, and which mesh this run compared."""
+    """Return as JSON the comparison with all meshes so far, and which mesh this run compared."""
     return {**whole.json_value(), "compared": {key: getattr(new, key) for key in COMPARED}}
 
 
@@ -95,7 +95,7 @@ def _refusal(name: str, of: "ComparedMesh") -> str:
 
 
 def _say_table(found: "Mapping[str, tuple[ComparedMesh, ReferenceFile]]") -> None:
-    """Print the accepted meshes, of this run and earlier ones, for the same objects."""
+    """Print a table of all comparisons, of this run and earlier ones, with meshes that fit the objects."""
     from kinectbench.cli import console
 
     shown = [_row(name, each) for name, (_, whole) in found.items() for each in whole.all if not each.refused]
@@ -107,7 +107,11 @@ def _say_table(found: "Mapping[str, tuple[ComparedMesh, ReferenceFile]]") -> Non
 def _references(
     common: Common, ids: list[str] | None, reference: Path | None, references: Path | None
 ) -> dict[str, Path]:
-    """Return the mesh of each recording."""
+    """Return {recording id: path of its reference mesh}, from --reference or --references.
+
+    Raises:
+        SettingsError: not exactly one of the two is given, or --reference is given for several recordings.
+    """
     from kinectbench.lab.evaluate.reference import find_references
 
     names = {job.recording.id: job.recording.object_name for job in chosen_jobs(common, ids)}
@@ -122,7 +126,7 @@ def _references(
 
 
 def _row(name: str, found: "ComparedMesh") -> dict[str, object]:
-    """Return a recording's row in the table."""
+    """Return a row of the printed table as {column key: value}."""
     other, pose = found.runner_up, "one"
     if found.symmetric_axis_floor is not None:
         pose = "any turn about its axis of symmetry"

@@ -55,10 +55,10 @@ TEXTS = ("recording", "status", "state", "next", "error")
 
 
 class SafeConsole(Console):
-    """A console on which text from files cannot control the terminal: control characters are shown as `?`."""
+    """A rich console that shows control characters as `?`, so that untrusted text is harmless."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render with rich, then remove control characters except line ends."""
+        """Render with rich, then replace control characters in the texts except line ends."""
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment
@@ -100,10 +100,10 @@ def at_most(messages: Sequence[str]) -> list[str]:
 
 
 def by_mistake(messages: Iterable[str]) -> list[str]:
-    """Return one line for each mistake: the first message about it, and the number of files with it.
+    """Group messages about the same mistake: return for each mistake its first message and number of files.
 
     Args:
-        messages: `<file>: <what is wrong>`; messages about one mistake differ only in file, voxel and
+        messages: `<file>: <what is wrong>`; messages about the same mistake differ only in file, voxel and
             measured values.
     """
     groups: dict[str, list[str]] = {}
@@ -119,7 +119,7 @@ def lines(kind: str, messages: Sequence[str], style: str) -> None:
     """Print one line per message on standard error, without wrapping, and the number of messages left out.
 
     Args:
-        kind: the beginning of the lines, such as "warning".
+        kind: the text before the colon in each line, such as "warning".
         messages: the messages, of which `at_most` are printed.
         style: rich's style for `kind`.
     """
@@ -130,21 +130,22 @@ def lines(kind: str, messages: Sequence[str], style: str) -> None:
 
 
 def recording_lines(recording: str, kind: str, messages: Sequence[str], style: str) -> None:
-    """Print `lines` about a recording, without repeating an id that equals its path."""
+    """Print messages about a recording as `lines` does; an id at a message's start is not repeated."""
     lines(f"{recording}: {kind}", [message.removeprefix(f"{recording}: ") for message in messages], style)
 
 
 def waiting(what: str, holder: str) -> None:
-    """Print a line before waiting for another run."""
+    """Print that a command (`what`) waits for another run (`holder`)."""
     lines("waiting", [f"{what}: for {holder}; Ctrl-C to stop"], "yellow")
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """Print details of objects: what an estimate rests on, what widens it, and what to record again.
+    """Print details of objects: the estimated IoU, what widens its interval, what people stated, advice.
 
     Args:
         rows: one summary for each recording.
-        frontiers: whether to print what to record again for current recordings; for new ones, warnings do.
+        frontiers: whether to print advice on what to record again for recordings that were up to date; for
+            new results, warnings have it.
     """
     from kinectbench.core.artefacts.object import REASONS_FOLLOW, with_interval
 
@@ -162,7 +163,7 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
 
 
 def failures(rows: "Sequence[BuiltRecording]") -> None:
-    """Print the last line of a run in which some recordings failed: which ones, and how to continue."""
+    """Print one line on the recordings of a run that failed, and how to continue; nothing if none failed."""
     from kinectbench.settings.words import listed
 
     failed = [row.recording for row in rows if row.error is not None]
@@ -176,7 +177,7 @@ def failures(rows: "Sequence[BuiltRecording]") -> None:
 
 
 def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> WideTable:
-    """Return the table at the end of a build: one line per recording, with the columns of these stages."""
+    """Return the table that ends a build: one row per recording, with the columns of some stages."""
     columns = {"recording": "recording"}
     for stage in stages:
         columns |= COLUMNS.get(stage, {})
@@ -206,12 +207,12 @@ def text_table(
     title: str | None = None,
     caption: str | None = None,
 ) -> WideTable:
-    """Return a table of rows without shortened cells; a table with many columns is split into pieces.
+    """Return a table whose cells are never shortened; if too wide, it is split into pieces.
 
     Args:
-        rows: values by key.
-        columns: key and title of each column.
-        formats: formats of the numbers of some keys; other numbers have three decimals.
+        rows: {key: value} for each row.
+        columns: {key: title} of each column.
+        formats: {key: format of its numbers}; numbers of other keys have three decimals.
         title: title above the table.
         caption: caption below the table.
     """
@@ -234,10 +235,10 @@ def _cell(value: object, spec: str) -> str:
 
 
 class PlainLines:
-    """Prints lines such as `[  12 s] chair_01: track`, if no progress bar can be drawn."""
+    """Progress as lines such as `[  12 s] chair_01: track`, for logs, which cannot have progress bars."""
 
     def __init__(self) -> None:
-        """Start to count the seconds."""
+        """Start the clock of the printed times."""
         self._started = time.monotonic()
         self._last = self._started
 
@@ -256,7 +257,7 @@ class PlainLines:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar within the block; yields a function of (done, total)."""
+    """Show a progress bar during a `with` block; yield a function that updates it with (done, total)."""
     plain = None if err.is_terminal else PlainLines()
     with _bars() as bars:
         task = bars.add_task(title, total=None)
@@ -272,12 +273,15 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
-    """Show a counter without a known end; yields a function of (frames, seconds, what to do or "")."""
+    """Show a counter of frames during a `with` block; yield a function that updates it.
+
+    It takes the number of frames, the seconds passed, and the guide's advice or "".
+    """
     plain = None if err.is_terminal else PlainLines()
     with err.status(title) as status:
 
         def update(frames: int, seconds: float, advice: str) -> None:
-            """Show how far the recording is, and the guide's advice."""
+            """Show the number of frames, the seconds passed and the guide's advice."""
             check_interrupt()
             text = f"{title}: {frames} frames, {seconds:.0f} s; Ctrl-C ends it"
             text = f"{advice.upper()} ({text})" if advice else text
@@ -289,21 +293,21 @@ def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
 
 
 class RecordingBars:
-    """Progress bars: one for each recording that is being built, and one over all if there are several.
+    """Progress bars of a build: one for each recording in work, and one over all recordings if several.
 
-    Call the object with (recording, stage, done, total); it also reports outcomes. See
-    `kinectbench.engine.parallel.ProgressWatcher`.
+    An instance is a `kinectbench.engine.parallel.ProgressWatcher`: it is called with (recording, stage, done,
+    total), and also reports outcomes and warnings.
     """
 
     def __init__(
         self, bars: Progress, recordings: int | None, workers: Callable[[], int] | None = None
     ) -> None:
-        """Start without any bar.
+        """Start with the bar over all recordings if there are several, else without any bar.
 
         Args:
             bars: rich's progress display.
-            recordings: number of recordings, if known.
-            workers: returns the present number of parallel builds.
+            recordings: number of recordings; None: not known.
+            workers: function that returns the present number of parallel builds.
         """
         self._bars = bars
         self._recordings, self._workers = recordings, workers
@@ -318,7 +322,7 @@ class RecordingBars:
         self._all = bars.add_task("recordings", total=recordings) if several else None
 
     def __call__(self, recording: str, stage: str, done: int, total: int) -> None:
-        """Report the progress of a recording in a stage."""
+        """Show the progress of a recording: `done` of `total` steps of a stage."""
         check_interrupt()
         if self._stages.get(recording) != stage:
             self._stages[recording] = stage
@@ -331,7 +335,7 @@ class RecordingBars:
         )
 
     def ended(self, outcome: "Outcome") -> None:
-        """Report a finished or failed recording; prints a line in a log if any work was done."""
+        """Remove the bar of a finished or failed recording, and report its error or, in a log, its end."""
         self._ended += 1
         self._failed += outcome.error is not None
         if outcome.recording in self._tasks:
@@ -352,7 +356,7 @@ class RecordingBars:
             recording_lines(outcome.recording, "failed", [outcome.error], "red")
 
     def _rest(self) -> str:
-        """Return a text such as `3 failed, 97 left, 8 workers, 12 min to go`."""
+        """Return the state of the run as text, such as `3 failed, 97 left, 8 workers, 12 min to go`."""
         left = (self._recordings or 0) - self._ended
         parts = [f"{self._failed} failed", f"{left} left"]
         if self._workers is not None:
@@ -370,13 +374,13 @@ class RecordingBars:
 def recording_bars(
     recordings: int | None = None, workers: Callable[[], int] | None = None
 ) -> Iterator[RecordingBars]:
-    """Show a progress bar per recording; yields a function of (recording, stage, done, total)."""
+    """Show `RecordingBars` during a `with` block and yield them."""
     with _bars() as bars:
         yield RecordingBars(bars, recordings, workers)
 
 
 def duration(seconds: float) -> str:
-    """Return a duration such as `40 s`, `12 min` or `3.5 h`."""
+    """Return a duration as text, such as `40 s`, `12 min` or `3.5 h`."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

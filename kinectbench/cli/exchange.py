@@ -50,7 +50,7 @@ def export_command(
 
 
 def _export_views(common: Common, out: Path, method: str | None) -> int:
-    """Write the views of a release; print which views lack colour or are cropped."""
+    """Do the work of `export --layout rgbd`, and print notes on missing colour and cut objects."""
     from kinectbench.cli import console
     from kinectbench.release.exchange.rgbd import export_rgbd
     from kinectbench.scoring.adapters.registry import export_for
@@ -106,7 +106,7 @@ def import_command(
         typer.Option(help="the paper's authors', or the ten Redwood scans of SDS-Complete"),
     ] = "recgan",
 ) -> None:
-    """Make a release of files in the layout of the paper's authors, or of SDS-Complete."""
+    """Make a release from files in the layout of the paper's authors, or of SDS-Complete."""
     from kinectbench.cli import console
     from kinectbench.release.exchange.recgan import import_recgan
     from kinectbench.release.exchange.redwood10 import import_redwood10

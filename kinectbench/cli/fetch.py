@@ -100,7 +100,7 @@ def gc_command(
         bool, typer.Option("--all", help="also what is younger than a day: while nothing is built there")
     ] = False,
 ) -> None:
-    """List what killed runs left in a store's build/, which no manifest names; --delete removes it."""
+    """List files in a store's build/ that no manifest names, left by killed runs; --delete removes them."""
     from kinectbench.core.store.address import shown, url_of
     from kinectbench.core.store.store import Store
     from kinectbench.engine.unnamed import remove, unnamed

@@ -1,4 +1,4 @@
-"""The command line: all commands in one app, and the handling of their errors."""
+"""The entry point of the command line: all commands in one typer app, and the handling of their errors."""
 
 import gc as garbage
 import io
@@ -127,7 +127,7 @@ ON_RECORDINGS = (
 
 
 def _with_build(command: Command) -> Command:
-    """Wrap a command so that it prints one line if the extra `build` is not installed."""
+    """Wrap a command so that it ends with a one-line error if the extra `build` is not installed."""
 
     @wraps(command)
     def checked(*args: object, **options: object) -> None:
@@ -148,7 +148,7 @@ USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 
 
 def main() -> None:
-    """Run the command line; every error becomes one line and an exit status."""
+    """Run the command line and exit; every error becomes a short message and an exit status."""
     _show_what_can_be_shown()
     with interrupts_remembered(_end_unanswered):
         with _own_words_only():
@@ -164,7 +164,7 @@ def main() -> None:
 
 
 def _exit_interrupted() -> NoReturn:
-    """Exit at once: libraries interrupted during import may fail at Python's end, or change the status."""
+    """Exit at once, without Python's shutdown, in which interrupted libraries may change the status."""
     garbage.collect()
     if "kinectbench.engine.processes" in sys.modules:
         from kinectbench.engine.processes import give_back_shared
@@ -176,7 +176,7 @@ def _exit_interrupted() -> NoReturn:
 
 
 def _show_what_can_be_shown() -> None:
-    """Print `?` for characters outside the terminal's encoding, where Python would raise an error."""
+    """Make Python print `?` instead of raising an error for characters that the terminal cannot encode."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -184,10 +184,10 @@ def _show_what_can_be_shown() -> None:
 
 @contextmanager
 def _own_words_only() -> Iterator[None]:
-    """Silence standard error for native libraries within the block; Python still writes to it.
+    """Silence native libraries on standard error during a `with` block; Python can still write to it.
 
-    libjpeg, libpng and FFmpeg print there about every damaged image, in addition to our own line. Worker
-    processes inherit the silence.
+    libjpeg, libpng and FFmpeg would print a line about every damaged image, in addition to our own message.
+    Worker processes are silenced, too.
     """
     try:
         ours = sys.stderr.fileno() == STDERR
@@ -214,7 +214,7 @@ def _own_words_only() -> Iterator[None]:
 
 
 def _run() -> tuple[int, tuple[str, ...]]:
-    """Return exit status and error lines; a failure after an interrupt counts as interrupted."""
+    """Run the command; return exit status and error lines. A failure after Ctrl-C counts as interrupted."""
     try:
         status, messages = _call()
         if status:
@@ -228,7 +228,10 @@ def _run() -> tuple[int, tuple[str, ...]]:
 
 
 def _end_unanswered(number: int) -> None:
-    """Exit while a library computes, which Python cannot interrupt; called on another thread."""
+    """End the process on a signal while a library computes, which Python cannot interrupt.
+
+    It is called with the signal's number on another thread.
+    """
     remove_half_filled()
     sys.stderr.write(f"error: {on_interrupt.words}\n")  # the console's lock may be held
     sys.stderr.flush()
@@ -255,7 +258,7 @@ def _call() -> tuple[int, tuple[str, ...]]:
 
 
 def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
-    """Refuse unusable URLs as typed, before typer turns them into paths.
+    """Raise an error for an unusable URL on the command line, before typer turns it into a path.
 
     Raises:
         SettingsError: a URL lacks its bucket or host, or has another scheme.
@@ -272,7 +275,7 @@ def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
 
 
 def _usage(error: Any) -> tuple[str, ...]:
-    """Return one line about wrong usage; nothing if no command was given, when only the help is shown."""
+    """Return one line about a usage error; nothing if no command was given, because the help is shown."""
     if type(error).__name__ == "NoArgsIsHelpError":
         return ()
     command = error.ctx.command_path if error.ctx else "kinectbench"

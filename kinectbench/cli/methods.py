@@ -1,4 +1,4 @@
-"""The commands `train`, `predict` and `convert`: networks; they need torch."""
+"""The commands `train`, `predict` and `convert` for networks; they need torch."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ Word = TypeVar("Word", bound=str)
 
 
 def _known_configs(incomplete: str) -> list[str]:
-    """Return names for shell completion."""
+    """Return the names of packaged configurations that complete an incomplete word in the shell."""
     from kinectbench.networks.config_file import packaged_configs
 
     return [name for name in packaged_configs() if name.startswith(incomplete)]
@@ -118,7 +118,7 @@ def predict_command(
     surface: Annotated[bool, typer.Option(help="with --score: surface metrics, too")] = True,
     device: Device = None,
 ) -> None:
-    """Write predictions of a trained network, with method.json; --score writes figures alone."""
+    """Write predictions of a trained network, with method.json; --score writes only their scores."""
     from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 
@@ -162,7 +162,7 @@ def predict_command(
 
 
 def _chosen(option: str, word: str, words: Sequence[Word]) -> tuple[Word, ...]:
-    """Return the option's value if it is valid; else raise an error that lists the valid ones."""
+    """Return an option's value in a tuple if it is one of `words`; else raise an error that lists them."""
     valid = tuple(known for known in words if known == word)
     if not valid:
         raise typer.BadParameter(f"'{word}': choose {' or '.join(words)}", param_hint=option)
@@ -179,7 +179,7 @@ def _score(
     folder: Path,
     device: str,
 ) -> None:
-    """Predict and score without files of predictions; then write the same files as `score`."""
+    """Do the work of `predict --score`: predict and score in memory, then write the same files as `score`."""
     from kinectbench.cli import console
     from kinectbench.cli.report import write_page
     from kinectbench.cli.score import baselines_of, tell_problems, tell_scores

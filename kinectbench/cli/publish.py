@@ -57,7 +57,7 @@ def publish_command(
         ),
     ] = None,
 ) -> int:
-    """Write the release to benchmark/, from everything that can be built."""
+    """Build what is not up to date, and write the release to benchmark/ from all that could be built."""
     from kinectbench.cli import console
     from kinectbench.release.publish.archive import refuse_unstated, write_archive
     from kinectbench.release.publish.current import publish_if_stale
@@ -91,7 +91,7 @@ def publish_command(
 
 
 def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
-    """Return a function that uploads a release to a URL, and returns the URL and a summary.
+    """Return a function that uploads a release's folder to the URL `to`, and returns (URL, summary).
 
     Raises:
         SettingsError: the URL does not allow uploads, or a package is not installed.
@@ -113,12 +113,12 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
 
 
 def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
-    """Return 3 if recordings failed or did not pass the gate; a person's rejection is no failure."""
+    """Return the exit status: 0 if no recording failed or violates limits; rejected ones do not count."""
     return exit_status(rows) or (SOME_FAILED if summary.refused else 0)
 
 
 def _publish_there(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
-    """Publish in the store that holds the benchmark."""
+    """Publish a benchmark that is in a store, in that store, with a progress bar."""
     from kinectbench.cli import console
     from kinectbench.release.publish.stored import publish_stored
 
@@ -127,7 +127,7 @@ def _publish_there(common: Common, recordings: list[str], options: "PublishOptio
 
 
 def store_at(url: str) -> "Store":
-    """Return the store to which a release is uploaded.
+    """Return the store at the URL of `--to`, to which a release is uploaded.
 
     Raises:
         SettingsError: `url` is no URL, does not allow uploads, or obstore is not installed.
@@ -154,7 +154,7 @@ def publish_options(
     allow_poor: bool = False,
     isolate: bool = False,
 ) -> "PublishOptions":
-    """Return the options of `publish` as a value.
+    """Check the options of `publish` and return them as a value.
 
     Args:
         settings: the benchmark's settings.
@@ -232,7 +232,7 @@ def _tell(
 
 
 def _put_line(url: str, put: "PutSummary") -> str:
-    """Return a line about the upload, with another release that was there before."""
+    """Return a line about the upload; print a note if it has replaced another release."""
     from kinectbench.cli import console
 
     if put.replaced is not None:
@@ -243,7 +243,7 @@ def _put_line(url: str, put: "PutSummary") -> str:
 
 
 def _put_value(url: str, put: "PutSummary") -> dict[str, object]:
-    """Return the same as `_put_line`, as JSON values."""
+    """Return the upload as JSON values: URL, numbers of files, and the replaced release."""
     keys = ("name", "version", "benchmark_sha256")
     replaced = None if put.replaced is None else {key: getattr(put.replaced, key) for key in keys}
     return {

@@ -1,4 +1,4 @@
-"""`kinectbench fetch` of a recipe: downloads its scans, or builds and deletes them one by one."""
+"""`kinectbench fetch` for a recipe: download its scans, or with --stream build and delete them one by one."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -57,7 +57,7 @@ def fetch_recipe(
 def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
     """Fetch, build and delete one scan after another; return the exit status.
 
-    What is built is not fetched again, nor what would fail again.
+    Scans that are built already, or whose build would fail again, are not fetched.
     """
     import shutil
 
@@ -109,11 +109,11 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
 
 
 def _refuse_beyond(out: Path, size: int) -> None:
-    """Refuse a scan whose build would exceed the limit of `--stream`.
+    """Raise an error if a scan of `size` bytes and its build would exceed the disk space of `--stream`.
 
     Raises:
         StorageError: this scan alone would exceed it; a smaller scan may still fit.
-        NoRoomError: this scan and the folder's content together would exceed it.
+        NoRoomError: this scan and the present content of `out` together would exceed it.
     """
     from kinectbench.core.errors import StorageError
     from kinectbench.core.untrusted import listed_below
@@ -134,7 +134,7 @@ def _refuse_beyond(out: Path, size: int) -> None:
 
 
 def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then: str) -> int:
-    """Print the state of the scans; return 1 if none is present, 3 if some failed."""
+    """Print the outcomes of the scans, then the line `then`; return 1 if all failed, 3 if some, else 0."""
     from kinectbench.cli import console
 
     errors = [row.error for row in rows if row.error is not None]
@@ -156,7 +156,7 @@ def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then:
 
 
 def _other_cameras(recipe: "Recipe", scans: "Sequence[Scan]") -> list[str]:
-    """Return a line for each scan whose own intrinsics differ from the recipe's, which are used."""
+    """Return a warning for each scan that states other intrinsics than the recipe, whose values are used."""
     from math import isclose
 
     from kinectbench.core.errors import KinectBenchError

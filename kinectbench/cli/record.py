@@ -83,7 +83,7 @@ def record_command(
 
 @contextmanager
 def _begun(out: Path) -> "Iterator[BuildProcess | None]":
-    """Start the build while recording; yields None if the package that it needs is missing."""
+    """Start a process that builds while recording; yield it, or None if a package for it is missing."""
     from kinectbench.core.extras import missing_extra
 
     if missing_extra("build"):
@@ -100,9 +100,9 @@ def _begun(out: Path) -> "Iterator[BuildProcess | None]":
 
 @contextmanager
 def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess | None]":
-    """Run the guide, a page that says what to record next, during the block; yield it.
+    """Run the guide, a page that says what to record next, during a `with` block; yield its process.
 
-    Yields None if it is not wanted, or (with a warning) if it cannot start.
+    Yield None if the guide is not wanted, or (with a warning) if it cannot start.
     """
     from kinectbench.cli import console
 
@@ -129,7 +129,10 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
 
 
 def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | None") -> int:
-    """Write a benchmark.yaml into the new folder, build it, and print the time since the last frame."""
+    """Write a benchmark.yaml into the new recording's folder, build it, and print how long that took.
+
+    `ended_s` is the time at which recording ended; `begun` is the process of `_begun`.
+    """
     from dataclasses import replace
 
     from kinectbench.cli import console

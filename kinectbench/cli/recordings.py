@@ -71,7 +71,9 @@ def init_command(
 def _benchmark_text(
     target: Path, written: bytes | None, rows: Sequence[tuple[str, str]], suffixes: Sequence[str]
 ) -> tuple[str, list[str]]:
-    """Return the text of a benchmark.yaml, and lines about it to print.
+    """Return the text of a benchmark.yaml for the found recordings, and lines to print about it.
+
+    If the file exists, `written` is its content, to which new recordings are added.
 
     Raises:
         SettingsError: there are no recordings, or the existing file has an error.
@@ -99,10 +101,10 @@ def _benchmark_text(
 
 
 def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
-    """Return folders, and files named like recordings, that no reader recognises; nested ones are left out.
+    """Return the paths that look like recordings but are in no known format: folders, and files by suffix.
 
-    Folders with results, with a simulation's truth, or with hidden files are ignored; so are those of another
-    benchmark or of a program (beside a pyproject.toml).
+    What lies inside a returned folder is not returned. Ignored are hidden files and folders, folders with
+    results or with a simulation's truth, those of another benchmark, and those beside a pyproject.toml.
 
     Args:
         folder: the searched folder.
@@ -129,7 +131,7 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
 
 
 def _children(folder: Path) -> list[Path]:
-    """Return the sorted content of a folder; empty if it is unreadable."""
+    """Return the sorted paths in a folder; empty if it is unreadable."""
     try:
         return sorted(folder.iterdir())
     except OSError:
@@ -199,7 +201,10 @@ def inspect_command(
 
 
 def _of_benchmark(name: str) -> "RecordingSettings | None":
-    """Return the benchmark's recording with that id; None if there is none, or if a path has that name."""
+    """Return the settings of the local benchmark's recording with this id; None if there is none.
+
+    If a file or folder of this name exists, it is preferred, and None is returned.
+    """
     if not NAME.fullmatch(name) or not DEFAULT_CONFIG.is_file() or Path(name).exists():
         return None
     return next((known for known in Common().settings.recordings if known.id == name), None)

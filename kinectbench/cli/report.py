@@ -50,7 +50,7 @@ def report_command(
 def _paper_table(
     common: Common, ids: Sequence[str] | None, scores: Sequence[Path], out: Path | None, baselines: bool
 ) -> int:
-    """Print the paper's table of score files, or write it to a file; nothing is built."""
+    """Print score files as a table in the paper's form, or write it to the file `out`; nothing is built."""
     from dataclasses import asdict
 
     from kinectbench.core.storage import replaced_file
@@ -81,7 +81,7 @@ def write_page(
     out: Path | None = None,
     baselines: bool = True,
 ) -> Path:
-    """Write the page of scores: of a release alone, or of the local benchmark with its build."""
+    """Write the page of a release's scores, or (None) of the local benchmark; return the page's path."""
     from kinectbench.cli import console
     from kinectbench.report.run import page_of_benchmark, page_of_release
 

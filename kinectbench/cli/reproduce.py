@@ -1,4 +1,4 @@
-"""The command `reproduce`: the protocol of a paper, from recordings to its table."""
+"""The command `reproduce`: run the protocol of a paper, from recordings to its table."""
 
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -27,10 +27,10 @@ def reproduce_command(
     protocol: Annotated[Literal["paper-real"], typer.Argument(help="that of 3D-RecGAN++ on real recordings")],
     device: Device = None,
 ) -> int:
-    """Build, publish, predict and score by the protocol of the paper; print its table; go on after a stop.
+    """Build, publish, predict and score by the paper's protocol; print its table. A stopped run is resumed.
 
-    All networks that come trained predict; other methods' predictions beside theirs are scored, too.
-    Thresholds are those of the validation split.
+    All networks that come trained are run. Other methods' predictions in the same folder are scored, too.
+    Thresholds come from the validation split.
     """
     from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
@@ -81,7 +81,7 @@ def reproduce_command(
 
 
 def _origin(release: "Release") -> str:
-    """Return a line of the table about the origin of the pairs."""
+    """Return a line to print below the table: the number of test pairs, and where they come from."""
     pairs, info = release.split("test"), release.metadata
     counted = f"{len(pairs)} pairs of {printable(info.name, LONGEST_NAME)}"
     if info.settings.recordings is None:

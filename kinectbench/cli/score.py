@@ -95,7 +95,7 @@ def score_command(
 def _score_part(
     common: Common, predictions: Path | None, out: Path | None, options: Mapping[str, Any]
 ) -> int:
-    """Count the pairs of one part; the same command without `--shard` makes the table."""
+    """Do the work of `score --shard`: count the pairs of one part, and print how to make the table of all."""
     from kinectbench.cli import console
     from kinectbench.release.release import open_release
     from kinectbench.scoring.score import count_methods
@@ -125,7 +125,7 @@ def _score_part(
 
 
 def in_space(tables: "Sequence[ScoreTable]") -> "list[ScoreTable]":
-    """Return the scores of predictions in the camera frame."""
+    """Return those of the tables that score predictions in the camera frame."""
     from kinectbench.core.artefacts.score_figures import any_in_space
 
     return [table for table in tables if any_in_space(table.settings.protocols)]
@@ -134,7 +134,10 @@ def in_space(tables: "Sequence[ScoreTable]") -> "list[ScoreTable]":
 def tell_scores(
     common: Common, tables: "Sequence[ScoreTable]", beside: "Sequence[ScoreTable]", page: Path
 ) -> None:
-    """Print the scores: a table, or as JSON the means over all categories."""
+    """Print scores as tables, with the baselines `beside` and the path of the page, or as JSON.
+
+    JSON has each method's means over all categories, without the baselines.
+    """
     from kinectbench.cli import console
     from kinectbench.cli.score_tables import score_table, space_lines
 
@@ -157,7 +160,10 @@ def _recheck(
     predictions: Path | None,
     thresholds: Path | None,
 ) -> int:
-    """Score again with the table's settings; only the file of thresholds is an option."""
+    """Do the work of `score --recheck`: score again with the settings in a scores.json; print differences.
+
+    Only the file of thresholds may be given as an option.
+    """
     from kinectbench.cli import console
     from kinectbench.scoring.compare import find_scores
     from kinectbench.scoring.read_table import read_table
@@ -206,7 +212,10 @@ def _tables(
     known: Mapping[str, Any],
     of_one: Mapping[str, Any],
 ) -> "list[ScoreTable]":
-    """Score the predictions, or else the baselines, and print problems; `of_one`: options of one method."""
+    """Score the predictions, or without them the baselines; print problems, and return the score tables.
+
+    `known` are options of both, `of_one` options that need predictions.
+    """
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
     from kinectbench.scoring.predictions import lines_without, split_methods
@@ -226,7 +235,7 @@ def _tables(
 
 
 def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
-    """Refuse options of a single method if no predictions are given."""
+    """Raise an error if options that need predictions are given; called if no predictions are."""
     options = {**of_one, "cluster": common.cluster}
     given = [
         f"--{name.replace('_', '-')}"
@@ -244,10 +253,10 @@ def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
 def baselines_of(
     release: "Release", folder: Path, tables: "Sequence[ScoreTable]", upsampling: str, jobs: int
 ) -> "list[ScoreTable]":
-    """Score the baselines that are not among the methods; none beside a table with very many rows.
+    """Score the baselines that are not among the methods, to show them beside the methods.
 
-    Beside predictions in the camera frame, baselines are scored as solids there; none if predictions have
-    free size.
+    For predictions in the camera frame, baselines are scored as solids in that frame. No baseline is scored
+    if predictions have an unknown scale, or if a table has very many rows.
     """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
@@ -276,7 +285,7 @@ def baselines_of(
 
 
 def tell_problems(tables: "Sequence[ScoreTable]") -> None:
-    """Print warnings and failures of each method, one line for each mistake."""
+    """Print the warnings and failures of each method, grouped by mistake, one line each."""
     from kinectbench.cli import console
 
     for table in tables:

@@ -1,4 +1,4 @@
-"""Terminal tables of scores: methods by categories, and pairs of methods."""
+"""Make terminal tables of scores: methods by categories, and differences between methods."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -26,14 +26,13 @@ UNKNOWN_NOTE = (
 
 
 def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideTable":
-    """Return a table, one line per method: IoU and CE (nats a voxel) by category and overall.
+    """Return a table with a row per method: IoU and cross-entropy (nats a voxel) by category and overall.
 
-    Columns are those of `SHOWN_PROTOCOLS`. A narrow terminal shows the table in pieces. Caveats of methods
-    are below it, and which scores were rechecked.
+    There are columns for each of `SHOWN_PROTOCOLS` that was scored. The caption has the caveats of methods,
+    and which scores were verified.
 
     Args:
-        tables: the methods' scores; an incomplete method has its number of failed predictions beside its
-            name.
+        tables: the methods' scores; the row of an incomplete method states how many predictions failed.
         published: whether to add the paper's own figures for categories of the same name, below a separating
             line.
     """
@@ -69,7 +68,7 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
 
 
 def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
-    """Return a line for each method and heading of predictions in the camera frame, for whole shapes."""
+    """Return a table of predictions in the camera frame: a row per heading and method, for whole shapes."""
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable
@@ -89,7 +88,7 @@ def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
 
 
 def _name(table: ScoreTable) -> str:
-    """Return a method's name, with marks that qualify its figures."""
+    """Return a method's name with "(baseline)", its number of failures, or `*` for caveats, if any."""
     star = "*" if _own_marks(table) else ""
     if table.by_category is None or table.overall is None:
         count = len(table.failures)
@@ -98,12 +97,12 @@ def _name(table: ScoreTable) -> str:
 
 
 def _own_marks(table: ScoreTable) -> list[str]:
-    """Return the marks of a method, without the mark of baselines, which follows the name."""
+    """Return the words of a method's marks (caveats), except the mark of baselines, which its name has."""
     return [mark.words for mark in table.marks if mark.kind != BASELINE]
 
 
 def _marks(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the meaning of each star, a line each; and which tables are reported or verified."""
+    """Return lines for the caption: the caveats that a star stands for, and who reported or verified."""
     meant: dict[str, list[str]] = {}
     for table in tables:
         if words := "; ".join(_own_marks(table)):
@@ -118,7 +117,7 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
 
 
 def _as_stated(standing: str) -> str:
-    """Return a standing with its source, because anybody can write the mark into scores.json."""
+    """Return a standing such as "verified" with its source, because anybody can write it into scores.json."""
     return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 
@@ -128,12 +127,12 @@ def _add_published(
     columns: Sequence[str],
     published: Sequence[PublishedTable],
 ) -> None:
-    """Add the paper's own figures, with a line that says that they are not comparable with the rest.
+    """Add rows with the paper's own figures, and a note that they are not comparable with the rest.
 
     Args:
         table: the table that gets the rows.
-        protocols: the protocol of each group of columns; "" leaves a group empty.
-        columns: the categories of a group.
+        protocols: the protocol of each group of columns; "" leaves the group's cells empty.
+        columns: the categories, which are the columns of each group.
         published: the paper's tables.
     """
     table.add_section()
@@ -155,12 +154,12 @@ def _add_published(
 
 
 def _any_known(shares: Sequence[float | None]) -> bool:
-    """Return whether any table states the unknown share of the true shapes."""
+    """Return whether any of the unknown shares is known."""
     return any(share is not None for share in shares)
 
 
 def _add_unknown(table: "WideTable", shares: Sequence[float | None]) -> None:
-    """Add a last line with the unknown share of the true shapes, if a table states it."""
+    """Add a last row with the unknown share of the true shapes in each column, if any is known."""
     if _any_known(shares):
         table.add_section()
         cells = ["" if share is None else f"{100 * share:.1f} %" for share in shares]
@@ -168,7 +167,7 @@ def _add_unknown(table: "WideTable", shares: Sequence[float | None]) -> None:
 
 
 def _cells(table: ScoreTable, protocols: Sequence[str], columns: Sequence[str]) -> list[str]:
-    """Return the cells of one method; empty if some of its predictions failed."""
+    """Return the texts of one method's row; they are empty if some of its predictions failed."""
     cells = []
     for protocol in protocols:
         averages = table.averages(protocol)
@@ -181,7 +180,7 @@ def _cell(iou: float | None, ce: float | None) -> str:
 
 
 def comparison_tables(result: Comparison) -> "list[WideTable]":
-    """Return tables with groups and means of every method, and with every pair of methods."""
+    """Return two tables: group and mean of every method, and the difference of every two methods."""
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable

@@ -1,4 +1,4 @@
-"""`kinectbench segment`: the object, or boxes to choose it from."""
+"""`kinectbench segment`: find the object, or suggest boxes to choose it from."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -66,7 +66,7 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
 
 
 def _carry_masks(common: Common, ids: list[str] | None) -> int:
-    """Rename hand-drawn masks to match the present frames of the recordings."""
+    """Do the work of `--carry-masks`: rename hand-drawn masks after the present frames of the recordings."""
     from kinectbench.cli import console
     from kinectbench.engine.drawn_masks import carry_masks
 
@@ -90,7 +90,7 @@ def _carry_masks(common: Common, ids: list[str] | None) -> int:
 
 
 def _candidates(root: Path, recording: str) -> "CandidatesFile":
-    """Read candidates.json, with paths of pictures relative to the working folder."""
+    """Read a recording's candidates.json; paths of pictures are made relative to the working folder."""
     from kinectbench.core.artefacts.object import CandidatesFile
     from kinectbench.engine.stages import SUGGEST
 
@@ -117,7 +117,7 @@ def _show(recording: str, listed: "CandidatesFile") -> None:
 
 
 def _pick(common: Common, ids: list[str] | None, number: int) -> int:
-    """Write the box of a listed candidate to benchmark.yaml, or beside the recording.
+    """Do the work of `--pick`: write the box of a candidate into benchmark.yaml or a file that it includes.
 
     Nothing is built here: run `build` afterwards.
     """

@@ -1,4 +1,4 @@
-"""`kinectbench track`, and the comparison of its trajectory with one in TUM format."""
+"""`kinectbench track`: estimate trajectories, and compare them with a reference in TUM format."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,13 +36,13 @@ SAME_M = 1e-6
 
 @dataclass(frozen=True)
 class _Compared:
-    """A recording's trajectory beside the reference.
+    """The comparison of a recording's trajectory with the reference.
 
     Attributes:
         recording: the recording's id.
-        comparison: the differences of the two trajectories.
-        with_itself: whether the reference holds the same given poses, which `track` trusts.
-        picture: the plot's file.
+        comparison: the differences between the two trajectories.
+        with_itself: whether the reference has the poses given with the recording, which `track` adopted.
+        picture: path of the plot.
     """
 
     recording: str
@@ -51,7 +51,7 @@ class _Compared:
     picture: Path
 
     def json_value(self) -> dict[str, Any]:
-        """Return the printed values, in millimetres and degrees."""
+        """Return the comparison as JSON values, in millimetres and degrees."""
         what = {"with_itself": self.with_itself, "picture": str(self.picture)}
         return {"recording": self.recording, **self.comparison.row(), **what}
 
@@ -107,7 +107,10 @@ def _reference(path: Path) -> "GivenTrajectory":
 def _compare(
     row: "RecordingSummary", root: Path, reference: "GivenTrajectory", name: Path
 ) -> "tuple[RecordingSummary, _Compared | None]":
-    """Compare a recording with the reference and plot both; or return its summary with the error."""
+    """Compare a recording's trajectory with the reference, and plot both.
+
+    Return the recording's summary and the comparison; on failure, the summary with its error, and None.
+    """
     from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
     from kinectbench.engine.steps import read_tracked
@@ -134,7 +137,7 @@ def _compare(
 
 
 def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
-    """Yield a line per recording with a current trajectory: its verdict, and possible improvements."""
+    """Yield a line for each recording with a current trajectory: its verdict, and a better setting if any."""
     for row in rows:
         # A failed run may have left an older trajectory of other settings.
         if row.verdict is None or "track" not in (*row.made, *row.current):
@@ -146,7 +149,7 @@ def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
 
 
 def _clock_line(recording: str, clock: "ClockOffset") -> str:
-    """Return a line on the clock offset of the reference, its effect, and the setting that corrects it."""
+    """Return a line on the reference's clock offset, its effect on ATE, and the setting to correct it."""
     when = f"{abs(1000 * clock.late_s):.0f} ms {'late' if clock.late_s > 0 else 'early'}"
     return (
         f"{recording}: the stamps of the reference are {when}: moved by that, ATE is "

@@ -1,4 +1,4 @@
-"""`kinectbench triage`: which recordings are trustworthy, and which need a person's review."""
+"""`kinectbench triage`: tell trustworthy recordings from those that need a person's review."""
 
 from textwrap import shorten
 
@@ -12,9 +12,9 @@ COLUMNS = {"recording": "recording", "decision": "decision", "reason": "first re
 
 @takes("config", "overrides", "jobs", "as_json")
 def triage_command(common: Common, ids: Ids = None) -> int:
-    """Build what is not up to date, and sort all into accept, look and reject: triage/, a page with pictures.
+    """Build what is not up to date; sort all into accept, look, reject; write a page with pictures, triage/.
 
-    Of recordings that are named the decisions are shown, and nothing is written to triage/.
+    If recordings are named, their decisions are printed, and nothing is written to triage/.
     """
     from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
@@ -47,7 +47,7 @@ def triage_command(common: Common, ids: Ids = None) -> int:
 
 
 def _first(reasons: tuple[str, ...], review: str | None) -> str:
-    """Return the first reason, by the rules or a person, and the number of the rest."""
+    """Return a person's review, or else the first reason, shortened, and the number of further reasons."""
     lines = [*([f"review: {review}"] if review else []), *reasons]
     more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
     return f"{shorten(lines[0], REASON, placeholder=' …')}{more}" if lines else ""

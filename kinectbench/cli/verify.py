@@ -66,7 +66,7 @@ def verify_command(
 
 
 def _brought(url: str, folder: Path) -> list[str]:
-    """Copy a release unchanged; return a line for each file that is not part of it."""
+    """Download a release unchanged into `folder`; return a line for each file that is not part of it."""
     from kinectbench.cli import console
     from kinectbench.core.untrusted import printable
     from kinectbench.release.fetch import mirror_release
@@ -79,7 +79,7 @@ def _brought(url: str, folder: Path) -> list[str]:
 def _rebuild(
     release: Path, recordings: Path, work: Path | None, processes: int, objects: int | None
 ) -> list[str]:
-    """Build the release's recordings again and return the differences; the release must be sound."""
+    """Do the work of `--rebuild`: build a sound release's recordings again; return the differences."""
     from kinectbench.cli import console
     from kinectbench.engine.scratch import scratch_folder
     from kinectbench.engine.stages import Job

@@ -1,4 +1,4 @@
-"""A table for terminals of any width: columns that do not fit are continued in a table below."""
+"""A table for terminals of any width: columns that do not fit continue in a table below."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -19,10 +19,10 @@ TEXT_CELLS = 12
 
 
 class WideTable(Table):
-    """A table split into as many pieces as the width requires; each piece repeats the first columns.
+    """A rich table that is split into as many pieces as the terminal's width requires, one below the other.
 
-    Only cells of the first column are wrapped or shortened. With `whole` they are never shortened: a
-    text longer than the first column is wide goes on in the next line.
+    Each piece repeats the first columns. If the first column is too wide, its cells are shortened, or with
+    `whole` wrapped.
     """
 
     def __init__(
@@ -39,13 +39,13 @@ class WideTable(Table):
             keep: number of first columns repeated in every piece.
             title: title above the first piece.
             caption: caption below the last piece.
-            whole: whether cells stay uncut, such as ids that people copy.
+            whole: whether cells are wrapped instead of shortened, for ids that people copy.
         """
         super().__init__(title=title, caption=caption)
         self.keep, self.whole = keep, whole
 
     def __rich_console__(self, console: "Console", options: "ConsoleOptions") -> "RenderResult":
-        """Yield the pieces, one below the other."""
+        """Yield the title, the pieces and the caption, as rich asks for them."""
         if self.title:
             yield Text(str(self.title), style="italic")
         yield from self._pieces(options.max_width)
@@ -53,7 +53,7 @@ class WideTable(Table):
             yield Text(str(self.caption), style="dim")
 
     def _pieces(self, width: int) -> Iterator[Table]:
-        """Yield the pieces, each no wider than `width`."""
+        """Yield the pieces, each no wider than `width` character cells."""
         widths = [self._width(index) for index in range(len(self.columns))]
         most = max(NAME_CELLS, width // NAME_SHARE)
         if self.whole:
@@ -72,19 +72,22 @@ class WideTable(Table):
         yield self._piece(chosen, widths)
 
     def _most_beside(self, widths: list[int]) -> int:
-        """Return the cells that the widest other column needs at most; longer texts take more lines."""
+        """Return the width, in character cells, to leave for the widest column that is not repeated.
+
+        It is bounded, because longer texts are wrapped.
+        """
         texts = [column.justify == "left" for column in self.columns]
         beside = list(zip(widths, texts, strict=True))[self.keep :]
         return max((min(each, TEXT_CELLS if text else NAME_CELLS) for each, text in beside), default=0)
 
     def _width(self, index: int) -> int:
-        """Return the width of the widest line in a column."""
+        """Return the width of the widest line in a column, in character cells."""
         column = self.columns[index]
         texts = [str(column.header), *(str(cell) for cell in column.cells)]
         return max(cell_len(line) for text in texts for line in [*text.splitlines(), ""])
 
     def _piece(self, chosen: list[int], widths: list[int]) -> Table:
-        """Return a piece with the first columns and the chosen ones."""
+        """Return a piece with the repeated columns and the chosen ones; `widths` is of all columns."""
         piece = Table()
         columns = [*range(self.keep), *chosen]
         for index in columns:

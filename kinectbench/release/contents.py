@@ -61,17 +61,17 @@ DAMAGED = (*DAMAGED_ZIP, tarfile.TarError)
 
 
 def surface_name(recording: str) -> str:
-    """Return the name of the open mesh that is the truth of a recording."""
+    """Return the file name of the open mesh of a recording that has an open mesh as its truth."""
     return f"{SURFACES}/{recording}.ply"
 
 
 def most_bytes(name: str) -> int:
-    """Return the largest size of a release's file, by its name."""
+    """Return the largest size in bytes that a release's file of this name may have."""
     return next((most for end, most in MOST_BYTES.items() if name.endswith(end)), MAX_READ_BYTES)
 
 
 def refuse_large(folder: Path) -> None:
-    """Refuse a release with a file that `verify` would find too large.
+    """Raise an error if a release has a file that `verify` would find too large.
 
     Raises:
         ReleaseError: a file is too large; the message names it.
@@ -120,8 +120,8 @@ class Entry:
     """One file of a release.
 
     Attributes:
-        size: bytes, as the folder or archive states.
-        opener: opens the file, if it has no problem.
+        size: size in bytes, as the folder or archive states it.
+        opener: function that opens the file; to be called only if `problem` is None.
         problem: why the file must not be opened, or None.
     """
 
@@ -135,8 +135,8 @@ class Contents:
     """The files of a release's folder or archive.
 
     Attributes:
-        entries: {name relative to the release, with "/": file or link}; an empty folder's name ends with "/".
-        problems: a line for each name that cannot be a file of a release, such as a path that leaves it.
+        entries: {path relative to the release: file}, with "/" between parts; an empty folder ends with "/".
+        problems: a message for each invalid name, such as a path that leads out of the release.
     """
 
     entries: Mapping[str, Entry]
@@ -164,7 +164,7 @@ class Contents:
 
     @contextmanager
     def stream(self, name: str) -> Iterator[IO[bytes]]:
-        """Open a file that has no problem.
+        """Open a file for reading within a `with` block; its entry must have no `problem`.
 
         Raises:
             ReleaseError: the file is larger than any file of a release, damaged or unreadable.

@@ -1,4 +1,4 @@
-"""Download a release, or part of one, from a URL or folder; check its files and keep existing ones."""
+"""Download a release, or part of it, from a URL or folder; check every file, skip files already here."""
 
 import contextlib
 import hashlib
@@ -38,12 +38,12 @@ BY_RECORDING = ("pairs", "views", "objects", SURFACES)
 
 @dataclass(frozen=True)
 class ReleasePart:
-    """The requested part of a release; None: all.
+    """The part of a release to download.
 
     Attributes:
-        split: train, validation or test.
-        categories: names of categories, such as chair.
-        views: number of views of each recording, the first by name.
+        split: train, validation or test; None: all splits.
+        categories: names of categories, such as chair; empty: all categories.
+        views: number of views of each recording (the first by name); None: all views.
     """
 
     split: str | None = None
@@ -57,7 +57,7 @@ class Fetched:
 
     Attributes:
         folder: the release's folder on this machine.
-        benchmark_sha256: the release's identity.
+        benchmark_sha256: the hash that identifies the release.
         pairs: number of pairs in the requested part.
         fetched: number of files of SHA256SUMS that were downloaded now.
         kept: number of files of SHA256SUMS that were already here.
@@ -71,10 +71,12 @@ class Fetched:
 
 
 def release_url(name: str | Path) -> str:
-    """Return the URL of a release, given its URL, a local folder, or its name below a known place.
+    """Return the URL of a release, given its URL, a local folder, or a name.
+
+    A name is appended to the URL in the environment variable KINECTBENCH_RELEASES.
 
     Raises:
-        SettingsError: a name is given, and no place of releases is known.
+        SettingsError: the URL is unusable, or a name is given and the variable is not set.
     """
     if problem := unusable(str(name)):
         raise SettingsError(printable(problem, 300), what="bad-url")
@@ -97,15 +99,15 @@ def release_url(name: str | Path) -> str:
 def fetch_release(
     url: str, out: Path, part: ReleasePart | None = None, progress: Progress | None = None
 ) -> Fetched:
-    """Download a release, or part of it, into a folder; resumes a stopped download.
+    """Download a release, or part of it, into a folder; resume a stopped download.
 
-    The small files of the whole release are always downloaded. Another part may be added to the same folder.
-    If several processes fetch into one folder, one downloads, and the others wait and use its files.
+    Files that belong to no single recording are always downloaded. A later call may add another part to the
+    folder. If several processes fetch into one folder, one downloads, and the others wait for its files.
 
     Args:
         url: URL of the release.
         out: the folder, which is made if missing.
-        part: the part to fetch.
+        part: the part to fetch; None: everything.
         progress: called with (files done, files in all).
 
     Raises:
@@ -146,7 +148,7 @@ def fetch_release(
 
 
 def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Callable[[int], None]) -> int:
-    """Download the missing files of the list `text` into our folder; return their number."""
+    """Download those of `names` that are missing; `text` is SHA256SUMS. Return the number of downloads."""
     # The list comes first: it identifies a fetch that was stopped; benchmark.json comes last.
     if not _is_here(out / SHA256SUMS, hashlib.sha256(text.encode()).hexdigest()):
         with replaced_file(out / SHA256SUMS) as temporary:
@@ -160,10 +162,10 @@ def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Calla
 
 
 def mirror_release(url: str, out: Path, progress: Progress | None = None) -> list[str]:
-    """Copy a release into an empty folder for inspection, whatever its faults.
+    """Copy a release into an empty folder for inspection; damaged or missing files raise no error.
 
     Returns:
-        Names that the store holds beyond the release, as far as it can be listed.
+        Names of files in the store that are not in SHA256SUMS; empty if the store cannot be listed.
 
     Raises:
         ReleaseError: there is no release at all, or its list of files cannot be read.
@@ -177,12 +179,12 @@ def mirror_release(url: str, out: Path, progress: Progress | None = None) -> lis
 def stored_hashes(
     url: str, out: Path, progress: Progress | None = None
 ) -> tuple[dict[str, str | None], list[str]]:
-    """Return the SHA-256 of each file of a release; each is downloaded, hashed and deleted at once.
+    """Return the SHA-256 of each stored file of a release; each file is downloaded, hashed and deleted.
 
-    `SHA256SUMS` and `benchmark.json` stay in the folder.
+    `SHA256SUMS` and `benchmark.json` stay in the folder `out`.
 
     Returns:
-        {name: hash; None if missing}, in the list's order; and further names as in `mirror_release`.
+        {name: hash, or None if missing} in the order of SHA256SUMS, and the names of `mirror_release`.
 
     Raises:
         ReleaseError: as in `mirror_release`.
@@ -202,7 +204,7 @@ def cached_release(url: str, progress: Progress | None = None) -> Path:
 
 
 def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Target, ...]:
-    """Return the targets of a part, in the order of recordings and views."""
+    """Return the targets that belong to a part of the release, sorted by recording and view."""
     found: dict[str, list[Target]] = {}
     for target in sorted(targets):
         if part.split in (None, target.split) and (not part.categories or target.category in part.categories):
@@ -211,7 +213,10 @@ def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Targ
 
 
 def wanted_names(names: Collection[str], targets: Collection[Target], part: ReleasePart | None) -> list[str]:
-    """Return the release's files of a part; files that belong to no recording or view are always included."""
+    """Return those of the release's file names that a part needs; None: all.
+
+    A part has the files of the targets' recordings and views, and all files that belong to no recording.
+    """
     if part is None:
         return list(names)
     views: dict[str, set[str]] = {}
@@ -232,7 +237,7 @@ def wanted_names(names: Collection[str], targets: Collection[Target], part: Rele
 
 
 def _head(store: Store) -> tuple[str, ReleaseInfo]:
-    """Return the text of SHA256SUMS, and benchmark.json; they agree.
+    """Read a stored release's SHA256SUMS, as text, and benchmark.json; check that they agree.
 
     Raises:
         ReleaseError: there is no release, or the two do not agree.
@@ -279,7 +284,7 @@ def _is_here(path: Path, sha256: str) -> bool:
 
 
 def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
-    """Download a missing file; return whether it was missing. `parse_sums` has checked the name."""
+    """Download a file unless it is here with this hash; return whether it was downloaded."""
     path = out / name
     if _is_here(path, sha256):
         return False
@@ -291,7 +296,7 @@ def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
 
 
 def _mirror_list(url: str, out: Path) -> tuple[Store, dict[str, str]]:
-    """Copy SHA256SUMS unchanged; return the store and the list."""
+    """Download SHA256SUMS unchanged; return the store, and the content of SHA256SUMS as {file: hash}."""
     store = release_store(url)
     try:
         text = store.read(SHA256SUMS, TEXT_BYTES)
@@ -322,13 +327,13 @@ def _mirrored_hash(store: Store, out: Path, name: str) -> str | None:
 
 
 def _mirror(store: Store, out: Path, name: str) -> None:
-    """Download a file unchanged; a missing one stays missing."""
+    """Download a file without checking it; do nothing if the store lacks it."""
     with contextlib.suppress(MissingObjectError):
         store.fetch(name, out / name, MOST_FILE_BYTES)
 
 
 def _refuse_other(out: Path, text: str) -> None:
-    """Refuse a folder that holds anything else than the release of this SHA256SUMS."""
+    """Raise an error if `out` holds anything but the release with this text of SHA256SUMS."""
     if not out.exists():
         return
     if not out.is_dir():

@@ -1,4 +1,4 @@
-"""Upload a release to a data set of the Hugging Face hub, in one commit: it appears whole or not at all."""
+"""Upload a release to a dataset of the Hugging Face hub in one commit: it appears whole or not at all."""
 
 import re
 from collections.abc import Set
@@ -26,10 +26,10 @@ ITS_OWN = frozenset({".gitattributes", "README.md"})
 
 
 def hub_name(url: str) -> str:
-    """Return the data set of a URL hf://user/name, as user/name.
+    """Return the dataset's name `user/name` of a URL hf://user/name.
 
     Raises:
-        SettingsError: the URL names no data set, or huggingface_hub is not installed.
+        SettingsError: the URL names no dataset, or huggingface_hub is not installed.
     """
     name = url.removeprefix(SCHEME).removeprefix("datasets/").rstrip("/")
     if not NAME.fullmatch(name):
@@ -40,16 +40,16 @@ def hub_name(url: str) -> str:
 
 
 def put_on_hub(folder: Path, name: str) -> PutSummary:
-    """Make a data set of the hub equal to this release; create it if missing.
+    """Make a dataset of the hub equal to a release: upload its files, delete those of an earlier release.
 
-    Files that the hub already has are not uploaded again; the hub finds them itself.
+    The dataset is created if missing. The hub itself skips the upload of files that it already has.
 
     Args:
         folder: the release's folder on this machine.
-        name: the data set, user/name.
+        name: the dataset, user/name.
 
     Raises:
-        ReleaseError: the data set holds something else than a release, even beside one.
+        ReleaseError: the dataset holds files that belong to no release.
         StorageError: the hub does not answer, or refuses.
     """
     from huggingface_hub import HfApi
@@ -76,7 +76,7 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
 
 
 def _listed(api: "HfApi", name: str) -> set[str]:
-    """Return the files that SHA256SUMS of the data set lists; none if it is damaged."""
+    """Return the file names that the dataset's SHA256SUMS lists; empty if SHA256SUMS is damaged."""
     with TemporaryDirectory() as folder:
         found = api.hf_hub_download(name, SHA256SUMS, repo_type="dataset", local_dir=folder)
         with suppress(ReleaseError):
@@ -85,7 +85,7 @@ def _listed(api: "HfApi", name: str) -> set[str]:
 
 
 def _refuse_other(name: str, others: Set[str]) -> None:
-    """Refuse a data set that holds files that are not of its release."""
+    """Raise an error if a dataset holds `others`, files that do not belong to its release."""
     if others:
         raise ReleaseError(
             f"{SCHEME}{name}: holds {printable(min(others))}, which is not of a release; publish to a data "
@@ -95,7 +95,7 @@ def _refuse_other(name: str, others: Set[str]) -> None:
 
 
 def _refusal(name: str, error: Exception) -> StorageError:
-    """Return the hub's answer as an error of one line."""
+    """Return a StorageError that states an error of the hub in one line, with advice."""
     status = getattr(getattr(error, "response", None), "status_code", None)
     said = printable((str(error).strip().splitlines() or [type(error).__name__])[0], 200)
     if status in (401, 403) or type(error).__name__ == "LocalTokenNotFoundError":

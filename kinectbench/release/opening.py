@@ -48,15 +48,15 @@ MOST_GLOBALS = 64
 
 @contextmanager
 def open_contents(path: Path) -> Iterator[Contents]:
-    """Open a release.
+    """Open a release for reading; yield its files.
 
     Args:
         path: the release's folder, or an archive: .zip, .tar, .tar.gz. In an archive, the release may be
             inside one folder.
 
     Raises:
-        ReleaseError: there is no release, the archive is cut off, or it claims to hold far more than
-            its size.
+        ReleaseError: there is no release, the archive is cut off, or its stated content is far larger than
+            the archive (a decompression bomb).
     """
     if path.is_file():
         with _open_archive(path) as contents:
@@ -71,9 +71,9 @@ def open_contents(path: Path) -> Iterator[Contents]:
 
 
 def _folder(path: Path) -> Contents:
-    """Return the files of a folder, if it exists; links to files are followed, links to folders are not.
+    """Return the files of a folder; links to files are followed, links to folders are not.
 
-    Download caches hold links to files. A file is checked by its SHA-256, wherever it lies.
+    Download caches consist of links to files. They are safe, because each file is checked by its SHA-256.
     """
     entries: dict[str, Entry] = {}
     for file in release_files(path, with_empty=True):
@@ -99,7 +99,7 @@ def _entry(file: Path) -> Entry:
 
 
 def _rooted(contents: Contents, path: Path) -> Contents:
-    """Return the files of a release at the top of an archive, or in one folder of it.
+    """Return the files of the release at the top of an archive or in its only folder, by name in it.
 
     Raises:
         ReleaseError: there is no release, or there are several.
@@ -123,13 +123,13 @@ def _rooted(contents: Contents, path: Path) -> Contents:
 
 @contextmanager
 def _open_archive(path: Path) -> Iterator[Contents]:
-    """Open a .zip, .tar or .tar.gz, whatever its name.
+    """Open a .zip, .tar or .tar.gz, recognised by its content instead of its name; yield its files.
 
     A zip or a tar is read in place. A .tar.gz is inflated into an unnamed temporary file first, because its
     files cannot be reached otherwise.
 
     Raises:
-        ReleaseError: the file is no such archive, is cut off, or claims to hold over 100 times its size.
+        ReleaseError: the file is no such archive, is cut off, or states a content of over 100 times its size.
         StorageError: there is no room for the temporary file.
     """
     with ExitStack() as stack:
@@ -145,7 +145,7 @@ def _open_archive(path: Path) -> Iterator[Contents]:
 
 
 def _opened(path: Path, stack: ExitStack) -> Contents:
-    """Return an archive's files; `stack` closes what was opened."""
+    """Open an archive and return its files; the opened files are added to `stack`, which closes them."""
     file: IO[bytes] = stack.enter_context(open_plain(path))
     head, packed_bytes = file.read(2), size_of(file)
     file.seek(0)
@@ -161,7 +161,7 @@ def _opened(path: Path, stack: ExitStack) -> Contents:
 
 
 def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
-    """Write the content of a gzip file, at most the size of a release."""
+    """Write the unpacked content of a gzip file to `inflated`; raise an error if it is far too large."""
     with gzip.GzipFile(fileobj=packed) as source:
         try:
             copy_bounded(cast(IO[bytes], source), inflated, unpacked_bound(size_of(packed)))
@@ -173,7 +173,7 @@ def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
 
 
 def _zip_members(archive: zipfile.ZipFile) -> list[tuple[str, Entry]]:
-    """Return the members of a zip and how each is opened."""
+    """Return (name, entry) of each member of a zip; an entry holds its size and opens it."""
     members = list[tuple[str, Entry]]()
     for info in archive.infolist():
         problem = LINK if stat.S_ISLNK(info.external_attr >> 16) else None
@@ -186,11 +186,11 @@ def _zip_members(archive: zipfile.ZipFile) -> list[tuple[str, Entry]]:
 
 
 def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
-    """Return the members of a tar and how each is opened.
+    """Return (name, entry) of each member of a tar; an entry holds its size and opens it.
 
     Raises:
-        tarfile.TarError, ValueError, OverflowError: the tar is damaged, or its headers are larger than a
-        release's.
+        tarfile.TarError, ValueError, OverflowError: the tar is damaged, or has too large headers or too many
+            members.
     """
     members = list[tuple[str, Entry]]()
     headers = _Headers(file)
@@ -222,9 +222,9 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
 
 
 class _Headers(io.RawIOBase):
-    """A tar file that limits how many bytes are read for each member's headers.
+    """A wrapper of a tar file that limits how many bytes tarfile reads for each member's headers.
 
-    tarfile itself reads names and pax records into memory as a whole.
+    Without it, tarfile would read names and pax records of any size into memory.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -248,12 +248,12 @@ class _Headers(io.RawIOBase):
 
 
 def _member(file: IO[bytes], start: int, size: int) -> io.BufferedReader:
-    """Return a member of a tar as a file."""
+    """Return the `size` bytes of a tar from offset `start`, one member, as a readable file."""
     return io.BufferedReader(_Slice(file, start, size), COPIED_BYTES)
 
 
 class _Slice(io.RawIOBase):
-    """A range of bytes of an open file."""
+    """A readable file that is a range of bytes of another open file."""
 
     def __init__(self, file: IO[bytes], start: int, size: int) -> None:
         super().__init__()
@@ -289,9 +289,9 @@ class _Slice(io.RawIOBase):
 
 
 def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: int) -> Contents:
-    """Return an archive's files by name; names that lead elsewhere and duplicates are listed as problems.
+    """Return an archive's files, and its empty folders, by name.
 
-    Of its folders only the empty ones are kept.
+    Names that lead out of the release become problems of the result; a duplicate is a problem of its entry.
     """
     entries: dict[str, Entry] = {}
     folders: dict[str, Entry] = {}

@@ -1,4 +1,4 @@
-"""A release's folder: with one writer at a time, the leftovers of killed ones, and nothing else in it."""
+"""Guards of a release's folder: one writer at a time, no leftovers of killed downloads, no other content."""
 
 import contextlib
 import errno
@@ -20,20 +20,22 @@ _LEFT = re.compile(r"\..+\.[0-9a-f]+\.part")
 
 
 def is_ours(name: str) -> bool:
-    """Return whether a file is the lock, or an unfinished download."""
+    """Return whether a file of this name is the folder's lock, or an unfinished download."""
     return name == LOCK or _LEFT.fullmatch(name) is not None
 
 
 def remains(folder: Path) -> list[Path]:
-    """Return files of a running or killed download that are not the release's; links are not followed."""
+    """Return the lock and the unfinished downloads in a folder; links are not followed."""
     return [Path(place, name) for place, _, names in os.walk(folder) for name in names if is_ours(name)]
 
 
 def refuse_other_content(out: Path) -> None:
-    """Refuse to replace a folder that is not a release, or that holds other files beside one.
+    """Raise an error unless a folder may be replaced: it is missing, empty, or holds only a release.
+
+    A release with a damaged SHA256SUMS may be replaced, too.
 
     Raises:
-        ReleaseError: it does; the line names a file. A release with a damaged list may be replaced.
+        ReleaseError: the folder holds something else; the message names a file.
     """
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
@@ -57,9 +59,9 @@ def refuse_other_content(out: Path) -> None:
 
 @contextlib.contextmanager
 def owned(folder: Path) -> Iterator[None]:
-    """Hold a folder as its only writer; leftovers of killed downloads are removed first.
+    """Lock a folder during a `with` block, after waiting for other writers; first remove leftover downloads.
 
-    On a file system without locks nothing is removed, as another fetch may be running.
+    On a file system without locks nothing is removed, because another fetch may be running.
 
     Args:
         folder: the folder, which is made if missing.
@@ -82,9 +84,9 @@ def owned(folder: Path) -> Iterator[None]:
 
 
 def _lock(path: Path, held: contextlib.ExitStack) -> bool:
-    """Hold a lock until the stack ends; False if the file system has no locks.
+    """Wait for a lock file, and hold it until the stack closes; return False if the system has no locks.
 
-    If the last holder removed the lock file, a new one is locked.
+    If the last holder deleted the file meanwhile, a new one is made and locked.
     """
     while True:
         with contextlib.ExitStack() as closing:

@@ -1,7 +1,7 @@
-"""Read the bytes of a published file in place: in a release's folder, in its archive or at its URL.
+"""Read the bytes of a release's file in place: from its folder, from its archive or from a URL.
 
 A path may lead into an archive: `chairs.zip/pairs/chair_01/000.npz` is a file of the release in `chairs.zip`.
-It may also be a URL. So every function and process that gets a path can read all three.
+A path may also be a URL. So code that passes on a path works with folders, archives and URLs.
 """
 
 import errno
@@ -43,11 +43,11 @@ def release_text(path: Path) -> str:
 
 
 def published_bytes(path: Path, sha256: str | None) -> bytes:
-    """Return the bytes of a release's file, in a folder (links are followed), in an archive or at a URL.
+    """Return the bytes of a release's file from a folder (links are followed), an archive or a URL.
 
     Args:
-        path: the file.
-        sha256: the expected hash; None, for a file that is not published, never matches.
+        path: path or URL of the file, perhaps inside an archive.
+        sha256: the expected hash; None (SHA256SUMS does not list the file) always raises an error.
 
     Raises:
         ReleaseError: the file is missing, too large for its kind, unreadable, or not the published one.
@@ -121,7 +121,7 @@ def _read(path: Path, limit: int) -> bytes:
 
 
 def _store_of(url: str) -> tuple[Store, str]:
-    """Return the store of a URL's bucket or host, so that its files share one client, and the name in it.
+    """Split a URL: return the store of its bucket or host, which all its files share, and the name in it.
 
     Raises:
         ReleaseError: as in `release_store`.
@@ -135,7 +135,7 @@ def _store_of(url: str) -> tuple[Store, str]:
 
 
 def _archive_above(path: Path) -> Path | None:
-    """Return the file that a path leads into, if any."""
+    """Return the archive that a path leads into: the nearest parent that is a file, or None."""
     return next((parent for parent in path.parents if parent.is_file()), None)
 
 
@@ -145,11 +145,11 @@ def _name_in(path: Path, archive: Path) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Opened:
-    """An archive that stays open.
+    """An archive that stays open between reads.
 
     Attributes:
         contents: the archive's files.
-        lock: held while a member is read: all members share one open file and its position.
+        lock: to be held while a member is read, because all members share one open file and its position.
     """
 
     contents: Contents
@@ -157,9 +157,9 @@ class _Opened:
 
 
 def _listed(archive: Path) -> _Opened:
-    """Return this process's open archive; reopen it if the file was replaced.
+    """Return an archive opened by this process, from a cache; open it again if the file was replaced.
 
-    A forked process opens it again, too, as it would share the position in the open file with its parent.
+    A forked process opens the archive again, because it would share the file's position with its parent.
 
     Raises:
         ReleaseError: the archive holds no release, or is damaged.

@@ -1,8 +1,8 @@
-"""Upload a release to a store, benchmark.json last, so that a partial one is never taken for complete.
+"""Upload a release to a store, benchmark.json last, so that a partial upload never looks complete.
 
-A stopped upload is resumed: a `SHA256SUMS` without `benchmark.json` means that the files beside it belong to
-that list. Its files that are not in the new list are deleted first; then the new `SHA256SUMS` is uploaded,
-then its files. A place that holds a file of neither list is refused.
+A stopped upload can be resumed. It has left `SHA256SUMS` without `benchmark.json`, and files in that list.
+The next upload first deletes those that are not in the new list, then uploads the new `SHA256SUMS`, then the
+other files. A store with a file in neither list is refused.
 """
 
 from collections.abc import Mapping
@@ -26,8 +26,8 @@ class PutSummary:
     Attributes:
         put: number of uploaded files.
         kept: number of files that the store already had.
-        removed: number of removed files that are not of the release.
-        replaced: `benchmark.json` of a different release that the store held; else None.
+        removed: number of removed files that do not belong to the release.
+        replaced: `benchmark.json` of another release that was in the store before; None if there was none.
     """
 
     put: int
@@ -38,13 +38,13 @@ class PutSummary:
 
 @dataclass(frozen=True)
 class _Place:
-    """The state of a store.
+    """The state of a store before an upload.
 
     Attributes:
-        sizes: {file: bytes}.
-        text: text of `SHA256SUMS`; empty if there is none.
+        sizes: {file: size in bytes} of all files there.
+        text: text of `SHA256SUMS`; empty if it is missing or not of a release.
         sums: {file: hash} of `SHA256SUMS`.
-        info: content of `benchmark.json`; None if there is none.
+        info: content of `benchmark.json`; None if it is missing or damaged.
         stated: text of `benchmark.json`.
     """
 
@@ -62,9 +62,9 @@ class _Place:
 
     @property
     def is_known(self) -> bool:
-        """Whether the files belong to the list: as a release, or as the remains of a stopped upload.
+        """Whether the files there are those of SHA256SUMS: a release, or the remains of a stopped upload.
 
-        If benchmark.json names another list, another program wrote it.
+        It is False if benchmark.json does not match SHA256SUMS: then another program wrote one of them.
         """
         return self.is_whole or BENCHMARK_JSON not in self.sizes
 
@@ -72,8 +72,8 @@ class _Place:
 def put_release(folder: Path, store: Store, progress: Progress | None = None) -> PutSummary:
     """Upload a release to a store; files that the store already has are not uploaded again.
 
-    The store has a file if its list has the hash, and its listing the size. During the upload the store has
-    no benchmark.json, so that it is not taken for a release.
+    A file counts as uploaded if the store's SHA256SUMS has the same hash and the stored file the same size.
+    During the upload the store has no benchmark.json, so that nobody takes it for a complete release.
 
     Args:
         folder: the release's folder on this machine.
@@ -81,8 +81,8 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
         progress: called with (files uploaded, files in all).
 
     Raises:
-        ReleaseError: the store holds something else than a release or the beginning of one, even beside a
-            release or in a folder below it; or its URL has a query.
+        ReleaseError: the store holds files that belong to neither a release nor a stopped upload, or its URL
+            has a query.
         StorageError: the store fails.
     """
     release_store(store.url)
@@ -111,7 +111,7 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
 
 
 def _put(folder: Path, store: Store, names: list[str], progress: Progress | None) -> None:
-    """Upload files, SHA256SUMS first and benchmark.json last."""
+    """Upload the named files, SHA256SUMS first, and benchmark.json last."""
     total, first = len(names) + 1, [name for name in names if name == SHA256SUMS]
     for name in first:
         store.put(name, folder / name)
@@ -125,15 +125,15 @@ def _put(folder: Path, store: Store, names: list[str], progress: Progress | None
 
 
 def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
-    """Delete files that are not of the new release; if interrupted, the upload can still be resumed.
+    """Delete files that do not belong to the new release, so that a stopped upload can still be resumed.
 
-    Files outside the store's list are deleted while benchmark.json still marks the place as a release's.
-    Files in the list are deleted after benchmark.json, so that nobody sees an incomplete release.
+    Files that the store's SHA256SUMS lacks are deleted first, while benchmark.json is there. Files in it are
+    deleted after benchmark.json, so that nobody sees an incomplete release.
 
     Args:
         store: the store.
-        place: the store's present state.
-        same: names of files that stay.
+        place: the state of the store.
+        same: names of files that are there already and stay.
         begins: whether files will be uploaded.
     """
     kept = same | {BENCHMARK_JSON} | ({SHA256SUMS} if place.text else set())
@@ -146,7 +146,7 @@ def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
 
 
 def _look(store: Store) -> _Place:
-    """Read the state of a store: SHA256SUMS and benchmark.json, as other programs use these names, too."""
+    """Read the state of a store; a SHA256SUMS or benchmark.json that is not of a release is ignored."""
     sizes = {each.name: each.size for each in store.objects()}
     text, sums, info, stated = "", dict[str, str](), None, ""
     try:
@@ -167,7 +167,7 @@ def _look(store: Store) -> _Place:
 
 
 def _refuse_other(store: Store, place: _Place, sums: Mapping[str, str]) -> None:
-    """Refuse a store that holds a file of neither its own release nor, beside a release, the new one."""
+    """Raise an error if a store has a file that belongs to no release: `sums` is of the new release."""
     known = {BENCHMARK_JSON, SHA256SUMS, *place.sums} if place.text else set(place.sums)
     if place.info is not None:  # whose list may be damaged
         known |= {BENCHMARK_JSON, SHA256SUMS, *sums}

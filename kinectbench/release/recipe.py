@@ -1,4 +1,4 @@
-"""A recipe: sources.yaml lists public scans; they are downloaded and added to the recipe's benchmark.
+"""Recipes: download the public scans that a sources.yaml lists, and add them to the recipe's benchmark.
 
 sources.yaml, sources.lock and the scans are untrusted. sources.lock pins the hashes of the first download.
 """
@@ -42,19 +42,19 @@ recordings:
 
 
 class NoRoomError(StorageError):
-    """The disk is full: no further file will fit either."""
+    """The disk has no room for a download; the downloads that follow are not tried."""
 
     what = "no-room"
 
 
 @dataclass(frozen=True)
 class FetchedScan:
-    """The outcome of one scan.
+    """The outcome of downloading one scan.
 
     Attributes:
         scan: the scan.
-        fetched: whether it was downloaded now; else it was here already.
-        error: why the download failed, one line; None if the scan is here.
+        fetched: whether it was downloaded now; False if it was here already or the download failed.
+        error: why the download (or with `fetch --stream` the build) failed, one line; None on success.
     """
 
     scan: Scan
@@ -63,19 +63,20 @@ class FetchedScan:
 
 
 def is_recipe(name: str) -> bool:
-    """Return whether a local folder is a recipe."""
+    """Return whether `name` is a local folder with a sources.yaml, a recipe."""
     return os.path.isfile(f"{name}/{SOURCES_YAML}")  # noqa: PTH113 - whatever the name is
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """An open recipe; `opened_recipe` makes it.
+    """An open recipe, made by `opened_recipe`.
 
     Attributes:
         folder: the folder that holds sources.yaml and sources.lock.
         out: the benchmark's folder, perhaps the same.
         sources: the content of sources.yaml.
-        is_read: returns whether a reader opens a file directly; an archive that no reader opens is unpacked.
+        is_read: function that returns whether a reader of recordings opens a file as it is; a zip archive
+            that no reader opens is unpacked.
     """
 
     folder: Path
@@ -86,11 +87,11 @@ class Recipe:
     _writing: threading.Lock = field(default_factory=threading.Lock)
 
     def chosen(self, categories: tuple[str, ...] = (), limit: int | None = None) -> list[Scan]:
-        """Return the requested scans; download the source's list if it is missing.
+        """Return the scans of some categories, at most `limit` of each; first download the index if missing.
 
         Raises:
-            SettingsError: there are no such scans, or the list is invalid.
-            StorageError: the list cannot be downloaded.
+            SettingsError: there are no such scans, or the index of scans is invalid.
+            StorageError: the index cannot be downloaded.
         """
         listed: dict[str, list[str]] = {}
         index = self.sources.index
@@ -103,7 +104,7 @@ class Recipe:
         return chosen_scans(self.sources, listed, categories, limit)
 
     def place(self, scan: Scan) -> str:
-        """Return the recording of a downloaded scan, relative to the benchmark's folder."""
+        """Return the path of a downloaded scan's recording, relative to the benchmark's folder."""
         return scan.folder if (self.out / scan.folder).is_dir() else scan.path
 
     def fetch_all(self, scans: Sequence[Scan], progress: Progress | None = None) -> list[FetchedScan]:
@@ -124,11 +125,12 @@ class Recipe:
         return [replace(of_file[scan.scan], scan=scan) for scan in scans]
 
     def fetch(self, scan: Scan, room: Callable[[int], object] | None = None) -> FetchedScan:
-        """Download a scan.
+        """Download a scan and unpack its archive if needed; return the outcome, failures included.
 
         Args:
             scan: the scan.
-            room: called with the expected bytes; default: refuse files that do not fit the disk.
+            room: called with the expected size in bytes, raises an error if there is no room; default: check
+                the free space of the disk.
 
         Raises:
             NoRoomError: there is no room.
@@ -169,7 +171,7 @@ class Recipe:
         most_bytes: int = MOST_FILE_BYTES,
         room: Callable[[int], object] | None = None,
     ) -> bool:
-        """Download a missing file, and lock its hash after the check; return whether it was downloaded."""
+        """Download a file if missing; check it, and lock its hash; return whether it was downloaded now."""
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(
@@ -198,7 +200,7 @@ class Recipe:
         return True
 
     def _lock(self, file: str, content: Content) -> None:
-        """Record the hash of a file's first download in sources.lock."""
+        """Record a file's size and hash in sources.lock, unless they are there already."""
         with self._writing:
             if file in self._locked:
                 return
@@ -237,7 +239,7 @@ class Recipe:
             raise SettingsError(f"{config}: does not include the scans; add `include: [{RECORDINGS}]` to it")
 
     def other_attribution(self, scans: Sequence[Scan]) -> list[str]:
-        """Return a line if earlier entries state another licence or source than sources.yaml.
+        """Return a line if entries of these scans state another licence or source than sources.yaml.
 
         Raises:
             SettingsError: benchmark.yaml is wrong.
@@ -266,13 +268,13 @@ def opened_recipe(
     *,
     is_read: Callable[[Path], bool],
 ) -> Iterator[Recipe]:
-    """Open a recipe, with a lock on its folder against other downloads.
+    """Open a recipe, with a lock on `scans/` in the benchmark's folder against other downloads.
 
     Args:
         folder: the folder that holds sources.yaml.
         out: the benchmark's folder; default: `folder`.
         waiting: called once before waiting, with the name of the other process that downloads there.
-        is_read: returns whether a reader opens a file directly.
+        is_read: see `Recipe`.
 
     Raises:
         SettingsError: sources.yaml or sources.lock is wrong.
@@ -292,7 +294,7 @@ def opened_recipe(
 
 
 def _refuse_full(path: Path, size: int) -> None:
-    """Refuse a download that does not fit the disk."""
+    """Raise an error if a download of `size` bytes does not fit the disk."""
     free = shutil.disk_usage(path.parent).free
     if size > free:
         raise NoRoomError(
@@ -301,18 +303,18 @@ def _refuse_full(path: Path, size: int) -> None:
 
 
 def _check_zip(path: Path) -> None:
-    """Refuse a file that is no complete zip archive."""
+    """Raise an error if a file is not a complete zip archive."""
     with open_plain(path) as file:
         if not zipfile.is_zipfile(file):
             raise StorageError(f"{path}: sends no whole zip archive", what="not-fetched")
 
 
 def _no_check(path: Path) -> None:
-    """Accept any other file; the readers check it."""
+    """Do not check a file that is no archive; the readers of recordings check it later."""
 
 
 def remove_scan(out: Path, scan: Scan) -> None:
-    """Delete a scan and its partial downloads."""
+    """Delete a scan's files and its partial downloads from the benchmark's folder `out`."""
     path = out / scan.path
     for each in (path, out / scan.folder, *partial_downloads(path)):
         if each.is_dir():
@@ -331,14 +333,14 @@ def _text(path: Path) -> str:
 
 
 def _ids(text: str, source: str) -> set[str]:
-    """Return the ids of the recordings in a file that `benchmark.yaml` includes."""
+    """Return the ids of the recordings in the text of a recordings.yaml."""
     entries = yaml_nodes.items(yaml_nodes.compose(text, source)).get("recordings")
     rows = entries.value if entries is not None and isinstance(entries.value, list) else []
     return {str(id_.value) for row in rows if (id_ := yaml_nodes.items(row).get("id"))}
 
 
 def _entry(recipe: Recipe, scan: Scan) -> str:
-    """Return a recording as lines of YAML."""
+    """Return the entry of a scan's recording in recordings.yaml, as lines of YAML."""
     sources = recipe.sources
     rows: dict[str, object] = {"path": recipe.place(scan), "category": scan.category, "split": scan.split}
     if scan.object != scan.id:

@@ -32,8 +32,8 @@ class Release:
     """An opened release (a published benchmark).
 
     Attributes:
-        folder: the release's folder, or its archive; paths of files lead into the archive (see published.py).
-        targets: every line of targets.csv, in the same order.
+        folder: the release's folder, archive or URL; file paths may lead into an archive (see published.py).
+        targets: every line of targets.csv, a pair each, in the same order.
         metadata: content of benchmark.json.
     """
 
@@ -48,7 +48,7 @@ class Release:
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Return the categories, sorted."""
+        """The sorted names of the targets' categories."""
         return tuple(sorted({target.category for target in self.targets}))
 
     def split(self, name: str) -> tuple[Target, ...]:
@@ -56,10 +56,10 @@ class Release:
         return tuple(target for target in self.targets if target.split == name)
 
     def of_splits(self, names: Sequence[str]) -> tuple[Target, ...]:
-        """Return the targets of some splits, in the order of targets.csv; at least one.
+        """Return the targets of some splits, split by split, each in the order of targets.csv.
 
         Raises:
-            SettingsError: no pair is of any of these splits.
+            SettingsError: none of these splits has a pair.
         """
         targets = tuple(target for name in names for target in self.split(name))
         if not targets:
@@ -71,18 +71,18 @@ class Release:
         return targets
 
     def open_split(self, name: str) -> tuple[Target, ...]:
-        """Return the targets of one split with solid truth; none if it is held back, or an open mesh."""
+        """Return the targets of one split; empty if its truth is held back or an open mesh."""
         return () if name in self.metadata.inputs_only else self.split(name)
 
     def require_truth(self, splits: Iterable[str], *, solid: bool = True) -> None:
-        """Raise an error if a split has no truth.
+        """Raise an error if one of the splits has pairs without truth.
 
         Args:
             splits: names of splits.
-            solid: whether the truth must be solid; an open mesh has no inside.
+            solid: whether the truth must be a solid; an open mesh has no inside.
 
         Raises:
-            ReleaseError: the truth is held back (the message says where it is), or is an open mesh.
+            ReleaseError: the truth is held back, or (with `solid`) is an open mesh.
         """
         splits = tuple(splits)
         if solid and any(split in self.metadata.surface_truth and self.split(split) for split in splits):
@@ -106,7 +106,7 @@ class Release:
 
     @cached_property
     def sums(self) -> dict[str, str]:
-        """Content of SHA256SUMS: {file: hash}."""
+        """The content of SHA256SUMS: {file: hash}."""
         path = self.folder / SHA256SUMS
         return parse_sums(release_text(path), shown(path))
 
@@ -122,7 +122,7 @@ class Release:
         return published_bytes(self.folder / name, self.sums.get(name))
 
     def text(self, name: str) -> str:
-        """Return a UTF-8 text file of the release.
+        """Return the content of a UTF-8 text file of the release; `name` as in `content`.
 
         Raises:
             ReleaseError: as in `content`, or the file is not UTF-8.
@@ -133,7 +133,7 @@ class Release:
             raise ReleaseError(f"{shown(self.folder / name)}: not a readable text ({error})") from error
 
     def floor(self, recording: str) -> FloorFile | None:
-        """Return the floor of a recording; None if the release has none, as for synthesised models.
+        """Read a recording's floor.json; None if there is none, as for synthetic objects.
 
         Raises:
             ReleaseError: the floor's file is damaged.
@@ -148,7 +148,7 @@ class Release:
 
     @cached_property
     def by_recording(self) -> dict[str, list[Target]]:
-        """Return the targets of each recording, in the order of the recordings' ids."""
+        """{recording: its targets}, sorted by the recordings' ids."""
         groups: dict[str, list[Target]] = {}
         for target in sorted(self.targets, key=lambda target: target.recording):
             groups.setdefault(target.recording, []).append(target)
@@ -164,10 +164,10 @@ class Release:
 
 
 def open_release(path: Path) -> Release:
-    """Open a release and check that its small files are the published ones (pairs: when read).
+    """Open a release, and check the hashes of its small files; pairs are checked when they are read.
 
     Args:
-        path: the release's folder, or a .zip, .tar or .tar.gz of it, which is read in place.
+        path: the release's folder or URL, or a .zip, .tar or .tar.gz of it, which is read in place.
 
     Raises:
         ReleaseError: there is no release, it has another format version, targets or benchmark.json were
@@ -210,10 +210,10 @@ def open_release(path: Path) -> Release:
 
 
 def _text(path: Path, content: bytes) -> str:
-    """Return published bytes as a text.
+    """Decode the bytes of a release's file as UTF-8; `path` is for messages.
 
     Raises:
-        ReleaseError: the bytes are no UTF-8, or take too much memory as a text.
+        ReleaseError: the bytes are not UTF-8, or take too much memory as a text.
     """
     try:
         return decoded(content, MAX_READ_BYTES, shown(path))
@@ -222,7 +222,7 @@ def _text(path: Path, content: bytes) -> str:
 
 
 def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a line for each contradiction of targets.csv and benchmark.json about a recording."""
+    """Yield a message for each fact about a recording in which targets.csv contradicts benchmark.json."""
     pairs = Counter[str]()
     for line, target in enumerate(targets, start=FIRST_LINE):
         pairs[target.recording] += 1
@@ -249,7 +249,7 @@ def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iter
 
 
 def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a line for each pair that targets.csv and SHA256SUMS do not agree on."""
+    """Yield a message for each pair whose hash in targets.csv is not that in SHA256SUMS."""
     for line, target in enumerate(targets, start=FIRST_LINE):
         if target.file not in sums:
             yield f"{TARGETS_CSV}, line {line}: {target.file} is not part of the release"

@@ -39,11 +39,15 @@ DAMAGED = (
 
 
 class _Member(tarfile.TarInfo):
-    """A member whose extended headers are small."""
+    """A tar member; reading it raises an error if its extended headers are large."""
 
     @classmethod
     def frombuf(cls, buf: bytes | bytearray, encoding: str | None, errors: str) -> Self:
-        """Return the member of a header block."""
+        """Parse the header block of a member.
+
+        Raises:
+            tarfile.ReadError: the block announces an extended header that is too large.
+        """
         member = super().frombuf(buf, encoding or "utf-8", errors)
         plain = member.type in tarfile.REGULAR_TYPES or member.type not in tarfile.SUPPORTED_TYPES
         if not plain and member.size > HEADER_BYTES:
@@ -52,9 +56,10 @@ class _Member(tarfile.TarInfo):
 
 
 def unpack_archive(archive: Path, folder: Path) -> None:
-    """Unpack a .tar, .tgz or .zip, whatever its name; an enclosing folder is left out.
+    """Unpack a .tar, .tgz or .zip, recognised by its content, into `folder`.
 
-    The target appears whole or not at all. Links, devices and hidden files are skipped.
+    If the archive holds a single folder, only its content is kept. `folder` appears whole or not at all.
+    Links, devices and hidden files are skipped.
 
     Raises:
         StorageError: the archive is damaged, leads out of the folder or unpacks to too much; or the disk is
@@ -81,7 +86,7 @@ def unpack_archive(archive: Path, folder: Path) -> None:
 
 @dataclass(frozen=True)
 class _Part:
-    """A member: its name, its stated size, and a function that opens its content (None: no plain file)."""
+    """An archive's member: name, stated size, and a function that opens it (None if it is no plain file)."""
 
     name: str
     size: int
@@ -89,7 +94,7 @@ class _Part:
 
 
 def _of_tar(file: BinaryIO) -> Iterator[_Part]:
-    """Yield the members of a .tar or .tgz, in their order."""
+    """Yield the members of a .tar or .tgz, in the archive's order."""
     packed = file.read(2) == GZIP
     file.seek(0)
     content = gzip.GzipFile(fileobj=file) if packed else file
@@ -100,7 +105,7 @@ def _of_tar(file: BinaryIO) -> Iterator[_Part]:
 
 
 def _of_zip(file: BinaryIO) -> Iterator[_Part]:
-    """Yield the members of a .zip. A password counts as damage; a link is a file that holds a path."""
+    """Yield the members of a .zip, in the archive's order; links and folders get no content."""
     with open_zip(file, MOST_LISTED, unpacked_bound(size_of(file))) as archive:
         for member in archive.infolist():
             is_link = stat.S_ISLNK(member.external_attr >> 16)

@@ -19,9 +19,9 @@ class Kind(NamedTuple):
     """A kind of image.
 
     Attributes:
-        suffix: end of its file name, after the view.
+        suffix: the end of the file name, after the view's name.
         words: name of the kind in messages.
-        format: suffix, bits and colour type, as in the file's head.
+        format: suffix, bits per channel and colour type that the file's header must state.
     """
 
     suffix: str
@@ -44,7 +44,7 @@ def depth_m(release: Release, target: Target) -> Float32:
 
 
 def mask(release: Release, target: Target) -> Bools:
-    """Read the object's mask in a pair's view, in the pixels of depth: (height, width) bool.
+    """Read the object's mask in a pair's view: (height, width) bool, aligned with the depth.
 
     Raises:
         ReleaseError: as in `depth_m`.
@@ -53,13 +53,13 @@ def mask(release: Release, target: Target) -> Bools:
 
 
 def mask_file(release: Release, target: Target) -> tuple[Path, str] | None:
-    """Return the file of a view's mask and its expected hash; None if the release has none."""
+    """Return the path of a view's mask and its expected SHA-256; None if the release has no mask."""
     name = f"views/{target.recording}/{target.view}{MASK.suffix}"
     return (release.folder / name, release.sums[name]) if name in release.sums else None
 
 
 def read_mask(path: Path, sha256: str) -> Bools:
-    """Read the same as `mask`, from the file and hash that `mask_file` returns.
+    """Read a mask, (height, width) bool, given the path and hash that `mask_file` returns.
 
     Raises:
         ReleaseError: as in `depth_m`.
@@ -104,7 +104,7 @@ def _pixels(release: Release, target: Target, kind: Kind) -> FileArray:
 
 
 def _decoded(content: bytes, where: str, kind: Kind) -> FileArray:
-    """Return the pixels of an image; its head is checked before it is decoded."""
+    """Decode an image (colour as BGR), after checking that its header states the expected kind."""
     import cv2
 
     try:

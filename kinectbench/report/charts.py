@@ -27,7 +27,7 @@ MOST_DOTS = 500
 
 @dataclass(frozen=True)
 class Bar:
-    """The bar of one method in one category; lengths are per cent of the chart's width."""
+    """The bar of one method; `length` and `interval` (start, length) are per cent of the chart's width."""
 
     method: str
     text: str
@@ -37,7 +37,7 @@ class Bar:
 
 
 def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]]:
-    """Return bars of the mean IoU with its interval: a group for each category, and one over all."""
+    """Return {category: a bar per method} of mean IoU and its interval; one group is over all categories."""
     scores = {table.method: table.averages(protocol) for table in tables}
     names = sorted({c for of in scores.values() for c in of} - {OVERALL})
     values = [s.iou for of in scores.values() for s in of.values() if s.iou is not None]
@@ -58,20 +58,20 @@ def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]
 
 
 def nice_top(value: float) -> float:
-    """Return the end of an axis from 0 that covers a share: a multiple of a tenth, at most 1."""
+    """Return the upper end of an axis from 0 to at least `value`, a share: a multiple of 0.1, at most 1."""
     return min(1.0, max(0.1, float(np.ceil(round(value * 10, 6)) / 10)))
 
 
 @dataclass(frozen=True)
 class Axes:
-    """A chart's frame: x from `x_low` to `x_high`, y from 0 to `y_high`."""
+    """The axes of a chart: x from `x_low` to `x_high`, y from 0 to `y_high`."""
 
     x_low: float
     x_high: float
     y_high: float
 
     def at(self, x: float, y: float) -> tuple[float, float]:
-        """Return a point's position in pixels."""
+        """Return the position in the chart, pixels, of a point with these values."""
         across = (x - self.x_low) / (self.x_high - self.x_low)
         return (
             LEFT + across * (WIDTH - LEFT - RIGHT),
@@ -81,9 +81,9 @@ class Axes:
 
 @dataclass(frozen=True)
 class Series:
-    """The drawing of one method: its legend index, SVG paths of its points and its line, and a dot.
+    """One method in a chart: its index in the legend, SVG paths of its points and its line, a marked dot.
 
-    `words` describes the drawing in a sentence, for readers who cannot see it.
+    `words` describes the data in a sentence, for readers who cannot see the chart.
     """
 
     index: int
@@ -95,7 +95,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart's drawing and heading."""
+    """A chart: its heading and its SVG."""
 
     title: str
     svg: Markup
@@ -120,19 +120,19 @@ def _chart(
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Return the ticks of an axis, four to six."""
+    """Return four to six values at which an axis from `low` to `high` gets ticks."""
     step = next((s for s in TICKS if (high - low) / s <= 5), TICKS[-1])
     first = int(np.ceil(round(low / step, 6)))
     return [k * step for k in range(first, int(np.floor(round(high / step, 6))) + 1)]
 
 
 def series_class(index: int) -> str:
-    """Return the CSS class of the method at an index of the legend."""
+    """Return the CSS class of a method, given its index in the legend."""
     return f"s{index % COLORS}" + (f" dash{index // COLORS % 3}" if index >= COLORS else "")
 
 
 def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """Draw IoU against threshold, a chart for each category; a dot marks the threshold that was used."""
+    """Draw IoU against threshold in a chart for each category; a dot marks the threshold used for scores."""
     curves = [_curves_of(table, protocol) for table in tables]
     categories = sorted({category for of in curves for category in of})
     charts = []
@@ -151,7 +151,7 @@ def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart
 
 
 def _curves_of(table: ScoreTable, protocol: str) -> dict[str, list[float]]:
-    """Return IoU at each threshold by category; curves with another number of thresholds are left out."""
+    """Return {category: IoU at each of `THRESHOLDS`}; curves with another number of values are left out."""
     curves = (table.iou_by_threshold or {}).get(protocol, {})
     return {category: curve for category, curve in curves.items() if len(curve) == len(THRESHOLDS)}
 
@@ -172,7 +172,7 @@ def visible_shares(table: ScoreTable) -> dict[str, float]:
 
 
 def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """Draw each pair's IoU against the share of the shape that the view saw, by category, if known."""
+    """Draw each pair's IoU against its `visible_shares`, in a chart for each category."""
     shares: dict[str, float] = {}
     for table in tables:
         shares |= visible_shares(table)
@@ -195,7 +195,10 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
 
 
 def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """Draw how often the truth is solid against the share of hypotheses that are solid, over all cells.
+    """Draw a reliability diagram of methods with several hypotheses per view; at most one chart.
+
+    Cells are binned by the share of hypotheses in which they are solid; y is the share of a bin's cells that
+    are solid in the truth.
 
     Args:
         tables: the methods' scores.
@@ -222,13 +225,13 @@ def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Cha
 
 
 def _points(rows: Sequence[ScoreRow], shares: Mapping[str, float]) -> Float64:
-    """Return (n, 2), share and IoU of each pair, sorted by share."""
+    """Return (n, 2), visible share and IoU of each pair for which both are known, sorted by share."""
     points = sorted((shares[row.pair], row.iou) for row in rows if row.pair in shares and row.iou is not None)
     return np.array(points, np.float64).reshape(-1, 2)
 
 
 def _curve_words(method: str, curve: Sequence[float], used: float | None) -> str:
-    """Return a curve as a sentence: IoU at the threshold used, and the best IoU."""
+    """Return a sentence on an IoU curve: its IoU at the threshold used, and its best IoU."""
     best = max(range(len(curve)), key=lambda step: curve[step])
     at = (
         f"{shown_figure(curve[THRESHOLDS.index(used)])} at the threshold used, {used:g}, "
@@ -239,7 +242,7 @@ def _curve_words(method: str, curve: Sequence[float], used: float | None) -> str
 
 
 def _scatter_words(method: str, points: Float64) -> str:
-    """Return the points of a method as a sentence."""
+    """Return a sentence on a method's points (n, 2): their number, range of shares, and IoU."""
     (low, worst), (high, best) = points.min(axis=0), points.max(axis=0)
     return (
         f"{method}: {len(points)} pairs, {shown_figure(low)} to {shown_figure(high)} of the shape seen, "
@@ -248,7 +251,7 @@ def _scatter_words(method: str, points: Float64) -> str:
 
 
 def _scatter(axes: Axes, index: int, points: Float64, method: str) -> Series:
-    """Draw points (a part of them if very many), and the means of equally large groups."""
+    """Draw points (n, 2), at most `MOST_DOTS` of them, and a line through the means of equal groups."""
     drawn = spread(points.tolist(), MOST_DOTS)
     dots = "".join("M{:.1f},{:.1f}h0".format(*axes.at(*point)) for point in drawn)
     groups = np.array_split(points, min(MAX_GROUPS, max(1, len(points) // GROUP_PAIRS)))

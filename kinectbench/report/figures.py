@@ -1,4 +1,4 @@
-"""Figures of a stage for the page: verdict, colour, and every other key of its file with its unit."""
+"""Format a stage's figures for the page: its verdict, and every other key of its file with its unit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,18 +27,18 @@ TONES: Mapping[Grade, str] = {"good": "good", "fair": "good", "not good": "bad"}
 
 @dataclass(frozen=True)
 class StageFigures:
-    """The figures of one stage, ready to be shown.
+    """The figures of one stage, formatted for the page.
 
     Attributes:
         verdict: the verdict that the stage gives, or "".
-        tone: "good", "warn", "bad" or "plain": the verdict's colour.
-        grade: grade of a trajectory, in a few words; else "".
+        tone: the class that colours the verdict: "good", "warn", "bad" or "plain".
+        grade: the grade of a trajectory, such as "fair"; "" for an object.
         warnings: the stage's warnings.
         rows: (name, value) of every other figure.
         estimate: the estimated IoU with its interval, or "".
         reasons: what widens the interval, one line each.
         advice: what to record again, one line for each unobserved opening.
-        word: what a person stated about the object, or "".
+        word: a sentence on what a person stated about the object, or "".
     """
 
     verdict: str
@@ -53,7 +53,7 @@ class StageFigures:
 
 
 def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None) -> StageFigures:
-    """Return a trajectory's figures, coloured by its grade; the number of unreadable frames comes first."""
+    """Return a trajectory's figures, coloured by its grade; the first row is the number of damaged frames."""
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
         tone = "warn"
@@ -63,7 +63,7 @@ def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None)
 
 
 def quality_figures(quality: QualityFile) -> StageFigures:
-    """Return an object's figures, coloured good if there are no warnings beside the advice."""
+    """Return an object's figures, coloured "good" if it has no warnings and "warn" if it has some."""
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
     return StageFigures(
         quality.verdict or "",
@@ -84,7 +84,7 @@ def _shown(part: StoredPart, hidden: tuple[str, ...]) -> tuple[tuple[str, str], 
 
 
 def text_of(value: object) -> str:
-    """Return a JSON value in a few characters."""
+    """Return a JSON value as a short text, such as "yes", "0.1234" or "12 entries"."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -100,7 +100,7 @@ def text_of(value: object) -> str:
 
 
 def per_cent(value: float | None) -> str:
-    """Return a share as text."""
+    """Return a share as text in per cent, or "–" for None."""
     return "–" if value is None else f"{100 * value:.1f} %"
 
 

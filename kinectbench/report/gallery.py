@@ -1,4 +1,4 @@
-"""The gallery of a page: some pairs and their predictions at 64^3, as text that a browser unpacks."""
+"""Make a page's gallery: some pairs and their predictions at 64^3, as text that the browser unpacks."""
 
 import base64
 import contextlib
@@ -51,18 +51,18 @@ DRAWN_SHARE = 0.25
 
 
 def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
-    """Return the pairs of a method that a page shows, sorted.
+    """Return the sorted names of the pairs that a page shows of a method: best, worst, and some of all.
 
     Args:
-        rising: the method's pairs by rising IoU.
-        every: all pairs of the test split, in an order that is the same for every method.
+        rising: the method's pairs, sorted by increasing IoU.
+        every: all pairs of the test split, in the same order for every method.
     """
     spread = {every[i] for i in evenly(len(every), SHARED)}
     return sorted({*rising[:EXTREME], *rising[::-1][:EXTREME], *spread})
 
 
 def reduced_packed(packed: Packed) -> Packed:
-    """Reduce packed (256, 256, 32) to packed (64, 64, 8): cells with at least a quarter of voxels set."""
+    """Reduce packed (256, 256, 32) to packed (64, 64, 8): set cells with at least a quarter of voxels set."""
     return pack(block_density(packed) >= np.float32(DRAWN_SHARE))
 
 
@@ -73,7 +73,7 @@ def gallery_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """Return {shown pair: (64, 64, 8) uint8, packed}: predictions above the thresholds of their scores.
+    """Return {shown pair: its prediction at the threshold of its score, (64, 64, 8) uint8, packed}.
 
     Args:
         release: the release that was predicted.
@@ -106,7 +106,7 @@ def loaded_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """Do the same as `gallery_cells` for any source; `load` returns a pair's prediction, None: empty grid."""
+    """Return the same as `gallery_cells` for predictions that `load` returns; None is an empty grid."""
     chosen = chosen_pairs(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):
@@ -123,7 +123,7 @@ def baseline_cells(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[dict[str, Packed]]:
-    """Do the same as `gallery_cells` for baselines scored in memory; they are predicted again.
+    """Return for each baseline {shown pair: its prediction, packed cells}; the pairs are predicted again.
 
     Args:
         release: the release that was predicted.
@@ -155,13 +155,13 @@ def baseline_cells(
 
 
 def _baselines_of(upsampling: str, task: tuple[BaselineTask, Mapping[str, float]]) -> dict[str, Packed]:
-    """Return {baseline: drawing of its prediction} for one pair."""
+    """Predict one pair by some baselines: return {baseline: packed cells (64, 64, 8)}."""
     baselines, thresholds = task
     return {name: _drawn(grid, thresholds[name], upsampling) for name, grid in predicted(baselines)}
 
 
 def chosen_pairs(release: Release, table: ScoreTable) -> dict[Target, float]:
-    """Return the shown pairs of a method, with the thresholds that they were scored at."""
+    """Return {shown pair of a method: threshold at which its prediction was scored}."""
     protocols = table.settings.protocols
     first = next((row.heading for row in table.rows if row.protocol == protocols[0]), protocols[0])
     rows = {row.pair: row for row in table.pairs(PRIMARY if PRIMARY in protocols else first)}
@@ -173,14 +173,14 @@ def chosen_pairs(release: Release, table: ScoreTable) -> dict[Target, float]:
 
 
 def _figure(row: ScoreRow) -> float | None:
-    """Return the figure that pairs are sorted by, higher is better: IoU, or minus the Chamfer distance."""
+    """Return a row's sort key, higher is better: IoU, or minus the Chamfer distance; None if unknown."""
     if row.in_space:
         return None if row.chamfer_l1_m is None else -row.chamfer_l1_m
     return row.iou
 
 
 def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed:
-    """Return a prediction as packed cells (64, 64, 8); None is an empty grid."""
+    """Return a prediction, cut at a threshold, as packed cells (64, 64, 8); None is an empty grid."""
     if grid is None:
         return np.zeros(CELLS_SHAPE, np.uint8)
     return reduced_packed(occupied(grid, threshold, upsampling))
@@ -188,17 +188,17 @@ def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed
 
 @dataclass(frozen=True)
 class PairTruth:
-    """The drawing of one pair.
+    """What the gallery shows of one pair, apart from predictions; grids have 64 cells a side.
 
     Attributes:
         category: such as "chair".
         object: the recorded object.
         up: (3,) unit vector that points up, in the grid's axes.
         partial: (64, 64, 8) uint8, packed.
-        full: (64, 64, 8) uint8, packed, of the truth.
-        known: (64, 64, 8) uint8, packed, cells whose sampled voxel is known.
-        unseen: (64, 64, 8) uint8, packed, cells of `full` whose shape is at least half unknown.
-        picture: the view's depth, and its colour if published, as a `data:` address; "" without images.
+        full: (64, 64, 8) uint8, packed, the true shape.
+        known: (64, 64, 8) uint8, packed, cells that are known, sampled at one voxel each.
+        unseen: (64, 64, 8) uint8, packed, cells of `full` in which at least half of the shape is not known.
+        picture: the view's depth, and its colour if published, as a `data:` URL; "" without images.
     """
 
     category: str
@@ -235,7 +235,7 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
 
 
 def surface_cells(truth: SpaceTruth, surface: Surface) -> Packed:
-    """Return packed cells (64, 64, 8) of the truth's cube that a surface in its frame goes through."""
+    """Return packed (64, 64, 8), the cells of the truth's cube with points of a surface (grid frame)."""
     at = np.floor(surface.points_m / (truth.voxel_size_m * BLOCK))
     inside = ((at >= 0) & (at < PARTIAL_CELLS)).all(axis=1)
     cells = np.zeros((PARTIAL_CELLS,) * 3, np.bool_)
@@ -244,7 +244,10 @@ def surface_cells(truth: SpaceTruth, surface: Surface) -> Packed:
 
 
 def _picture(release: Release, target: Target) -> str:
-    """Return the recorded view, depth with the mask's outline and colour to its right; "" if not shown."""
+    """Return a picture of the view as a `data:` URL: depth with the mask's outline, and colour to its right.
+
+    The result is "" if the release has no images, or if they cannot be decoded here.
+    """
     if find_spec("cv2") is None:  # without a decoder the page has no pictures
         return ""
     try:
@@ -261,13 +264,13 @@ def _picture(release: Release, target: Target) -> str:
 
 
 def _unseen(full: Packed, known: Packed) -> Packed:
-    """Return packed cells (64, 64, 8) of whose set voxels at least half are unknown."""
+    """Return packed (64, 64, 8), the cells in which at least half of the voxels of `full` are not known."""
     share_unknown = block_density(full & ~known)
     return pack(share_unknown >= block_density(full) / np.float32(2))
 
 
 def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64:
-    """Return the up direction in a grid: the floor's normal; without a floor, up in the image."""
+    """Return the up direction (3,) in grid axes: the floor's normal, or without a floor up in the image."""
     up = np.zeros(3)
     with contextlib.suppress(ReleaseError):  # it only turns a picture
         floor = release.floor(recording)
@@ -277,7 +280,7 @@ def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64
 
 
 def _sampled(packed: Packed) -> Packed:
-    """Sample packed (256, 256, 32) to packed (64, 64, 8): each cell's voxel just beyond its middle."""
+    """Sample packed (256, 256, 32) to packed (64, 64, 8): take the voxel just beyond each cell's middle."""
     middle = BLOCK // 2
     return pack(unpack(packed[middle::BLOCK, middle::BLOCK])[..., middle::BLOCK])
 
@@ -290,18 +293,18 @@ def gallery_json(
     *,
     many: bool = False,
 ) -> tuple[Markup | None, int]:
-    """The gallery's data as JSON for a page, bounded in size.
+    """Return the gallery's data as JSON of limited size for a page.
 
     Args:
         tables: the methods' scores.
         galleries: each method's gallery, or None.
-        truths: {pair: its drawing}; other pairs are not shown.
-        protocol: the protocol whose IoU is shown; of a method without it, that of its first rows, with its
-            name beside.
-        many: whether the page shows many recordings.
+        truths: {pair: its truth}; pairs without truth are not shown.
+        protocol: the protocol whose figures are shown. A method that was not scored under it is shown under
+            the protocol of its first row, which is named.
+        many: whether the page shows many recordings; then the gallery is smaller.
 
     Returns:
-        The text, or None if there is nothing to show; and the number of pairs left out to limit the size.
+        The JSON text, or None if there is nothing to show; and the number of pairs left out for its size.
     """
     shown_by = [
         {name: _text(cells) for name, cells in (gallery or {}).items() if name in truths}

@@ -1,4 +1,4 @@
-"""Viewpoints and colours for pictures of objects, pairs and views."""
+"""Draw pictures of objects, pairs and views for the page, with their viewpoints and colours."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,7 +30,7 @@ PARTIAL_LEVEL = 0.15
 
 
 def outlines(mesh_floor: TriangleMesh) -> list[Float64]:
-    """Return the object's outlines from above: closed polygons (n, 2), x and y of the floor frame."""
+    """Return the object's outlines seen from above: closed polygons (n, 2), x and y, floor frame, metres."""
     # The viewer looks down: the floor's x is to the right, and its y is up in the picture.
     R_floor_view = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
     viewpoint = pictures.fit_viewpoint(mesh_floor.vertices, R_floor_view)
@@ -67,7 +67,7 @@ def pair_picture(
 
 
 def _beside_the_camera(up_grid: Float64) -> Float64:
-    """Return the rotation (3, 3) of an upright viewer to the camera's right and somewhat above it."""
+    """Return R_grid_view (3, 3) of an upright viewpoint to the camera's right and somewhat above it."""
     sine = float(-up_grid[2])
     # If the camera looks straight down or up, the top of its picture replaces the level direction ahead.
     ahead = np.array([0.0, 0, 1]) if abs(sine) < STEEP_SINE else np.array([0.0, -1, 0])
@@ -82,7 +82,10 @@ def _beside_the_camera(up_grid: Float64) -> Float64:
 
 @dataclass(frozen=True)
 class FramePicture:
-    """A recorded view: its picture with the mask, and its colour if separate."""
+    """A recorded view: `masked`, its picture with the mask, and `color`, its colour image if not registered.
+
+    Pictures are `data:` URLs.
+    """
 
     view: str
     frame: str
@@ -91,7 +94,7 @@ class FramePicture:
 
 
 def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> tuple[FramePicture, ...]:
-    """Return at most `most` of the views, evenly spread; `folder` holds their images."""
+    """Draw at most `most` of the views, evenly spread; `folder` holds their images."""
     rows = views.views
     chosen = evenly(len(rows), most)
     shown = [_frame(folder, rows[i], views.color_registered is not False) for i in chosen]
@@ -99,7 +102,7 @@ def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> 
 
 
 def _frame(folder: Path, row: ViewRow, registered: bool) -> FramePicture | None:
-    """Return one view; None if its files are missing."""
+    """Draw one view; return None if its depth and colour images are missing."""
     paths = {kind: folder / f"{row.view}.{kind}" for kind in ("color.jpg", "depth.png", "mask.png")}
     color_path = paths["color.jpg"] if paths["color.jpg"].exists() else None
     color = images.read_color(color_path) if color_path else None

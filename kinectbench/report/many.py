@@ -1,4 +1,4 @@
-"""The list of a page with many recordings: one row each, read only from small files."""
+"""Make the list of recordings for a page with many of them: a row each, read only from small files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -62,13 +62,13 @@ def recording_row(job: Job, folder: Path) -> tuple[str, ...]:
 
 
 def listing(rows: Sequence[Sequence[str]], shown: Sequence[str]) -> Listing:
-    """Return all recordings as a table; recordings shown below it are links."""
+    """Return the table of all recordings; those that the page shows in detail (`shown`) are links to that."""
     links = {name: f"#r{number}" for number, name in enumerate(shown, start=1)}
     return Listing(COLUMNS, FILTERS, rows, links, "`kinectbench build --status` lists all of them")
 
 
 def object_listing(objects: Sequence[Sequence[object]]) -> Listing | None:
-    """Return the unknown share of each object's truth, as a list; None if there are few objects."""
+    """Return the rows of `truth_of_objects` as a searchable list; None if a plain table is enough."""
     if len(objects) <= PAGE_ROWS:
         return None
     rows = [[str(cell) for cell in row] for row in objects]
@@ -76,12 +76,12 @@ def object_listing(objects: Sequence[Sequence[object]]) -> Listing | None:
 
 
 def shortened(settings: Mapping[str, Any]) -> tuple[dict[str, object], int]:
-    """Return the settings with only the first of many recordings, and the number left out."""
+    """Return the settings with only the first recordings if there are many, and the number left out."""
     recordings = settings.get("recordings") or []
     left_out = max(0, len(recordings) - SHOWN)
     return dict(settings) | ({"recordings": recordings[:SHOWN]} if left_out else {}), left_out
 
 
 def millimetres(value_m: float | None) -> str:
-    """Return a length as the page shows it."""
+    """Return a length in metres as text in millimetres, or "–" for None."""
     return "–" if value_m is None else f"{1000 * value_m:.1f} mm"

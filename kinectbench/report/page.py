@@ -28,10 +28,10 @@ from kinectbench.settings.models import BenchmarkSettings
 
 @dataclass(frozen=True)
 class Groups:
-    """Which methods cannot be distinguished.
+    """Groups of methods whose scores do not differ significantly; a letter stands for each group.
 
     Attributes:
-        letters: {protocol: {index of the table: letters}} by mean IoU; incomplete methods have none.
+        letters: {protocol: {index of a method's score table: its letters}}; incomplete methods have none.
         notes: notes on the letters, one line each.
         too_small: a sentence if the test set is too small to distinguish any two methods; else "".
     """
@@ -43,12 +43,12 @@ class Groups:
 
 @dataclass(frozen=True)
 class Beside:
-    """Content beside score tables.
+    """What a page shows in addition to score tables.
 
     Attributes:
-        groups: groups of the methods, by mean IoU over all categories.
+        groups: groups of methods that cannot be distinguished.
         galleries: a gallery (or None) for each table; empty: no galleries.
-        truths: {pair: its shown parts}.
+        truths: {pair: its truth, as the galleries show it}.
     """
 
     groups: Groups = field(default_factory=Groups)
@@ -68,16 +68,16 @@ def write_report(
     beside: Beside = NOTHING_BESIDE,
     released: ReleaseInfo | None = None,
 ) -> Path:
-    """Write the page of a benchmark; the same input gives the same text.
+    """Write the page of a benchmark; the same input gives the same bytes.
 
     Args:
         settings: the benchmark's settings.
-        build: the folder with a subfolder for each recording; the page notes what is not built, or was built
-            with other settings. None: no recordings are shown.
+        build: the folder with a subfolder for each recording; the page states which stages are not built, or
+            were built with other settings. None: no recordings are shown.
         scores: a table for each method; may be empty. Methods of the same name are called `net`, `net #2`.
         out: the HTML file to write, in whole or not at all.
         progress: called with (recording, done, total) before each recording, and finally ("", total, total).
-        beside: ranks and galleries of the score tables, in the same order.
+        beside: groups and galleries of the score tables, in the same order.
         released: benchmark.json of a release without a local build; its settings are shown. None: `settings`
             are shown.
 
@@ -121,7 +121,7 @@ def write_report(
 
 
 def _published(scores: Sequence[ScoreTable]) -> tuple[PublishedTable, ...]:
-    """Return the paper's tables to show beside scores; none beside scores in the camera frame."""
+    """Return the paper's tables that match the scored pairs; none if all scores are in the camera frame."""
     in_cells = [table for table in scores if not any_in_space(table.settings.protocols)]
     if scores and not in_cells:
         return ()
@@ -143,7 +143,7 @@ def _recordings(
 
 
 def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingPart]) -> Listing | None:
-    """Return a list of all recordings, if the page shows only some."""
+    """Return the list of all recordings if the page shows only some in detail, else None."""
     if len(shown) == len(settings.recordings):
         return None
     rows = [many.recording_row(Job(settings, r, build.parent), build / r.id) for r in settings.recordings]
@@ -151,7 +151,7 @@ def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingP
 
 
 def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bool) -> dict[str, object]:
-    """Return the scores section of the page."""
+    """Return the values for the page's section on scores."""
     names = method_names(scores)
     parsed = [t.model_copy(update={"method": name}) for t, name in zip(scores, names, strict=True)]
     protocols = tables.protocols(parsed)

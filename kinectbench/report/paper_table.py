@@ -1,7 +1,7 @@
-"""The paper's table for some methods: IoU and cross-entropy by category, every pair weighs equally.
+"""Make the tables of the paper, 3D-RecGAN++, for some methods: mean IoU and cross-entropy by category.
 
-Its form is that of the tables at 256^3 of 3D-RecGAN++ (`scoring.published`). Pairs whose recordings are named
-by a set of viewing angles get tables of their own, like the paper's test sets.
+They have the form of the paper's tables at 256^3 (`scoring.published`), and every pair weighs equally. Like
+the paper's test sets, each set of viewing angles, which the names of recordings state, gets its own table.
 """
 
 import re
@@ -38,11 +38,11 @@ LONGEST_CELL = 100
 
 @dataclass(frozen=True)
 class PaperRow:
-    """One method.
+    """One row of the paper's table: the figures of a method.
 
     Attributes:
         method: the method's name.
-        published: where the paper states these figures; "" for a scored method.
+        published: title of the paper's table that states these figures; "" for a scored method.
         iou: {category: mean over pairs}; a category without a pair is left out.
         ce: {category: mean cross-entropy over pairs}, nats a voxel.
     """
@@ -55,11 +55,11 @@ class PaperRow:
 
 @dataclass(frozen=True)
 class PaperTable:
-    """One table.
+    """One table in the paper's form.
 
     Attributes:
-        title: says which pairs the table is of.
-        categories: categories with pairs: the paper's in its order, then others by name.
+        title: states the scored pairs, such as those of one set of viewing angles.
+        categories: categories with pairs: first the paper's in its order, then others by name.
         pairs: number of pairs that each method was scored on.
         rows: the methods, highest mean IoU over the categories first; then the published methods.
     """
@@ -71,10 +71,10 @@ class PaperTable:
 
 
 def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
-    """Return the paper's tables of methods scored on one truth: one table, or one per set of viewing angles.
+    """Return tables in the paper's form for methods scored on one truth, one for each set of viewing angles.
 
-    If all methods were also scored under `shell`, its tables follow. The paper's table of real recordings is
-    beside both, because the paper does not say how solid its truth is.
+    If all methods were also scored under the protocol `shell`, its tables follow. Both get the paper's
+    figures of real recordings, because the paper does not say whether its truth is solid or a shell.
 
     Raises:
         SettingsError: a table is not complete, or was not scored under the protocol `paper`.
@@ -105,7 +105,7 @@ def _tables(
 
 
 def _views(row: ScoreRow) -> int | None:
-    """Return the number of viewing angles in the paper's test set of such a recording; None for others."""
+    """Return the number of viewing angles that a recording's name states; None if it states none."""
     match = _ENDING.fullmatch(row.recording)
     return VIEWS[match[1]] if match else None
 
@@ -129,7 +129,7 @@ def _table(
 
 
 def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
-    """Return {category: plain mean over its pairs}; under `paper` every pair has every figure."""
+    """Return {category: mean of a figure over its pairs}; under `paper` every pair has every figure."""
     values: dict[str, list[float]] = {}
     for row in rows:
         values.setdefault(row.category, []).append(getattr(row, figure))
@@ -137,14 +137,14 @@ def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
 
 
 def _present(of: PublishedTable, figures: Sequence[float], categories: Sequence[str]) -> dict[str, float]:
-    """Return {category: its published figure} for the scored categories."""
+    """Return {category: its published figure} for those of `categories` that the paper's table has."""
     return {name: value for name, value in zip(of.categories, figures, strict=True) if name in categories}
 
 
 def paper_markdown(tables: Sequence[PaperTable]) -> str:
-    """Return the tables as Markdown: a row for each method, IoU of each category, then cross-entropies.
+    """Return tables as Markdown: a row for each method, with IoU, then cross-entropy, of each category.
 
-    If there are published rows, the paper's numbers of parameters follow.
+    Below tables with published rows is a line on the numbers of parameters of the paper's networks.
     """
     last = [PARAMETERS_LINE] if any(row.published for table in tables for row in table.rows) else []
     return "\n\n".join([*("\n".join(_lines(table)) for table in tables), *last]) + "\n"
@@ -171,5 +171,5 @@ def _figure(value: float | None) -> str:
 
 
 def _text(words: str) -> str:
-    """Return an untrusted text as a cell of a Markdown table."""
+    """Return an untrusted text escaped for a cell of a Markdown table."""
     return printable(words, LONGEST_CELL).replace("|", "\\|")

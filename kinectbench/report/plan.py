@@ -1,4 +1,4 @@
-"""The camera's path seen from above, as a small inline SVG."""
+"""Draw the camera's path, seen from above, as a small inline SVG."""
 
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
@@ -30,7 +30,7 @@ TIME_COLORS = np.array([(47, 107, 196), (124, 88, 190), (196, 78, 142), (232, 14
 
 
 def time_color(fraction: float) -> str:
-    """Return the colour, #rrggbb, of a moment of the recording: 0 is its start, 1 its end."""
+    """Return the colour, #rrggbb, for a time in the recording: 0 is its start, 1 its end."""
     position = min(max(fraction, 0.0), 1.0) * (len(TIME_COLORS) - 1)
     channels = [np.interp(position, np.arange(len(TIME_COLORS)), TIME_COLORS[:, c]) for c in range(3)]
     return "#" + "".join(f"{round(float(c)):02x}" for c in channels)
@@ -42,10 +42,11 @@ def svg_path(points_px: Iterable[Sequence[float]]) -> str:
 
 
 def look_arrows(T_floor_camera: Float64, frontiers: Sequence[FrontierPart]) -> list[Float64]:
-    """Return arrows from viewpoints to the centres of frontiers: (2, 2) metres, x and y of the floor frame.
+    """Return an arrow to each frontier (unobserved opening) from where it should be recorded.
 
-    Each arrow is as long as the mean distance of the cameras. For an opening seen from above or below, both
-    ends are its centre, and a ring is drawn.
+    An arrow is (2, 2), its tail and its tip, x and y of the floor frame, metres. The tip is the opening's
+    centre, and the length is the cameras' mean distance from it. If the opening should be seen from above or
+    below, both ends are its centre, and a ring is drawn.
     """
     arrows = []
     for frontier in frontiers:
@@ -63,15 +64,15 @@ def draw_plan(
     outlines_floor: Sequence[Float64],
     frontiers: Sequence[FrontierPart] = (),
 ) -> Markup:
-    """Draw the plan as an SVG element, in frame `floor`: x to the right and y up, to scale.
+    """Draw the plan as an SVG element: x of the floor frame to the right, y up, to scale.
 
     The path is coloured by time. Ticks show viewing directions (short if straight down), crosses are frames
     left out, the closed shape is the object, and the bar gives the scale. For arrows see `look_arrows`.
 
     Args:
-        T_floor_camera: (n, 4, 4) camera poses in order of time, n > 0.
-        left_out_floor: (k, 3) estimated camera positions of frames left out.
-        outlines_floor: closed polygons (m, 2) of the object.
+        T_floor_camera: (n, 4, 4) camera poses in order of time, metres, n > 0.
+        left_out_floor: (k, 3) estimated camera positions of frames left out, metres.
+        outlines_floor: closed polygons (m, 2) of the object, metres.
         frontiers: unobserved openings.
     """
     arrows = look_arrows(T_floor_camera, frontiers)
@@ -120,7 +121,7 @@ def draw_plan(
 
 
 def _head(tail_px: Sequence[float], tip_px: Sequence[float]) -> list[list[float]]:
-    """Return the triangle at an arrow's tip; empty for an arrow without length."""
+    """Return the three corners of the triangle at an arrow's tip, pixels; empty if the length is 0."""
     along = np.subtract(tip_px, tail_px)
     length = float(np.hypot(*along))
     if not length:

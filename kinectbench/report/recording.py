@@ -1,4 +1,4 @@
-"""Collect everything that the page shows of one recording from its build folder."""
+"""Collect from a recording's build folder everything that the page shows of the recording."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,7 +35,7 @@ File = TypeVar("File", bound=Stored)
 
 @dataclass(frozen=True)
 class Tile:
-    """A pair on the page: a picture of partial and full, and its figures."""
+    """A pair on the page: a picture of partial and full as a `data:` URL, and figures as text."""
 
     view: str
     frame: str
@@ -47,7 +47,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class RecordingPart:
-    """One section of the page; pictures are `data:` addresses.
+    """What the page shows of one recording; pictures are `data:` URLs.
 
     Attributes:
         settings: the recording's own settings.
@@ -55,15 +55,16 @@ class RecordingPart:
         quality: figures of the object, or None.
         turntable: a strip of pictures of the object from all around, or None.
         plan: the camera's path seen from above, or None.
-        object_pictures: the object from a few sides, with unseen parts in colour.
-        frames: some views as recorded.
+        object_pictures: pictures of the object from a few sides, with unseen parts in colour.
+        frames: pictures of some recorded views.
         tiles: every pair.
-        refused: (view, frame, reason) of every refused pair, and of every frame refused as a view (view is
-            "").
+        refused: (view, frame, reason) of every refused pair, and of every frame that was refused as a view,
+            for which view is "".
         containment: median containment over the pairs, as text.
         residual: median residual over the pairs, as text.
         missing: stages that are not built yet.
-        outdated: artefacts that are not shown, as they have another version, other settings or other inputs.
+        outdated: results that are not shown, because they were made with another version, other settings or
+            other inputs.
         failed: the stage at which the last build failed, and why, one line; or "".
     """
 
@@ -84,7 +85,7 @@ class RecordingPart:
 
 
 def collect(job: Job, folder: Path) -> RecordingPart:
-    """Collect the current results of one recording.
+    """Collect the current results of one recording; outdated ones are only named.
 
     Args:
         job: the recording, with the settings that its build must have.
@@ -146,7 +147,10 @@ def collect(job: Job, folder: Path) -> RecordingPart:
 
 
 def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction: Path | None) -> str:
-    """Return pictures of the object from all around as a `data:` address, in scene colours if any."""
+    """Return a strip of pictures of the object from all around as a `data:` URL, coloured if the scene is.
+
+    `reconstruction` is the folder with the scene's mesh, or None.
+    """
     scene_floor = None
     if reconstruction and (reconstruction / "mesh.ply").is_file():
         scene_floor = read_own_ply(reconstruction / "mesh.ply", colors=True).transformed(T_floor_world)
@@ -154,7 +158,7 @@ def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction:
 
 
 def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
-    """Read the object's closed surface, floor frame, and a mask (m,) of its unmeasured faces."""
+    """Read the object's closed mesh, floor frame, and a mask (m,) of its faces that were not measured."""
     mesh_world = read_own_ply(folder / "mesh.ply")
     volume = ObjectVolume.read(folder)
     unseen = unmeasured_faces(mesh_world, volume.grid, volume.labels)
@@ -162,9 +166,9 @@ def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
 
 
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:
-    """Return positions (k, 3) of the frames left out, between their neighbours in the trajectory.
+    """Return positions (k, 3) of rejected frames, interpolated between their neighbours in the trajectory.
 
-    Empty unless the trajectory has one row for each frame, or one for each kept frame.
+    The result is empty unless the trajectory has a row for each frame, or for each frame that was kept.
     """
     if health is None or not health.rejected:
         return np.zeros((0, 3))

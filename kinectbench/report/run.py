@@ -1,4 +1,4 @@
-"""Write pages from files on disk: of a benchmark with build folders, or of a release's scores alone."""
+"""Write the page of a benchmark with build folders, or of a release alone, from files on disk."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ NOT_EVERYWHERE = tuple(name for name in PROTOCOLS if name not in COMPARED)
 
 @dataclass(frozen=True)
 class ScoreFile:
-    """A scores.json and the gallery beside it."""
+    """The content of a scores.json, and of the gallery file beside it, if any."""
 
     path: Path
     table: ScoreTable
@@ -37,16 +37,16 @@ class ScoreFile:
 
 
 def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile], list[str]]:
-    """Read every scores.json in a folder and its subfolders, sorted.
+    """Read every scores.json in a folder and its direct subfolders, sorted by path.
 
-    Files of another truth are left out, and so are files counted by an older version than the newest file.
+    Files scored against another release are left out, and files with an older score version than the newest.
 
     Args:
         folder: the folder of scores; it may be missing.
-        benchmark_sha256: hash of the truth, if known.
+        benchmark_sha256: hash of the release, if known.
 
     Returns:
-        The files, and a warning for each that is left out.
+        The files, and a warning for each file that is left out.
 
     Raises:
         StorageError: a file is damaged.
@@ -65,14 +65,14 @@ def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile
 
 
 def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[ScoreFile]:
-    """Read the requested score files; all must have the same truth and score version.
+    """Read the requested score files; all must be of the same release and score version.
 
     Args:
         paths: files, methods' folders, or folders of methods; a file named twice counts once.
-        benchmark_sha256: hash of the truth; None: the files must agree on one.
+        benchmark_sha256: hash of the release; None: the files must agree on one.
 
     Raises:
-        SettingsError: a file is missing, or was scored against another truth or by another version.
+        SettingsError: a file is missing, or was scored against another release or by another version.
         StorageError: a file, or the gallery beside it, is damaged.
     """
     files: list[ScoreFile] = []
@@ -97,12 +97,12 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
 
 
 def kept_baselines(files: Sequence[ScoreFile]) -> list[ScoreFile]:
-    """Return baselines that `score` kept beside score files, of the same truth and counting; one per name.
+    """Read the scores of baselines that `score` has written beside score files; one file per baseline.
 
-    A baseline that was scored as a method is not returned.
+    They must have the same release and way of counting. Baselines among `files` are not read again.
 
     Args:
-        files: the page's score files, of one truth.
+        files: the page's score files, all of one release.
 
     Raises:
         StorageError: a file is damaged.
@@ -125,13 +125,13 @@ def _read(path: Path) -> ScoreFile:
 
 
 def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
-    """Group methods by a paired test over objects (see `compare`).
+    """Group methods that a paired test over objects cannot distinguish (see `compare`).
 
     Args:
-        tables: tables of one truth; complete ones with rows get letters. Added baselines get none: more
-            comparisons would only make methods harder to distinguish.
-        protocols: protocols to compare under, each the tables that have it; the first one with two decides
-            whether there are enough objects.
+        tables: score tables of one release. Incomplete ones get no letters, and neither do added baselines:
+            more comparisons would only make methods harder to distinguish.
+        protocols: the protocols to compare under. The first one under which two methods are scored decides
+            whether the test set is too small.
     """
     compared = {
         index: table
@@ -164,7 +164,7 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
 
 
 def _alone(table: ScoreTable, protocols: Sequence[str]) -> str:
-    """Return a sentence if no test could distinguish two methods; else ""."""
+    """Return a sentence if the objects of a table are too few to distinguish it from any method; else ""."""
     for protocol in protocols:
         overall = (table.overall or {}).get(protocol)
         if overall is not None and overall.objects:
@@ -180,12 +180,12 @@ def page_of_benchmark(
     out: Path | None = None,
     baselines: bool = True,
 ) -> tuple[Path, list[str]]:
-    """Write the page of a benchmark from its `build/`, its release if any, and score files.
+    """Write the page of a benchmark from its `build/`, its release (if there is one) and score files.
 
     Args:
         settings: the benchmark's settings.
         root: the benchmark's folder.
-        scores: a folder (scores of another truth or version are left out), or a list of files and folders.
+        scores: a folder (scores of another release or version are left out), or a list of files and folders.
         progress: see `write_report`.
         out: the page's file; default: index.html in the folder of scores.
         baselines: whether baselines kept beside the scores are shown, too.
@@ -194,7 +194,7 @@ def page_of_benchmark(
         The page's path, and a warning for each score file that was left out.
 
     Raises:
-        SettingsError: a listed score file is missing, or of another truth or version.
+        SettingsError: a listed score file is missing, or of another release or version.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
     tables, beside, warnings = _scores(scores, release, baselines)
@@ -205,7 +205,7 @@ def page_of_benchmark(
 def page_of_release(
     release: Release, scores: Path | Sequence[Path], out: Path | None = None, baselines: bool = True
 ) -> tuple[Path, list[str]]:
-    """Do the same as `page_of_benchmark` for a release without local build folders."""
+    """Write the page of a release without build folders; arguments and result as in `page_of_benchmark`."""
     info = release.metadata
     # Not validated: names come from the release, and are only shown.
     recordings = [
@@ -232,14 +232,14 @@ def write_galleries(
     jobs: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Write the gallery.npz of every method that `score_methods` or `score_baselines` just scored.
+    """Write a gallery.npz beside the scores of every method that `score_methods` or `score_baselines` scored.
 
     Args:
         release: the release that was predicted.
-        predictions: the scored predictions; None: baselines, which are predicted again.
-        tables: the tables of scores.
-        out: the folder for the results.
-        upsampling: the convention used for scoring.
+        predictions: the folder of the scored predictions; None: baselines, which are predicted again.
+        tables: the score tables.
+        out: the folder in which the scores are.
+        upsampling: the upsampling convention used for scoring.
         jobs: number of processes for baselines.
         progress: called with (pairs done, pairs in all); with `predictions`, for each method in turn.
     """
@@ -265,7 +265,7 @@ def write_galleries(
 def _scores(
     scores: Path | Sequence[Path], release: Release | None, baselines: bool
 ) -> tuple[list[ScoreTable], Beside, list[str]]:
-    """Return the tables to show, the content beside them, and a warning for each file left out."""
+    """Read scores: return the tables to show, their groups and galleries, and a warning per left-out file."""
     sha256 = release.benchmark_sha256 if release else None
     warnings: list[str] = []
     if isinstance(scores, Path):
@@ -288,7 +288,7 @@ def _scores(
 
 
 def _compared_under(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the protocols of the grid that were scored, and the first heading of every table in space."""
+    """Return the protocols for comparing methods: scored voxel protocols, then camera-frame headings."""
     scored = {row.heading for table in tables for row in table.rows}
     in_space = [table.rows[0].heading for table in tables if table.rows and table.rows[0].in_space]
     return [name for name in (*COMPARED, *NOT_EVERYWHERE) if name in scored] + [*dict.fromkeys(in_space)]
@@ -297,7 +297,10 @@ def _compared_under(tables: Sequence[ScoreTable]) -> list[str]:
 def _of_release(
     files: Sequence[ScoreFile], release: Release, refuse: bool
 ) -> tuple[list[ScoreFile], list[str]]:
-    """Return the files that agree with the release, and a warning for each other; or refuse the first."""
+    """Return the files that agree with the release, and a warning for each other file.
+
+    With `refuse`, a file that does not agree raises an error.
+    """
     score_files, warnings = [], []
     for file in files:
         problem = next(not_of_release(file.table, release), None)
@@ -313,7 +316,7 @@ def _of_release(
 
 
 def _folder(scores: Path | Sequence[Path], default: Path) -> Path:
-    """Return the page's folder: the scores' folder if they share one."""
+    """Return the folder for the page: the folder of scores if exactly one is given, else `default`."""
     if isinstance(scores, Path):
         return scores
     return scores[0] if len(scores) == 1 and scores[0].is_dir() else default

@@ -1,4 +1,4 @@
-"""The gallery of predictions in the camera frame: cells of their surfaces or solids, at 64^3."""
+"""Make the gallery of predictions in the camera frame: the cells of their surfaces or solids, at 64^3."""
 
 from pathlib import Path
 
@@ -28,12 +28,14 @@ def space_cells(
     table: ScoreTable,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """Return {shown view: (64, 64, 8) uint8, packed}; of several hypotheses the first is drawn.
+    """Return {shown view: its prediction as cells, (64, 64, 8) uint8, packed}.
+
+    Of several hypotheses the first is taken. A missing prediction gives an empty grid.
 
     Args:
         release: the release that was predicted.
         predictions: the method's folder.
-        method: the method.json. Predictions of free size are drawn after the registration `R+t+s`.
+        method: content of method.json. Predictions of unknown scale are first registered by `R+t+s`.
         table: the method's scores.
         progress: called with (views done, views in all).
     """
@@ -59,12 +61,12 @@ def space_cells(
 
 
 def prediction_cells(truth: SpaceTruth, shape: CameraShape, kind: str | None) -> Packed:
-    """Return packed cells (64, 64, 8) of a solid; without a solid, cells that the surface goes through.
+    """Return the cells of a predicted solid, packed (64, 64, 8), or those with points of its open surface.
 
     Args:
-        truth: the truth of the view.
-        shape: the predicted shape, in the camera frame.
-        kind: kind of the registration; None: as predicted.
+        truth: the truth of the view, whose cube has the cells.
+        shape: the predicted shape, camera frame.
+        kind: kind of the registration to the truth, such as `R+t+s`; None: no registration.
     """
     surface, T = surface_of(shape), truth.T_grid_camera
     if kind is not None:

@@ -1,4 +1,4 @@
-"""The table of scores of predictions in the camera frame, for the terminal and the page."""
+"""Make the table of scores of predictions in the camera frame, for the terminal and the page."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -40,11 +40,12 @@ BESIDE_NOTE = "cut: of the truth, outside the method's volume; outside mask: of 
 
 @dataclass(frozen=True)
 class SpaceTable:
-    """The figures of predictions in the camera frame, as the terminal and the page show them.
+    """Scores of predictions in the camera frame as text, for the terminal and the page.
 
     Attributes:
         columns: headings of the figures.
-        groups: {heading: its lines (name, one text per column)}, best first, the ceiling last.
+        groups: {heading: lines (method's name, one text per column)}; the best method is first. The last line
+            may be the ceiling: what the truth's own uncertainty leaves to a perfect prediction.
         notes: lines below the table.
     """
 
@@ -54,7 +55,9 @@ class SpaceTable:
 
 
 def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = None) -> SpaceTable:
-    """Return a line for each method and heading (protocol, registration, part, hypotheses); best first.
+    """Return the table: under each heading, a line for each method that was scored, the best first.
+
+    A heading states protocol, registration, part of the shape and number of hypotheses.
 
     Args:
         tables: score tables; only those of predictions in the camera frame are used.
@@ -94,18 +97,18 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
 
 
 def _reason(table: ScoreTable) -> str:
-    """Return why a method is left out, if every view failed for one reason."""
+    """Return ": <reason>" if all views of a method failed for the same reason, else ""."""
     reasons = {failure.reason for failure in table.failures}
     return f": {reasons.pop()}" if len(reasons) == 1 and not table.rows else ""
 
 
 def is_baseline(table: ScoreTable) -> bool:
-    """Return whether a table is of a baseline: added, or scored as a method."""
+    """Return whether a table has the scores of a baseline, whether added by `score` or scored as a method."""
     return table.baseline or any(mark.kind == BASELINE for mark in table.marks)
 
 
 def _without_empty(table: SpaceTable) -> SpaceTable:
-    """Return the table with only those columns in which a line has a figure."""
+    """Return the table without the columns in which no line has a figure."""
     lines = [cells for of in table.groups.values() for _, cells in of]
     kept = [i for i in range(len(table.columns)) if any(cells[i] for cells in lines)]
     groups = {
@@ -121,7 +124,7 @@ def _far(table: ScoreTable, heading: str) -> float:
 
 
 def _empty(rows: Sequence[ScoreRow]) -> str:
-    """Return how many rows are of views with an empty prediction: their distances dominate a mean."""
+    """Return " (<n> empty)" if n views have an empty prediction, whose distances dominate a mean, else ""."""
     count = sum(row.counts and row.solid is None for row in rows)
     return f" ({count} empty)" if count else ""
 

@@ -1,4 +1,4 @@
-"""Score tables for display: methods as rows, categories as columns, the best of a column marked."""
+"""Make score tables for display: methods are rows, categories columns, and the best of a column is marked."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ NONE = CategoryAverages()
 
 @dataclass(frozen=True)
 class Cell:
-    """A figure: its text, its sort key ("" if none), and its interval as text or ""."""
+    """A figure in a table: text, sort key ("" if none), whether it is the column's best, interval or ""."""
 
     text: str
     sort: str
@@ -57,13 +57,13 @@ class Cell:
 
 @dataclass(frozen=True)
 class MethodRow:
-    """One method of a table.
+    """The row of one method in a table.
 
     Attributes:
         method: the method's name.
         group: letters; methods that share a letter cannot be distinguished. "" if not compared.
-        iou: the table's first figure in each category; under protocols of voxels the IoU.
-        ce: the table's second figure in each category; under protocols of voxels the CE.
+        iou: the table's first figure in each category: IoU, or F-score under protocols of surfaces.
+        ce: the table's second figure in each category: cross-entropy, or Chamfer distance of surfaces.
         marks: caveats of the scores, a few words each.
         standing: "reported", or "verified" with date and version; "" for published figures.
     """
@@ -78,22 +78,22 @@ class MethodRow:
 
 @dataclass(frozen=True)
 class Table:
-    """One table: a row for each method, a cell of both figures for each category.
+    """One table: a row for each method, with two figures for each category.
 
     Attributes:
-        title: heading.
-        protocol: the protocol of the figures, as in the headings of columns.
+        title: the heading.
+        protocol: the protocol under which the figures were scored.
         note: one line below the table.
         categories: the columns under each of the figures.
         rows: the methods, best first.
         base_rate: cross-entropy of predicting the base rate, under each category; empty if not known, or if
             the baseline `base-rate` has a row.
         unknown: share of the true shapes that is not known, under each category; empty if not known.
-        left_out: a sentence with the number of pairs left out as all unknown; "" if none.
-        grouped: whether rows have groups.
+        left_out: a sentence with the number of pairs left out because no voxel of the shape is known, or "".
+        grouped: whether rows have letters of groups.
         shared: marks that every row has; they are shown above the table instead of in the rows.
         of_baselines: further marks that every baseline has, also shown above the table.
-        figures: headings of the two figures of each cell.
+        figures: headings of the two figures.
     """
 
     title: str
@@ -115,14 +115,14 @@ def _figures(protocol: str) -> tuple[tuple[str, str, int], tuple[str, str, int]]
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the protocols of the tables, the primary one first, then in the tables' order."""
+    """Return the protocols under which the tables have averages: first those of `PROTOCOL_NOTES`."""
     names = dict.fromkeys(p for t in tables for p in [*(t.by_category or {}), *(t.overall or {})])
     first = [p for p in PROTOCOL_NOTES if p in names]
     return first + [p for p in names if p not in first]
 
 
 def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
-    """Return the tables sorted by overall IoU or F-score; tables without one last, in the given order."""
+    """Return the score tables, highest overall IoU (or F-score of surfaces) first, those without it last."""
     name = _figures(protocol)[0][0]
 
     def key(table: ScoreTable) -> float:
@@ -135,7 +135,7 @@ def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
 def protocol_table(
     tables: Sequence[ScoreTable], protocol: str, groups: Mapping[str, str] | None = None
 ) -> Table:
-    """Return the table of one protocol; `groups` has the letters of each method, if known."""
+    """Return the table of one protocol; `groups` is {method: letters of its groups}, if known."""
     ordered = best_first(tables, protocol)
     scores = {table.method: table.averages(protocol) for table in ordered}
     categories = {c for by_category in scores.values() for c in by_category}
@@ -179,13 +179,13 @@ def protocol_table(
 
 
 def _shared(marks: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Return the marks that all rows share; none for a single row, which shows its own."""
+    """Return the marks that all rows have; empty for a single row, which shows its marks itself."""
     first = marks[0] if len(marks) > 1 else ()
     return tuple(words for words in first if all(words in of for of in marks))
 
 
 def published_table(published: PublishedTable = REAL) -> Table:
-    """Return one of the paper's own tables."""
+    """Return a table that the paper itself published, in the form of our tables."""
     cells = {
         row.method: {
             category: CategoryAverages(iou=iou, ce=ce)
@@ -224,13 +224,13 @@ def _table(
 
 
 def _best(choose: Callable[[list[float]], float], values: list[float | None], decimals: int) -> float | None:
-    """Return the best value of a column, rounded as shown, so that figures that look equal are equal."""
+    """Return the best value of a column, rounded as it is shown: all figures that look the same are best."""
     rounded = [round(value, decimals) for value in values if value is not None]
     return choose(rounded) if rounded else None
 
 
 def shown_figure(value: float | None, decimals: int = DECIMALS) -> str:
-    """Return a share, a cross-entropy or a length as text."""
+    """Return a figure as text with this number of decimals, or "–" for None."""
     return "–" if value is None else f"{value:.{decimals}f}"
 
 
@@ -242,13 +242,13 @@ def _cell(value: float | None, best: float | None, interval: Sequence[float] | N
 
 
 def _base_rate(averages: Averages) -> str:
-    """Return the cross-entropy of the base rate, and the split that the rate is from."""
+    """Return as text the cross-entropy of predicting the base rate, and the split that gives the rate."""
     source = averages.base_rate_source if isinstance(averages, CategoryAverages) else None
     return " ".join(filter(None, (shown_figure(averages.base_rate_ce), source)))
 
 
 def _truth_iou(averages: Averages) -> str | None:
-    """Return the estimated IoU of the truth, with the mean of its objects' intervals."""
+    """Return as text the estimated IoU of the truth, with the mean interval over objects; None if unknown."""
     low, high = averages.truth_estimated_iou_low, averages.truth_estimated_iou_high
     return with_interval(averages.truth_estimated_iou, low, high, DECIMALS)
 
@@ -293,7 +293,7 @@ Detail = tuple[tuple[str, str, str], tuple[str, ...]]
 
 
 def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
-    """Return all further figures, a line for each method, protocol and category."""
+    """Return the table of details: a line of `DETAILS` for each protocol, method and category."""
     return tuple(
         (
             (table.method, protocol, category),
@@ -313,7 +313,7 @@ ObjectTruth = tuple[str, str, int, str, int]
 
 
 def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
-    """Return the unknown share of each object's truth, largest first; methods share one truth."""
+    """Return the unknown share of each object's truth, largest first; all tables have the same truth."""
     most: dict[str, tuple[ScoreTable, list[ScoreRow]]] = {}
     for table in tables:
         for name, rows in _by_object(table.pairs(protocol)).items():
@@ -332,7 +332,7 @@ def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[Objec
 
 
 def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
-    """Return the rows of each object."""
+    """Return {object: its rows}."""
     groups: dict[str, list[ScoreRow]] = {}
     for row in rows:
         groups.setdefault(row.object, []).append(row)
@@ -340,6 +340,6 @@ def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
 
 
 def best_and_worst(tables: Sequence[ScoreTable], protocol: str) -> dict[str, Extremes]:
-    """Return best and worst pairs under one protocol, of every method with rows except added baselines."""
+    """Return {method: its best and worst pairs under one protocol}; added baselines are left out."""
     by_method = {table.method: extremes(table.rows).get(protocol) for table in tables if not table.baseline}
     return {method: of for method, of in by_method.items() if of and of.best}

@@ -1,4 +1,4 @@
-"""The page of a triage, one file: a picture of each recording, its decision and the reasons."""
+"""Write the page of a triage, one file: pictures of each recording, its decision and the reasons."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ KNOWN_IOU = "IoU on known voxels"
 
 @dataclass(frozen=True)
 class Card:
-    """A recording on the page; pictures are `data:` addresses."""
+    """What the page shows of one recording; pictures are `data:` URLs."""
 
     row: TriageRow
     tone: str
@@ -74,7 +74,7 @@ def _card(row: TriageRow, folder: Path) -> Card:
 
 
 def _figures(row: TriageRow, quality: QualityFile | None) -> str:
-    """Return the estimates that no reason states, and who stated the underside."""
+    """Return one line: the estimated IoUs unless a reason states them, the underside, and who stated it."""
     high = quality.estimated_iou_high if quality else None
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []
@@ -90,7 +90,7 @@ def _figures(row: TriageRow, quality: QualityFile | None) -> str:
 
 
 def _pictures(folder: Path) -> list[str]:
-    """Return views with the object's mask; without views, the middle frame of the recording."""
+    """Return pictures (`data:` URLs) of views with the object's mask, or else of the middle frame."""
     views = ViewsFile.read_if_there(folder / "views")
     if views is not None and views.views:
         return [frame.masked for frame in frame_pictures(folder / "views", views, VIEWS)]

@@ -1,4 +1,4 @@
-"""Pictures of the object with unseen parts in colour, and viewpoints that would see them."""
+"""Draw the object with unseen parts in colour, and arrows from viewpoints that would see them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,7 +32,7 @@ BEHIND_COSINE = -0.3
 
 @dataclass(frozen=True)
 class ObjectPicture:
-    """The object from one side: a `data:` address, and its caption or ""."""
+    """A picture of the object from one side as a `data:` URL, and its caption, which may be ""."""
 
     picture: str
     caption: str
@@ -41,7 +41,7 @@ class ObjectPicture:
 def object_pictures(
     mesh_floor: TriangleMesh, unseen: Bools, frontiers: Sequence[FrontierPart]
 ) -> tuple[ObjectPicture, ...]:
-    """Draw the object from three sides, and from a viewpoint that shows its first frontier.
+    """Draw the object from three sides, and from a viewpoint that looks into its first unobserved opening.
 
     Args:
         mesh_floor: the object's closed surface, floor frame, metres.
@@ -67,7 +67,7 @@ def object_pictures(
 
 
 def arrows_to(frontiers: Sequence[FrontierPart], length_m: float) -> list[Float64]:
-    """Return tail and tip (2, 3) of the line of sight into each frontier, floor frame, metres."""
+    """Return an arrow into each frontier: (2, 3), tail and tip (its centre), floor frame, metres."""
     centers = [np.array(frontier.center_m) for frontier in frontiers]
     return [
         np.stack([center + length_m * np.array(frontier.look_from), center])
@@ -76,7 +76,7 @@ def arrows_to(frontiers: Sequence[FrontierPart], length_m: float) -> list[Float6
 
 
 def _look_deg(frontier: FrontierPart) -> tuple[float, float]:
-    """Return azimuth and elevation, degrees, of a viewpoint that shows a frontier."""
+    """Return azimuth and elevation, degrees, of a viewpoint that looks into a frontier."""
     x, y, z = frontier.look_from
     azimuth = LOOKS_DEG[0][0] if np.hypot(x, y) < LEVEL_COSINE else float(np.rad2deg(np.arctan2(y, x)))
     elevation = np.clip(np.rad2deg(np.arctan2(z, np.hypot(x, y))), *ELEVATIONS_DEG)
@@ -84,7 +84,10 @@ def _look_deg(frontier: FrontierPart) -> tuple[float, float]:
 
 
 def draw_arrow(picture: Rgb, viewpoint: pictures.Viewpoint, arrow: Float64, number: str) -> None:
-    """Draw an arrow (2, 3) with its number at the tail; a ring if it points away from the viewer."""
+    """Draw into `picture` an arrow (2, 3), tail and tip, with its number at the tail.
+
+    An arrow nearly along the line of sight is drawn as a ring; nothing is drawn of one to the far side.
+    """
     import cv2
 
     along = arrow[1] - arrow[0]

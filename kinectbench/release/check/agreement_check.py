@@ -1,4 +1,4 @@
-"""Check a release's texts and metadata for other programs against benchmark.json and targets.csv."""
+"""Check that a release's texts and metadata files agree with benchmark.json and targets.csv."""
 
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -67,7 +67,7 @@ CARD_BYTES = 1 << 10
 
 @dataclass(frozen=True)
 class Stated:
-    """The facts that the other files must agree with.
+    """Facts from three files of a release, with which its other files must agree.
 
     Attributes:
         targets: the lines of targets.csv.
@@ -81,11 +81,11 @@ class Stated:
 
     @property
     def says_twice(self) -> bool:
-        """Whether other files repeat benchmark.json in the present words; earlier versions used others."""
+        """Whether the release's other files repeat benchmark.json word for word; early releases do not."""
         return self.metadata.benchmark_sha256_version is not None
 
     def views_of(self, recording: str) -> set[str]:
-        """Return the views of a recording with pairs, from targets.csv."""
+        """Return the names of a recording's views that have a pair in targets.csv."""
         return self._views.get(recording, set())
 
     @cached_property
@@ -101,7 +101,7 @@ Check = Callable[[str, Stated], Iterator[str]]
 
 
 def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str, str]) -> Iterator[str]:
-    """Yield a line for each file that contradicts benchmark.json or targets.csv.
+    """Yield a message for each contradiction between another file and benchmark.json or targets.csv.
 
     Every JSON file is checked against its schema. Missing files are not reported: earlier versions and other
     commands write releases with fewer files. Damaged files are skipped.
@@ -109,7 +109,7 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     Args:
         contents: the release.
         stated: the facts that the files must agree with.
-        damaged: files that are not the published ones, and why.
+        damaged: {file: message} of files whose bytes are not the published ones.
     """
     whole = contents.entries.keys() - damaged.keys()
     for name in sorted(whole):
@@ -159,7 +159,7 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
 
 
 def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
-    """Yield a line for each violation of a JSON file's schema.
+    """Yield a message for each violation of a JSON file's schema.
 
     Raises:
         ReleaseError: the file is not JSON.
@@ -170,7 +170,7 @@ def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
 
 
 def _limits(metadata: ReleaseInfo) -> dict[str, int]:
-    """Return the largest size of each text that is compared with benchmark.json."""
+    """Return {file: most bytes that are read of it} for CITATION.cff, LICENSE and README.md."""
     license_words = license_text(metadata.name, metadata.license, metadata.recordings)
     of_license = CITATION_BYTES + len(license_words.encode("utf-8", "replace"))
     of_card = of_license + CARD_BYTES * len(metadata.recordings)
@@ -180,7 +180,7 @@ def _limits(metadata: ReleaseInfo) -> dict[str, int]:
 
 
 def _lines(text: str) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a text with their offsets, one at a time to save memory."""
+    """Yield (offset in the text, line), one line at a time to save memory."""
     begin = 0
     while (end := text.find("\n", begin)) >= 0:
         yield begin, text[begin:end]
@@ -189,7 +189,7 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _license(metadata: ReleaseInfo) -> str:
-    """Return the licence of all recordings; one without a licence (earlier releases) has the benchmark's."""
+    """Return the licence that all recordings share, else the benchmark's; it also replaces missing ones."""
     infos = {
         name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
         for name, info in metadata.recordings.items()
@@ -218,7 +218,7 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield the held-back truth of benchmark.json that the card does not state."""
+    """Yield a message for each key of benchmark.json about held-back truth that the card does not repeat."""
     if not metadata.held_back:
         return
     sentences = {
@@ -231,7 +231,7 @@ def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield contradictions of benchmark.json and the card about poor or left-out recordings."""
+    """Yield a message for each recording whose left-out or poor state differs in card and benchmark.json."""
     wanted = {name: left_out_line(name, why) for name, why in (metadata.left_out or {}).items()}
     for name, info in metadata.recordings.items():
         if info.poor:
@@ -253,7 +253,7 @@ def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
-    """Yield a clause for each line of `wanted` that a text lacks; `subject` is a format string."""
+    """Yield a message for each line of `wanted` that `text` lacks; `subject` is the message's format."""
     rows = dict.fromkeys(wanted.splitlines())
     present = {line for _, line in _lines(text) if line in rows}
     for row in rows:
@@ -333,7 +333,7 @@ def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
-    """Check that previews/ has a row and a picture of each pair of a split, and no others."""
+    """Yield a message if the rows or pictures in previews/ are not exactly those of a split's pairs."""
     isolates = stated.metadata.isolates
     of_split = [t for t in stated.targets if t.split == split and not isolates(t.recording)]
     if text != rows_text(of_split):
@@ -346,7 +346,7 @@ def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
-    """Check that views.json lists the views with pairs, and nothing of held-back truth."""
+    """Yield a message if views.json lists other views than targets.csv, or reveals held-back truth."""
     views = ViewsFile.parse(text, ViewsFile.FILE)
     rows = views.views
     if stated.says_twice and not stated.metadata.hides(recording):
@@ -361,7 +361,7 @@ def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _published_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield published files that reveal objects whose truth is held back."""
+    """Yield a message for each file of the release that reveals an object whose truth is held back."""
     for name in contents.entries:
         parts = name.split("/")
         public = len(parts) > 2 and parts[2] in PUBLIC_OF_OBJECT

@@ -1,6 +1,6 @@
-"""Check benchmark.json against every other file of the release that repeats its facts.
+"""Check benchmark.json for contradictions: in itself, with quality.json, views.json and lineage.json.
 
-Only releases whose benchmark.json has `benchmark_sha256_version` are checked; earlier ones used other words.
+Releases without `benchmark_sha256_version` in benchmark.json are not checked: they used other words.
 """
 
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ OF_PAIRS = ("framing", "partial_rule")
 
 
 def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a line for each fact that benchmark.json states twice with different values."""
+    """Yield a message for each fact that benchmark.json states twice with different values."""
     of_pairs = metadata.settings.pairs
     for key in OF_PAIRS:
         value, stated = getattr(of_pairs, key), getattr(metadata, key)
@@ -42,10 +42,10 @@ def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a line for each recording whose state (poor, left out) contradicts its figures.
+    """Yield a message for each recording that benchmark.json wrongly states as poor, accepted or left out.
 
-    The state is computed from the recording's quality and `settings.publish.gate`. Limits on trajectory
-    grades and camera warnings are not checked: a release does not hold these.
+    The expected state is computed from the recording's quality and `settings.publish.gate`. Limits on
+    trajectory grades and camera warnings are not checked, because a release does not contain these.
     """
     try:
         limits = GateSettings.model_validate((metadata.settings.publish or {}).get("gate", {}))
@@ -84,7 +84,7 @@ def _reviewed(review: object, decision: str) -> bool:
 
 
 def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
-    """Yield limits that the quality violates and `poor` lacks, and limits in `poor` that it keeps."""
+    """Yield a message for each limit violated but not listed in `poor`, or listed but not violated."""
     quality = info.quality
     value, low, _ = quality.trusted_iou
     values = [1 if each is None else each for each in (value, low)]
@@ -106,7 +106,7 @@ def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
 
 
 def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield keys of a recording's settings that differ from its entry; null means the benchmark's value."""
+    """Yield the keys in which a recording's settings `row` differs from `info`; null is the default value."""
     defaults = {
         "object": row["id"],
         "license": metadata.license,
@@ -119,7 +119,7 @@ def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: Releas
 
 
 def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]:
-    """Yield a line if a recording's quality.json differs from benchmark.json.
+    """Yield a message if a recording's quality.json differs from its quality in benchmark.json.
 
     Args:
         name: the file's name.
@@ -136,14 +136,14 @@ def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]
 
 
 def refused_problems(views: ViewsFile, info: RecordingInfo) -> Iterator[str]:
-    """Yield a clause if views.json and benchmark.json have different numbers of refused frames and views."""
+    """Yield a message if views.json and benchmark.json differ in the number of refused frames and views."""
     refused = len(views.refused) + sum(row.pair is False for row in views.views)
     if refused != info.refused:
         yield f"{refused} frames and views refused where {BENCHMARK_JSON} has {info.refused}"
 
 
 def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a clause for each stage's setting, licence or source that differs from benchmark.json."""
+    """Yield a message for each version, licence, source or stage setting that differs from benchmark.json."""
     if lineage.package_version != metadata.package_version:
         yield f"another package_version than in {BENCHMARK_JSON}"
     settings = metadata.settings.json_value()
@@ -168,5 +168,5 @@ def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _given(value: object) -> object:
-    """Drop the keys of a setting that are not set: at its default, a newer key is not in the fingerprint."""
+    """Return a setting without its null keys: lineage.json lacks newer keys that have their default."""
     return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value

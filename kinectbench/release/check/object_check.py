@@ -1,4 +1,4 @@
-"""Check a recording's object in a release: mesh, volume and GLB follow the format page."""
+"""Check that the mesh, volume and GLB of a recording's object are valid files, as docs/format.md defines."""
 
 import struct
 from collections.abc import Iterator
@@ -41,7 +41,7 @@ GRID_KEYS = ("voxel_size_m", "T_world_grid")
 
 
 def object_problems(contents: Contents, name: str) -> Iterator[str]:
-    """Yield a line if a mesh.ply, a volume.npz or a GLB of a release is not a valid file of its kind.
+    """Yield a message if a mesh.ply, a volume.npz or a GLB of a release is not a valid file of its kind.
 
     Args:
         contents: the release.
@@ -67,13 +67,13 @@ def object_problems(contents: Contents, name: str) -> Iterator[str]:
 
 
 def recording_of(name: str) -> str:
-    """Return the recording to which a file below `objects/` belongs."""
+    """Return the id of the recording to which a file in `objects/` belongs."""
     part, folder, _ = name.removeprefix("objects/").partition("/")
     return part if folder else part.removesuffix(GLB)
 
 
 def _glb_fault(content: bytes) -> str | None:
-    """Return the fault of a GLB, or None; its header and its first chunk, the table of contents, are read.
+    """Return the fault in a GLB's header or JSON chunk as a message, or None; the rest is not checked.
 
     Source: glTF 2.0 (ISO/IEC 12113:2022), section 4.4.
     """
@@ -92,13 +92,13 @@ def _glb_fault(content: bytes) -> str | None:
 
 
 def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> Iterator[str]:
-    """Yield the differences between a GLB and its mesh, a clause each.
+    """Yield a message for each difference between a GLB and its mesh.
 
-    The GLB has fewer triangles than the mesh. So this compares the boxes around both, and compares what the
-    GLB states about the mesh with the mesh itself.
+    A GLB may have fewer triangles than its mesh. So only the bounding boxes are compared, and the number of
+    triangles in mesh.ply, which the GLB states.
 
     Args:
-        content: bytes of the GLB; a damaged one counts as not of this mesh.
+        content: bytes of the GLB; a damaged one gives a message.
         mesh: mesh.ply, world frame, metres.
         T_floor_world: (4, 4) of the recording's floor.
     """
@@ -124,10 +124,10 @@ def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> It
 
 
 def _volume_fault(file: IO[bytes]) -> str | None:
-    """Return the fault of a volume, or None; it is read slab by slab.
+    """Return the fault of a volume.npz as a message, or None; its grids are read in slabs to save memory.
 
     Raises:
-        UNREADABLE: one of these exceptions: the file is no npz, or is damaged.
+        UNREADABLE: one of the exceptions in this tuple: the file is no npz, or is damaged.
     """
     with open_npz(file, VOLUME_BYTES) as archive:
         entries = {entry.filename.removesuffix(NPY): entry for entry in archive.infolist()}
@@ -163,7 +163,7 @@ def _check_small(header: NpyHeader) -> None:
 
 
 def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
-    """Return the fault of a grid's cells, or None."""
+    """Return a message if a grid has invalid values or a wrong size, else None."""
     done = 0
     while part := stream.read(SLAB_BYTES):
         done += len(part)
@@ -183,7 +183,7 @@ def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
 
 
 def surface_lines(contents: Contents, recording: str) -> list[str]:
-    """Return a line if the open mesh that is the truth of a recording is missing or unreadable."""
+    """Return a message if the truth of a recording is an open mesh that is missing or unreadable."""
     name = surface_name(recording)
     try:
         read_ply(contents.read(name))

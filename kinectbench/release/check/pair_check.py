@@ -1,4 +1,4 @@
-"""Check one published pair: its grids and matrices follow the format page."""
+"""Check that the grids and matrices of one published pair are as docs/format.md defines them."""
 
 from collections.abc import Iterator, Mapping
 
@@ -30,16 +30,16 @@ def pair_problems(
     unknown_shares: Mapping[str, float] = {},
     surface_sigma_m: float | None = None,
 ) -> Iterator[str]:
-    """Yield the faults of a pair, a clause each, without the file's name.
+    """Yield a message for each fault of a pair; messages do not name the file.
 
     Args:
-        pair: read by `read_pair`, which has checked keys, shapes and dtypes.
-        min_containment: least share of the partial inside the shape, from the benchmark's settings.
+        pair: a pair whose keys, shapes and dtypes are checked already.
+        min_containment: least share of the partial inside the full shape, from the benchmark's settings.
         framing: the benchmark's framing.
         partial_rule: the benchmark's partial rule.
-        unknown_shares: {file: unknown share that it states for the pair}; earlier releases state fewer or
-            none.
-        surface_sigma_m: standard deviation of the surface that the benchmark states; None if it does not.
+        unknown_shares: {file: unknown share of the true shape, as that file states it}; early releases have
+            fewer or none.
+        surface_sigma_m: the surface's standard deviation as benchmark.json states it; None if it does not.
     """
     yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
     if not (np.isfinite(pair.surface_sigma_m) and pair.surface_sigma_m >= 0):
@@ -69,7 +69,7 @@ def pair_problems(
 
 
 def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -> Iterator[str]:
-    """Yield the faults of a pair's input; arguments as in `pair_problems`."""
+    """Yield a message for each fault of a pair's input; the arguments are those of `pair_problems`."""
     for name in ("T_world_grid", "T_world_camera"):
         if not is_rigid(getattr(pair, name)):
             yield f"{name} is not a rotation and a shift"
@@ -94,10 +94,10 @@ def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -
 
 
 def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator[str]:
-    """Yield implausible values of `known` or `seen`; they cannot be computed from the release's files.
+    """Yield a message if less than half of `partial_256` lies in `grid`, which is `known` or `seen`.
 
-    The depth of a view was fused, so its surface is known, and the view sees it. So nearly all of
-    `partial_256` must be both. Half is a limit that every usable recording meets.
+    The surface that a view measures is known and seen, so nearly all of `partial_256` must be in both. Half
+    is a limit that every usable recording meets. The release's files do not suffice to compute either grid.
     """
     cells, inside = packed_count(pair.partial_256), packed_count(pair.partial_256 & grid)
     if inside < LEAST_TRUSTED_SHARE * cells:
@@ -105,7 +105,7 @@ def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator
 
 
 def _behind_problems(pair: Pair | PairInput) -> Iterator[str]:
-    """Yield a clause if `seen` holds cells behind the camera."""
+    """Yield a message if `seen` contains cells behind the camera."""
     if pair.voxel_size_m > 0:
         corner_z_m = float(
             (pair.T_world_grid[:3, 3] - pair.T_world_camera[:3, 3]) @ pair.T_world_camera[:3, 2]

@@ -1,4 +1,4 @@
-"""Make a release's pairs again from its recordings: the settings for the build, and the differences."""
+"""Rebuild a release's pairs from its recordings: plan the build, then compare the files with the release."""
 
 import hashlib
 import io
@@ -35,7 +35,7 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class LocalRecording:
-    """The place of a recording on this machine.
+    """The paths of a recording on this machine.
 
     Attributes:
         path: the recording's file or folder.
@@ -50,12 +50,12 @@ class LocalRecording:
 
 @dataclass(frozen=True)
 class RebuildPlan:
-    """The recordings to build again.
+    """What to rebuild and compare.
 
     Attributes:
-        settings: the settings in the release, with this machine's paths.
+        settings: the release's settings for the recordings to rebuild, with this machine's paths.
         targets: the pairs to compare.
-        notes: one line each: what cannot be compared, and versions that differ.
+        notes: one line for each thing that cannot be compared and each version that differs.
     """
 
     settings: BenchmarkSettings
@@ -64,10 +64,10 @@ class RebuildPlan:
 
 
 def find_sources(path: Path) -> dict[str, LocalRecording]:
-    """Return the places of recordings, from a benchmark.yaml, or by their ids in a folder.
+    """Return {recording id: its paths}, read from a benchmark.yaml or from the names in a folder.
 
     Args:
-        path: a benchmark.yaml, a folder that holds one, or a folder with `<id>/`, `<id>.bag` and so on.
+        path: a benchmark.yaml, a folder with one, or a folder of recordings (`<id>/`, `<id>.bag`, ...).
 
     Raises:
         SettingsError: the folder does not exist.
@@ -97,12 +97,12 @@ def find_sources(path: Path) -> dict[str, LocalRecording]:
 def rebuild_plan(
     contents: Contents, sources: Mapping[str, LocalRecording], objects: int | None = None
 ) -> RebuildPlan:
-    """Return how to make a release's pairs again.
+    """Return the plan for rebuilding a release's pairs.
 
     Args:
         contents: the release.
-        sources: {recording: its place}.
-        objects: number of objects, drawn by the release's hash; None: all of them.
+        sources: {recording id: its paths}.
+        objects: number of objects to rebuild, drawn by the release's hash; None: all objects.
 
     Raises:
         ReleaseError: the release was not made from recordings, or by a version with other settings.
@@ -147,14 +147,14 @@ def rebuild_plan(
 
 
 def _draw(identity: str, name: str) -> str:
-    """Return the sort key by which objects are drawn: nobody can choose it, and everybody draws the same."""
+    """Return an object's sort key for the draw, a hash: the draw is reproducible, and nobody can steer it."""
     return hashlib.sha256(f"{identity} {name}".encode()).hexdigest()
 
 
 def _settings(
     metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
 ) -> BenchmarkSettings:
-    """Return the release's settings with the paths of this machine."""
+    """Return the release's settings, only with the `wanted` recordings and their paths on this machine."""
     values = metadata.settings.json_value()
     if not values.get("recordings"):
         raise ReleaseError(
@@ -190,7 +190,7 @@ def version_notes(metadata: ReleaseInfo) -> list[str]:
 
 
 def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
-    """Return a line for each stage whose local version differs from the one that made these recordings."""
+    """Return a line for each stage whose local version differs from the one that built these recordings."""
     lineage = _lineage(contents)
     made = {
         (stage, row.stage_version)
@@ -207,14 +207,14 @@ def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
 
 
 def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
-    """Return lineage.json by recording; empty without the file."""
+    """Return {recording: its entry in lineage.json}; empty if the file is missing."""
     if LINEAGE_JSON not in contents.entries:
         return {}
     return Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
 
 
 def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
-    """Yield the differences in bytes between rebuilt and published files, a line each.
+    """Yield a line for each rebuilt file or pair that differs from the published one, or is missing.
 
     Args:
         contents: the release.
@@ -244,7 +244,7 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
 
 
 def _source_difference(row: LineageRecording, recording: str, build: Path) -> Iterator[str]:
-    """Yield a line if the recording does not have the hashes in lineage.json."""
+    """Yield a line if the recording's files do not have the hashes in lineage.json."""
     made = Sources.read_if_there(build)
     if made is None:
         return
@@ -275,7 +275,7 @@ def _file_difference(contents: Contents, name: str, made: Path) -> Iterator[str]
 
 
 def _pair_difference(contents: Contents, target: Target, made: Path) -> Iterator[str]:
-    """Yield a line if a pair differs, with the keys that differ."""
+    """Yield a line if a rebuilt pair differs from the published one; the line names the keys that differ."""
     if not made.is_file():
         yield f"{target.file}: was not made again: its view was refused, or another was drawn"
         return
@@ -304,7 +304,7 @@ def _unreadable(made: Path, error: OSError) -> str:
 
 
 def _key_difference(key: str, old: FileArray | None, new: FileArray | None) -> str | None:
-    """Return the difference of a key's values, or None."""
+    """Return a few words on how a key's published and rebuilt values differ, or None if they are equal."""
     if old is None or new is None:
         return f"{key} only in {'the release' if new is None else 'the new one'}"
     # Texts of different lengths have different dtypes.

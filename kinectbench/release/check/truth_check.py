@@ -1,8 +1,7 @@
-"""Check a release's truth against the object's mesh: every pair, and the volume.
+"""Check that the true shape in every pair, and the volume, agree with the object's mesh in the release.
 
-A recording's pairs are made from its mesh and its volume. Everything in a pair about the object is computed
-again, so a change of a pair alone is found. If mesh, volume and pairs are changed together, only `--rebuild`
-finds it.
+A recording's pairs are made from its mesh and its volume. Each pair's truth is computed again from them, so a
+changed pair is found. If mesh, volume and pairs were changed together, only `verify --rebuild` finds it.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -55,7 +54,7 @@ NOWHERE = known_grid(Grid((1, 1, 1), 1.0, np.eye(4)), np.zeros((1, 1, 1), bool))
 
 
 class TooLargeError(ReleaseError):
-    """A volume that would take more than some hundred megabytes to compare."""
+    """The volume is too large to be compared within a few hundred megabytes of memory."""
 
     what = "too-large"
 
@@ -66,9 +65,9 @@ class ObjectTruth:
 
     Attributes:
         mesh: the object's closed mesh, world frame, metres; None if missing or unreadable.
-        recorded: whether the object has a volume, as recorded objects have.
-        cells: {name: voxels of the volume} for "known", "unknown", "interior", "said"; empty without a
-            volume.
+        recorded: whether the object has a published volume, which synthetic objects lack.
+        cells: {name: cells of the volume} for "known", "unknown", "interior" and perhaps "said" (known from a
+            person's statement about the underside); empty without a usable volume.
     """
 
     mesh: TriangleMesh | None = None
@@ -77,7 +76,7 @@ class ObjectTruth:
 
 
 def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> tuple[ObjectTruth, list[str]]:
-    """Return the truth of an object, and a line for each difference of its volume or GLB from its mesh.
+    """Return the truth of an object, and a message for each difference of its volume or GLB from its mesh.
 
     Missing and damaged files are skipped: `object_problems` reports them.
 
@@ -111,7 +110,7 @@ def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> 
 
 
 def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: TriangleMesh) -> Iterator[str]:
-    """Yield differences of an object's GLB from its mesh; none if the GLB is missing or damaged."""
+    """Yield a message for each difference of a GLB from its mesh; none if the GLB is missing or damaged."""
     try:
         content = contents.read(_published(f"{folder}{GLB}", whole))
         floor = f"{folder}/{FloorFile.FILE}"
@@ -125,12 +124,14 @@ def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: T
 
 
 def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.integer], Bools]:
-    """Return a volume's grid, solid, labels and underside.
+    """Read a volume.npz: return its grid and its arrays (nx, ny, nz) `solid`, `labels` and `underside`.
+
+    An early volume without `underside` gives an empty array for it.
 
     Raises:
-        TooLargeError: the volume cannot be compared in bounded memory.
-        ReleaseError: the volume is not the published one.
-        UNREADABLE: one of these exceptions: the file is damaged.
+        TooLargeError: the volume is too large to be compared.
+        ReleaseError: the file cannot be read.
+        UNREADABLE: one of the exceptions in this tuple: the file is damaged.
     """
     names = ("solid", "labels", "voxel_size_m", "T_world_grid", "underside")
     with contents.stream(name) as file:
@@ -148,10 +149,10 @@ def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.inte
 
 
 def _published(name: str, whole: Collection[str]) -> str:
-    """Return the name, if the file is the published one.
+    """Return a file's name unchanged if its bytes are the published ones.
 
     Raises:
-        ReleaseError: no such file was published, or its bytes differ.
+        ReleaseError: the file was not published, or its bytes differ.
     """
     if name not in whole:
         raise ReleaseError(f"{name}: not as it was published", what="changed")
@@ -161,7 +162,7 @@ def _published(name: str, whole: Collection[str]) -> str:
 def _volume_faults(
     mesh: TriangleMesh, grid: Grid, solid: Bools, labels: NDArray[np.integer]
 ) -> Iterator[str]:
-    """Yield differences of a volume from its mesh, and of its solid from its labels."""
+    """Yield a message for each disagreement of a volume's `solid`: with the filled mesh, with `labels`."""
     nx, ny, nz = grid.shape
     padded = Grid((nx, ny, nz + -nz % 8), grid.voxel_size_m, grid.T_world_grid)
     inside = _filled(mesh, padded, "winding")
@@ -179,7 +180,7 @@ def _volume_faults(
 
 
 def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
-    """Return the cells of a grid inside an untrusted mesh, or why they cannot be computed."""
+    """Return the grid cells that `rule` fills inside an untrusted mesh, or why they cannot be computed."""
     cells = transform_points(grid.T_grid_world, mesh.vertices) / grid.voxel_size_m
     if not np.abs(cells).max() <= MAX_FAR_CELLS:
         return f"{MESH} has vertices far from it"
@@ -191,10 +192,10 @@ def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
 
 
 def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
-    """Yield the differences of a pair's truth from its object, a clause each.
+    """Yield a message for each grid of a pair (full, known, interior, said) that differs from its object.
 
     Args:
-        pair: a pair whose matrices are known to be rigid, and `voxel_size_m` to be a length.
+        pair: a pair with matrices that are rigid, and `voxel_size_m` positive and finite.
         truth: the truth of its object.
     """
     if truth.mesh is not None:
@@ -210,7 +211,7 @@ def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
 
 
 def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterator[str]:
-    """Yield differences of `full` from the mesh; for recordings one rule fills all cells."""
+    """Yield a message if `full` is not the mesh filled by `occupancy_rule`, or if that rule is wrong."""
     rule = pair.occupancy_rule
     if rule not in ACROSS or (recorded and rule != "winding"):
         yield f"occupancy_rule is '{printable(rule)}', which is not that of such an object"
@@ -228,7 +229,7 @@ def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterato
 
 
 def _beyond(pair: Pair, mesh: TriangleMesh) -> int:
-    """Count the cells of `full` whose centre lies outside the mesh's box, along the grid's axes."""
+    """Return the number of cells of `full` outside the mesh's bounding box (grid axes, one cell of slack)."""
     corners = transform_points(pair.grid.T_grid_world, mesh.vertices) / pair.voxel_size_m
     first = np.ceil(corners.min(axis=0) - 0.5) - MOST_BEYOND_CELLS
     end = np.floor(corners.max(axis=0) + 0.5) + MOST_BEYOND_CELLS
@@ -240,14 +241,14 @@ def _beyond(pair: Pair, mesh: TriangleMesh) -> int:
 
 @dataclass
 class TruthCheck:
-    """The pairs of a release against their objects; one object at a time is in memory.
+    """The check of the truth of a release's pairs against their objects; only one object is in memory.
 
-    The pairs of an object follow each other.
+    So `lines` must be called for all pairs of one recording before those of the next.
 
     Attributes:
         contents: the release.
         whole: names of the files whose bytes are the published ones.
-        visible_shares: {recording: `visible_share` of each pair with its truth}.
+        visible_shares: {recording: `visible_share` of each of its pairs that was checked}.
     """
 
     contents: Contents
@@ -256,7 +257,7 @@ class TruthCheck:
     _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
 
     def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
-        """Return the faults of a pair's truth; for the object's first pair, also the faults of the object."""
+        """Return messages on a pair's truth; for a recording's first pair, also those on its object."""
         lines = list[str]()
         self.visible_shares.setdefault(recording, []).append(pair.visible_share)
         if self._last[0] != recording:
@@ -266,7 +267,7 @@ class TruthCheck:
         return lines + [f"{name}: {problem}" for problem in truth_problems(pair, self._last[1])]
 
     def share_lines(self, metadata: ReleaseInfo | None) -> Iterator[str]:
-        """Yield a line for each `visible_share` that is not the mean of all of its recording's pairs."""
+        """Yield a message for each recording's `visible_share` that is not the mean over its pairs."""
         for name, info in metadata.recordings.items() if metadata else ():
             shares = self.visible_shares.get(name, [])
             if info.visible_share is None or len(shares) != info.pairs:

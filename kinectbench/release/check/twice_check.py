@@ -1,4 +1,4 @@
-"""Check what the files of one recording state twice: the frames of its views, and its floor."""
+"""Check facts that a recording's files state twice: the frames of its views, and the plane of its floor."""
 
 from collections.abc import Collection, Iterator
 from contextlib import suppress
@@ -16,7 +16,7 @@ from kinectbench.release.contents import Contents
 
 
 def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
-    """Yield a line for each views.json that has other frames or stamps than lineage.json."""
+    """Yield a message for each view with another frame or timestamp in views.json than in lineage.json."""
     names = {name: f"views/{name}/{ViewsFile.FILE}" for name in metadata.recordings}
     if LINEAGE_JSON not in whole:
         return
@@ -34,7 +34,7 @@ def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[
 
 
 def floor_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
-    """Yield a line for each floor.json whose plane is not that of its frame."""
+    """Yield a message for each floor.json with a `plane_world` that is not z = 0 of its `T_floor_world`."""
     for name in metadata.recordings:
         file = f"objects/{name}/{FloorFile.FILE}"
         with suppress(ReleaseError, StorageError):  # reported as not of its schema

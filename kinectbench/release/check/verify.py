@@ -100,7 +100,9 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
 
 
 def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -> list[str]:
-    """Check the bytes of a release at a URL, with few files at a time on the local disk.
+    """Check the SHA-256 of every file of a release at a URL; return a message for each fault.
+
+    Few files at a time are on the local disk.
 
     Args:
         url: URL of the release.
@@ -124,7 +126,7 @@ def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -
 
 
 def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
-    """Return what a sound release does not let `verify` check, a clause each; arguments as in `verify`.
+    """Return a message for each check that `verify` cannot make on a sound release; arguments as in `verify`.
 
     Raises:
         ReleaseError: benchmark.json or SHA256SUMS cannot be read.
@@ -151,7 +153,7 @@ def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
 
 
 def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
-    """Return a line about the bytes of one file, or None."""
+    """Return a message if a file is missing, unreadable or does not have this SHA-256, else None."""
     entry = contents.entries.get(name)
     if entry is None:
         return MISSING.format(name)
@@ -166,7 +168,7 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
 
 
 def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a line for each file or empty folder that is not of SHA256SUMS."""
+    """Yield a message for each file or empty folder that SHA256SUMS does not list."""
     # Where files of the list are missing from a folder, they are reported, not the folder.
     folders = {f"{above}/" for name in sums for above in PurePosixPath(name).parents}
     for name in contents.entries:
@@ -181,7 +183,7 @@ def _extra(name: str) -> str:
 def _object_lines(
     contents: Contents, whole: Iterable[str], metadata: ReleaseInfo | None
 ) -> dict[str, list[str]]:
-    """Return {mesh, volume or GLB: its faults}; held-back objects must not have these files."""
+    """Return {file name: its faults} for every faulty mesh, volume or GLB of objects with published truth."""
     lines: dict[str, list[str]] = {}
     for name in sorted(whole):
         parts = name.split("/")
@@ -198,7 +200,7 @@ class _OfPair:
 
     Attributes:
         unknown_shares: {file: unknown share of the true shape}, for the files that state it.
-        shown: the pair's row of views.json, and what it says of its depth.
+        shown: what views.json states about the pair's view.
     """
 
     unknown_shares: dict[str, float] = field(default_factory=dict)
@@ -231,7 +233,7 @@ def _stated(
 
 
 def _view_problems(pair: Pair | PairInput, view: ViewRow | None) -> Iterator[str]:
-    """Yield a clause if a pair's camera differs from views.json."""
+    """Yield a message if a pair's camera pose or intrinsics differ from views.json."""
     for name in ("T_world_camera", "K"):
         stated_value = None if view is None else getattr(view, name)
         if stated_value is not None and not np.array_equal(stated_value, getattr(pair, name)):
@@ -245,7 +247,7 @@ def _pair_lines(
     stated: _OfPair,
     objects: TruthCheck,
 ) -> list[str]:
-    """Return the faults of one pair; `stated` has what other files state about it."""
+    """Read and check one pair file; return a message for each fault."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
@@ -283,7 +285,7 @@ def _pair_lines(
 
 
 def _is_placed(pair: Pair | PairInput) -> bool:
-    """Return whether a pair's matrices and cells can be computed with; if not, that is reported."""
+    """Return whether a pair has rigid matrices and a positive cell size, as further checks require."""
     rigid = is_rigid(pair.T_world_grid) and is_rigid(pair.T_world_camera)
     return rigid and 0 < pair.voxel_size_m < np.inf
 
@@ -291,7 +293,7 @@ def _is_placed(pair: Pair | PairInput) -> bool:
 def _identity(
     contents: Contents, sums_text: str, damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, list[str]]:
-    """Return benchmark.json (None if unreadable), and a line if it does not match the list of files."""
+    """Return benchmark.json (None if unreadable), and a message if its hash does not match SHA256SUMS."""
     try:
         stated = contents.text(BENCHMARK_JSON)
         metadata = ReleaseInfo.parse(stated, BENCHMARK_JSON)
@@ -309,7 +311,7 @@ def _identity(
 def _small_file_problems(
     contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, tuple[Target, ...], list[str]]:
-    """Return benchmark.json (None if unreadable), targets.csv, and the faults of the small files.
+    """Return benchmark.json (None if unreadable), the targets, and a message for each fault of small files.
 
     Damaged files are read if possible, but their faults are not reported twice, except for the lines of
     targets.csv.
@@ -337,7 +339,7 @@ def _small_file_problems(
 
 
 def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a line for each recording whose object is missing: its pairs cannot be checked."""
+    """Yield a message for each missing mesh or volume of a recording; its pairs cannot be checked."""
     if metadata.benchmark_sha256_version is None:
         return  # earlier releases may have fewer files
     stated = metadata.settings.recordings or metadata.settings.views
@@ -350,7 +352,7 @@ def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[
 
 
 def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield lines of targets.csv without images, and pair files without a line in targets.csv."""
+    """Yield a message for each missing image of a pair, and each pair file that targets.csv does not list."""
     # Synthesised views have no images.
     folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
     for line, target in enumerate(targets, start=FIRST_LINE):

@@ -1,8 +1,8 @@
-"""Check a pair's input against the depth, the mask and the camera of its view.
+"""Check a pair's input against the published depth, mask and camera of its view.
 
-The partial, `seen` and the cube of framing `view` are made from these alone. Published depth is rounded to
-whole millimetres, so each pixel stands for an interval of depth, and a pair agrees if it lies within what the
-intervals allow.
+The partial, `seen` and (with framing `view`) the pair's cube are made only from depth, mask and camera.
+Published depth is rounded to whole millimetres, so each pixel stands for an interval of depths. A pair agrees
+if some depths within these intervals give its input.
 """
 
 from collections.abc import Collection, Iterator
@@ -38,12 +38,12 @@ MOST_REACHED = 500_000_000
 
 
 def no_decoder() -> str | None:
-    """Return why images cannot be decoded here, where a package is missing; None if they can."""
+    """Return a message if a package for decoding images is missing here, else None."""
     return None if find_spec("cv2") else missing_module(ModuleNotFoundError(name="cv2"))
 
 
 def image_names(pair_name: str) -> tuple[str, str]:
-    """Return the names of depth and mask of the view of `pairs/<recording>/<view>.npz`."""
+    """Return the names of the depth image and the mask that belong to `pairs/<recording>/<view>.npz`."""
     depth, mask = (f"views{pair_name.removeprefix('pairs').removesuffix('.npz')}{end}" for end in VIEW_IMAGES)
     return depth, mask
 
@@ -53,8 +53,8 @@ class StatedView:
     """What views.json states about a view.
 
     Attributes:
-        row: its row; None without one.
-        has_too_far: whether a depth of 0 may stand for a depth that does not fit in 16 bits.
+        row: the view's row in views.json; None if it has none.
+        has_too_far: whether a depth of 0 may also mean a depth too large for 16 bits.
     """
 
     row: ViewRow | None = None
@@ -64,16 +64,16 @@ class StatedView:
 def view_lines(
     contents: Contents, name: str, pair: Pair | PairInput, stated: StatedView, whole: Collection[str]
 ) -> list[str]:
-    """Return a line for each difference of a pair's input from its view; none if the view has no images.
+    """Return a message for each difference of a pair's input from the images of its view.
 
-    Without the packages that decode images there is none, either (`no_decoder`).
+    Nothing is compared if the view has no images, or if they cannot be decoded here (`no_decoder`).
 
     Args:
         contents: the release.
         name: the pair's file.
         pair: as in `view_problems`.
         stated: what views.json states about the view.
-        whole: names of the files whose bytes are the published ones; others are reported elsewhere.
+        whole: names of the files whose bytes are the published ones; only these are compared.
     """
     of_depth, of_mask = image_names(name)
     if of_depth not in whole or of_mask not in whole or no_decoder():
@@ -95,10 +95,10 @@ def view_lines(
 def view_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], mask: Bools, *, has_too_far: bool
 ) -> Iterator[str]:
-    """Yield the differences of a pair's input from its view, a clause each.
+    """Yield a message for each difference of a pair's input from its view.
 
     Args:
-        pair: a pair whose matrices are known to be rigid, and `voxel_size_m` to be a length.
+        pair: a pair with matrices that are rigid, and `voxel_size_m` positive and finite.
         depth: (height, width) uint16, the view's published depth, millimetres, 0 = none.
         mask: (height, width) bool, the view's published mask.
         has_too_far: as in `StatedView`.
@@ -126,7 +126,10 @@ def _size(image: NDArray[np.generic]) -> str:
 def _partial_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], mask: Bools, corner: NDArray[np.float64]
 ) -> Iterator[str]:
-    """Yield differences of `partial_256` from the depth in the mask."""
+    """Yield a message if `partial_256` has cells without masked depth, or masked depth lies in none of them.
+
+    `corner` is the grid's corner, (3,) in the camera frame, metres.
+    """
     reached = np.zeros_like(pair.partial_256)
     lost = int(_reach(depth, mask, pair.K, corner, pair.voxel_size_m, pair.partial_256, reached))
     if lost < 0:
@@ -143,9 +146,10 @@ def _partial_problems(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(depth, mask, K, corner, voxel, partial, reached):  # type: ignore[no-untyped-def]
-    """Set the cells that pixels may lie in; return how many pixels lie in none of `partial`.
+    """Set in `reached` all cells that masked pixels may lie in, given the rounding of depth.
 
-    -1: the pixels reach more than `MOST_REACHED` cells.
+    Return the number of pixels inside the cube that can lie in no cell of `partial`; -1 if the pixels reach
+    more than `MOST_REACHED` cells.
     """
     lost, visited = 0, 0
     for v in range(depth.shape[0]):
@@ -176,7 +180,7 @@ def _reach(depth, mask, K, corner, voxel, partial, reached):  # type: ignore[no-
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cells(one, other, corner, voxel):  # type: ignore[no-untyped-def]
-    """First and last cell that an interval may touch along an axis; -1 and FULL_CELLS: outside."""
+    """Return first and last cell that an interval may touch along an axis: -1 or FULL_CELLS if outside."""
     first = (min(one, other) - corner) / voxel - SLACK_CELLS
     last = (max(one, other) - corner) / voxel + SLACK_CELLS
     return _cell(first), _cell(last)
@@ -192,7 +196,7 @@ def _cell(exact):  # type: ignore[no-untyped-def]
 def _seen_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], camera: Camera, *, has_too_far: bool
 ) -> Iterator[str]:
-    """Yield a clause if `seen` is not between what the nearest and the farthest depth allow."""
+    """Yield a message if no depths that round to the published ones give this `seen`, with tolerance."""
     depth_m = depth.astype(np.float32) / np.float32(MM_PER_M)
     measured = depth_m > 0
 
@@ -208,7 +212,7 @@ def _seen_problems(
 
 
 def _cube_problems(pair: Pair | PairInput, object_mm: NDArray[np.uint16], camera: Camera) -> Iterator[str]:
-    """Yield a clause if the cube of framing `view` is not that of the depth in the mask."""
+    """Yield a message if the pair's cube is not the one that framing `view` gives for the masked depth."""
     v, u = np.nonzero(object_mm)
     if not len(v):
         return  # all cells of the partial are reported

@@ -107,7 +107,7 @@ def _write_dataset_files(
     infos: dict[str, object],
     camera: Camera | None,
 ) -> None:
-    """Write the files that all scenes share."""
+    """Write the files about all scenes, such as camera.json, models_info.json and export.json."""
     if camera is None:
         raise ReleaseError(
             f"{shown(release.folder)}: no pair, so there is no image to export", what="no-pairs"
@@ -138,15 +138,15 @@ def write_scene(
     before: int = 0,
     progress: Progress | None = None,
 ) -> Camera:
-    """Write one scene: depth/, rgb/ if colour lies on depth, masks, and its JSON files.
+    """Write one scene: depth, masks, its JSON files, and colour if it is registered to the depth.
 
     Args:
         release: the opened release.
-        targets: the pairs of one recording; an image has the number of its view.
+        targets: the pairs of one recording; the name of a view is the number of its image.
         folder: the scene's folder, which is made.
         obj_id: id of the recording's object.
         model: the object, or None if its truth is held back: then there is no ground truth.
-        before: number of views of all earlier scenes.
+        before: number of views of all earlier scenes, for `progress`.
         progress: called with (views done, views in all).
 
     Returns:
@@ -191,7 +191,7 @@ def write_scene(
 
 
 def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
-    """Return a rigid transform (metres) as BOP writes it: rotation by rows, translation in millimetres."""
+    """Return a rigid transform T (4, 4), metres, in BOP's form: rotation by rows, translation in mm."""
     return {
         f"cam_R_{frames}": T[:3, :3].ravel().tolist(),
         f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist(),
@@ -199,5 +199,5 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
 
 
 def _unknown(release: Release, target: Target) -> float:
-    """Return the unknown share of a pair's true shape, rounded."""
+    """Return the share of a pair's true shape that is not known, rounded."""
     return round(unknown_share(*parts_of(release, target, ("full", "known"))), SHARE_DECIMALS)

@@ -27,9 +27,9 @@ class BopModel:
     """An object in the world, and its pose in BOP's model frame.
 
     Attributes:
-        mesh: closed, world frame, metres.
+        mesh: closed mesh, world frame, metres.
         T_world_model: (4, 4), metres. The model frame has the floor's axes, z up; its origin is the middle of
-            the mesh's box along these axes.
+            the mesh's bounding box along these axes.
     """
 
     mesh: TriangleMesh
@@ -37,7 +37,7 @@ class BopModel:
 
     @property
     def mesh_mm(self) -> TriangleMesh:
-        """Return the mesh in the model frame, millimetres."""
+        """The mesh in the model frame, millimetres."""
         mesh = self.mesh.transformed(invert_rigid(self.T_world_model))
         return TriangleMesh(mesh.vertices * MM_PER_M, mesh.faces)
 
@@ -64,7 +64,7 @@ def read_bop_model(release: Release, recording: str) -> BopModel:
 
 
 def model_ply(mesh: TriangleMesh) -> bytes:
-    """Return a binary PLY file with vertex normals, in the types that the toolkit reads (float, int)."""
+    """Return a binary PLY file with vertex normals, in types that the BOP toolkit reads (float, int)."""
     import trimesh
 
     shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -72,7 +72,7 @@ def model_ply(mesh: TriangleMesh) -> bytes:
 
 
 def model_info(mesh: TriangleMesh) -> dict[str, float]:
-    """Return a row of models_info.json, in the mesh's unit: largest distance of two vertices, and the box."""
+    """Return a mesh's row of models_info.json, in its unit: diameter (`_diameter`) and bounding box."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     info = {"diameter": _diameter(mesh.vertices)}
     info |= {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
@@ -80,7 +80,7 @@ def model_info(mesh: TriangleMesh) -> dict[str, float]:
 
 
 def _diameter(vertices: Float64) -> float:
-    """Return the largest distance between two points; both are corners of the convex hull."""
+    """Return the largest distance between two of the vertices (n, 3); only hull corners are compared."""
     from scipy.spatial import ConvexHull
     from scipy.spatial.distance import cdist
 
@@ -90,16 +90,16 @@ def _diameter(vertices: Float64) -> float:
 
 @dataclass(frozen=True)
 class ObjectInView:
-    """A row of scene_gt_info.json and its two masks.
+    """The object in one view: its two masks, and the figures of a row of scene_gt_info.json.
 
     Attributes:
         mask: (height, width) bool, the silhouette within the image.
         mask_visib: (height, width) bool, the visible part of `mask`.
-        px_count_all: number of pixels of the silhouette, also beyond the image.
+        px_count_all: number of pixels of the silhouette, including those beyond the image.
         px_count_valid: number of pixels of `mask` with a measured depth.
         px_count_visib: number of pixels of `mask_visib`.
-        bbox_obj: x, y, width, height of the silhouette, also beyond the image; -1 if nothing is visible.
-        bbox_visib: the box of `mask_visib`.
+        bbox_obj: x, y, width, height of the whole silhouette, pixels; all -1 if nothing is visible.
+        bbox_visib: the same of `mask_visib`.
     """
 
     mask: Bools
@@ -123,19 +123,18 @@ def object_in_view(
     mesh: TriangleMesh,
     renderer: DepthRenderer,
 ) -> ObjectInView:
-    """Return the object's silhouette in a view, its visible part, and their figures.
+    """Return the object's silhouette in a view, the visible part of it, and figures of both.
 
     Args:
         depth_mm: (height, width) uint16, measured depth, 0 = none.
         camera: the image's camera.
-        T_world_camera: (4, 4).
+        T_world_camera: (4, 4), metres.
         mesh: the object's mesh, world frame, metres.
         renderer: a renderer of the same mesh.
 
     Source: the BOP format page and its definition of visibility, mode `bop19`: a pixel of the silhouette is
     visible if the model lies at most 15 mm behind the measurement along the ray, or if nothing is measured.
-    The silhouette is rendered in an image three times as wide and high, with the camera's image in its
-    middle.
+    The silhouette is rendered in an image enlarged to hold the whole object, to at most three times its size.
     """
     wide, left, top = _wide_camera(camera, T_world_camera, mesh)
     wide_m = renderer.depth_m(wide, T_world_camera)
@@ -157,7 +156,7 @@ def object_in_view(
 
 
 def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) -> tuple[Camera, int, int]:
-    """Return a camera whose image holds the whole object, at most three times as large, and its offset."""
+    """Return the camera with its image enlarged to hold the object, and the pixels added left and on top."""
     points_camera = transform_points(invert_rigid(T_world_camera), mesh.vertices)
     left, right, top, bottom = camera.width, camera.width, camera.height, camera.height
     if points_camera[:, 2].min() > 0:
@@ -175,13 +174,13 @@ def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) ->
 
 
 def _margins(pixels: Float64, size: int) -> tuple[int, int]:
-    """Return the pixels needed before and after an image's side, each at most the side itself."""
+    """Return how many pixels must be added before and after one image axis of `size`, each at most `size`."""
     before, after = np.ceil([-pixels.min(), pixels.max() - (size - 1)])
     return int(np.clip(before, 0, size)), int(np.clip(after, 0, size))
 
 
 def _box(mask: Bools, left: int, top: int) -> Box:
-    """Return the box around a mask in BOP's form: first pixel, and distance to the last."""
+    """Return BOP's box of a mask: first pixel less (left, top), and distance from it to the last pixel."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return (
         int(columns[0]) - left,

@@ -1,4 +1,4 @@
-"""Shared parts of all layouts: export.json, and its names of splits, categories and values."""
+"""Shared parts of all layouts: export.json, and the names of splits, categories and files."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -36,7 +36,7 @@ SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
 
 @contextmanager
 def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
-    """Yield an empty folder that replaces `out` if the block succeeds.
+    """Yield an empty temporary folder, which replaces `out` if the `with` block succeeds.
 
     Args:
         out: a new or an empty folder, or a folder that may be replaced.
@@ -55,7 +55,7 @@ def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
 
 
 def write_export_json(folder: Path, release: Release, rows: Mapping[str, object]) -> None:
-    """Write export.json: the release, and facts that the exported files cannot hold."""
+    """Write export.json: the release's identity, and in `rows` facts that the exported files cannot hold."""
     content = {
         "format_version": 1,
         "package_version": __version__,
@@ -67,7 +67,7 @@ def write_export_json(folder: Path, release: Release, rows: Mapping[str, object]
 
 
 def synset_of(category: str) -> str:
-    """Return the ShapeNet synset of a category; "00000000" for a category that is not the paper's."""
+    """Return the ShapeNet synset id of a category; "00000000" for categories outside the paper."""
     return next((synset for synset, name in SYNSETS.items() if name == category), NO_SYNSET)
 
 
@@ -78,7 +78,7 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
         kind: "25d" (the visible part) or "3d" (the full shape).
         category: such as "chair".
         split: "train", "validation" or "test".
-        views: number of views in the group.
+        views: number of views, as in the folder's name.
         name: `<model>_<roll>_<pitch>_<yaw>`.
     """
     group = f"{SPLIT_NAMES[split]}_{views}_{kind}_vox256"
@@ -86,9 +86,9 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
 
 
 def pair_record(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, object]:
-    """Return a pair's name, files, numbers, texts and matrices as JSON values.
+    """Return all facts of a pair except its grids as JSON values: names, `files`, numbers and matrices.
 
-    If its truth is published, the unknown share of its true shape is included.
+    `unknown_share`, the share of the true shape that is not known, is included if the truth is published.
     """
     row: dict[str, object] = {name: getattr(target, name) for name in NAMES} | files
     row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}

@@ -1,4 +1,4 @@
-"""Export to, and import from, the layout of the paper's authors, which existing networks read unchanged."""
+"""Export to, and import from, the file layout of the 3D-RecGAN++ authors, which existing networks read."""
 
 import re
 from collections import Counter
@@ -72,7 +72,7 @@ Metres = Annotated[float, Field(ge=0)]
 
 
 class ExportedPair(StoredPart):
-    """A row of export.json: a pair's name, its files, and facts that the files lack."""
+    """A row of export.json: a pair's names, its two files, and facts that these files cannot hold."""
 
     recording: Name
     object: Name
@@ -92,7 +92,7 @@ class ExportedPair(StoredPart):
 
 
 class Exported(Stored):
-    """export.json of this layout; in other layouts it has no pairs."""
+    """The content of export.json; only exports in this layout have `pairs`."""
 
     FILE: ClassVar[str] = EXPORT_JSON
     ERROR: ClassVar[type[KinectBenchError]] = PairError
@@ -105,7 +105,7 @@ class Exported(Stored):
 
 @dataclass(frozen=True)
 class FoundPair:
-    """A pair of files: its target in the release, and its facts that are no grids."""
+    """A found pair of files, the target that it becomes, and its facts that are not grids."""
 
     target: Target
     file_25d: Path
@@ -114,10 +114,10 @@ class FoundPair:
 
 
 def export_recgan(release: Release, out: Path, progress: Progress | None = None) -> int:
-    """Write every pair of a release as two files, visible (`25d`) and full shape (`3d`).
+    """Write every pair of a release as two files: the visible part (`25d`) and the full shape (`3d`).
 
-    The grids are not cropped: the authors' readers centre a grid in 256 cells, so an uncropped one stays in
-    place. `export.json` holds names and transforms, which the files lack. `known`, `seen` and `shell` are not
+    The grids are not cropped: the authors' readers centre a cropped grid in 256 cells, which would shift it.
+    `export.json` holds names and transforms, which the files lack. `known`, `seen` and `shell` are not
     exported.
 
     Args:
@@ -156,16 +156,16 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
 def import_recgan(folder: Path, out: Path, progress: Progress | None = None, views: int | None = None) -> int:
     """Write a release from all pairs of files in a folder of the authors' layout.
 
-    Files of `kinectbench export` get their names and transforms back. For other files, a recording is named
-    `<model>-<views>`, and its views are numbered in the order of their names.
+    Pairs written by `kinectbench export` get their names and transforms back from export.json. For other
+    files, a recording is named `<model>-<views>`, and its views are numbered in the order of the angles.
 
     Args:
         folder: the folder that holds `P1_<synset>_<category>/`.
         out: a new folder, or a release, which is replaced.
         progress: called with (pairs done, pairs in all).
-        views: the number of views in the folder names of the test and validation pairs to import: 125 has the
-            viewing angles of the training pairs (SV in the paper), 216 has others (CV). None: the one that is
-            there.
+        views: which test and validation pairs to import, by the number of views in their folder's name: 125
+            are at the viewing angles of the training pairs (SV in the paper), 216 at others (CV). None: all,
+            if the folder has only one such number.
 
     Returns:
         The number of pairs.
@@ -210,12 +210,15 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
 
 
 def _name(folder: Path, views: int | None) -> str:
-    """Return the release's name: the folder's name, with the number of views."""
+    """Return the name of the imported release: the folder's name, then `-<views>` if views are chosen."""
     return (followed(folder).name or "imported") + (f"-{views}" if views is not None else "")
 
 
 def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> list[FoundPair]:
-    """Return the pairs with one number of views in test and validation: means over several mean nothing."""
+    """Return all training pairs, and the test and validation pairs of one set of views (`views` or the only).
+
+    A mean score over several sets of views would be meaningless.
+    """
 
     def number(one: FoundPair) -> int:
         return int(one.target.recording.rpartition("-")[2])
@@ -247,7 +250,7 @@ def _exported(folder: Path, content: Exported) -> list[FoundPair]:
 
 
 def _theirs(folder: Path) -> list[FoundPair]:
-    """Return the pairs of the authors' own files, in the order of their names."""
+    """Return the pairs of files named as the authors name them, sorted by category, split and model."""
     rows = []
     for path in sorted(folder.glob("P1_*/*_25d_vox256/*.npz")):
         match = PATH.fullmatch(path.relative_to(folder).as_posix())
@@ -270,13 +273,13 @@ def _target(recording: str, object: str, view: str, category: str, split: str) -
 
 
 def _refuse_link_out(path: Path, root: Path) -> None:
-    """Refuse a link out of the folder: an import publishes what it reads, which could be any file."""
+    """Raise an error if `path` is a link out of the folder: an import would publish any file it points to."""
     if not lies_below(path, root):
         raise PairError(f"{path}: a link out of the folder; put the file itself there")
 
 
 def _pair(files: FoundPair, root: Path) -> Pair:
-    """Read a pair from its two files; other facts have the defaults that the card states."""
+    """Read a pair from its two files; facts that are not known get the defaults that the card states."""
     for path in (files.file_25d, files.file_3d):
         _refuse_link_out(path, root)
         if not path.is_file():
@@ -305,7 +308,7 @@ def _pair(files: FoundPair, root: Path) -> Pair:
 
 
 def _infos(targets: list[Target]) -> dict[str, RecordingInfo]:
-    """Return the facts about each recording for benchmark.json."""
+    """Return {recording: its entry in benchmark.json}."""
     recordings = {target.recording: target for target in targets}
     counts = Counter(target.recording for target in targets)
     return {

@@ -1,4 +1,4 @@
-"""Import of the ten Redwood scans of SDS-Complete: a masked view of each, and an open mesh as its truth.
+"""Import of the ten Redwood scans of SDS-Complete: each has one masked view, and an open mesh as its truth.
 
 Layout, units and names follow NVlabs/sds-complete @64fa943; docs/second-truth.md says what is unverified. The
 masks have a licence of NVIDIA that forbids commercial use; no package contains them.
@@ -72,7 +72,7 @@ class RedwoodScan:
     """A scan as read from its files.
 
     Attributes:
-        png: the depth image as a file, mm.
+        png: content of the depth image's PNG file, millimetres.
         depth_m: (480, 640) float32, metres.
         mask: (480, 640) bool, the object.
         mesh: the object's faces, an open mesh, camera frame, metres.
@@ -85,7 +85,7 @@ class RedwoodScan:
 
 
 def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) -> int:
-    """Write a release from the SDS-Complete scans in a folder; the world frame is the camera frame.
+    """Write a release from the SDS-Complete scans in a folder; the camera frame serves as world frame.
 
     Args:
         folder: the folder that holds `data_processing/`, `frames_data_full/` and `mesh/`.
@@ -156,7 +156,7 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
 
 
 def _chosen(kept: FileArray, count: int, path: Path) -> Bools:
-    """Return which vertices are the object's."""
+    """Return (count,) bool, the mesh vertices of the object; `kept` is such a mask or a list of indices."""
     if kept.dtype == bool and kept.shape == (count,):
         return kept
     is_list = kept.ndim == 1 and kept.dtype.kind in "iu" and len(kept) > 0
@@ -168,7 +168,7 @@ def _chosen(kept: FileArray, count: int, path: Path) -> Bools:
 
 
 def _content(folder: Path, name: str, most: int) -> bytes:
-    """Return the bytes of a file; refuse a link out of the folder, as an import publishes what it reads."""
+    """Return the bytes of a file; raise an error at a link out of the folder, which would be published."""
     path = folder / name
     if not lies_below(path, followed(folder)):
         raise PairError(f"{path}: a link out of the folder; put the file itself there")
@@ -187,7 +187,7 @@ def _array(folder: Path, name: str) -> FileArray:
 
 
 def _written(name: str, scan: RedwoodScan, folder: Path) -> Target:
-    """Write the files of a scan and return its target."""
+    """Write the pair, view and surface of a scan into a release's folder; return its target."""
     T: Float64 = np.eye(4)
     object_m = np.where(scan.mask, scan.depth_m, np.float32(0))
     grid = view_cube(CAMERA.backproject(scan.depth_m)[object_m > 0], T)

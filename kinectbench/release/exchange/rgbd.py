@@ -1,7 +1,7 @@
-"""The views of a release as plain pictures, depth maps and point maps, the input of current methods.
+"""Export of a release's views as plain images, depth maps and point maps, which current methods take.
 
-Each view has a folder `<recording>/<view>/`. A method that reads other files, units or axes has its own
-writer, which takes the same `RgbdView` (`scoring/adapters/`).
+Each view gets a folder `<recording>/<view>/`. A method that reads other files, units or axes has its own
+writer in `scoring/adapters/`, which takes the same `RgbdView`.
 """
 
 from collections.abc import Callable, Sequence
@@ -49,7 +49,7 @@ class RgbdView:
         target: the view's pair.
         depth_mm: (height, width) uint16, millimetres along z, 0 where nothing was measured.
         mask: (height, width) bool, the object.
-        color: (height, width, 3) uint8 RGB on the pixels of depth; None without such an image.
+        color: (height, width, 3) uint8 RGB, registered to the depth; None without such an image.
         color_words: where the colour comes from, or why there is none.
         K: (3, 3) intrinsics, pixels; pixel centres are integers.
         T_world_camera: (4, 4), camera (x right, y down, z forward) to world, metres.
@@ -88,10 +88,10 @@ class RgbdView:
 
 
 def framed(view: RgbdView, width: int, height: int) -> RgbdView:
-    """Crop a view to an image of this size around the object; every pixel is a pixel of the view.
+    """Crop a view to an image of width x height pixels around the object, and adapt K.
 
-    The window lies around the object's box; beyond the image, nothing is measured. If the box is larger than
-    the window, only every second, third, ... row and column is kept. No pixel is resampled, so K is exact.
+    If the object's bounding box is larger, only every second, third, ... row and column is kept. Nothing is
+    interpolated, so K is exact. Pixels beyond the view's image have depth 0 and are outside the mask.
     """
     if view.depth_mm.shape == (height, width):
         return view
@@ -108,7 +108,7 @@ def framed(view: RgbdView, width: int, height: int) -> RgbdView:
     )
 
     def cut(image: NDArray[_Pixel]) -> NDArray[_Pixel]:
-        """Return the window of an image (h, w, ...), zeros beyond the image."""
+        """Return the cropped part of an image (h, w, ...), with zeros beyond the image."""
         kept = image[::step, ::step]
         out = np.zeros((height, width, *image.shape[2:]), image.dtype)
         low, high = np.maximum(first, 0), np.minimum(first + size, extent)
@@ -123,7 +123,7 @@ def framed(view: RgbdView, width: int, height: int) -> RgbdView:
 
 
 class ViewCamera(Stored):
-    """camera.json of an exported view; `adapt` places predictions in the camera frame by it."""
+    """camera.json of an exported view; `adapt` uses it to transform predictions to the camera frame."""
 
     FILE: ClassVar[str] = "camera.json"
     ADVICE: ClassVar[str] = "export the views again"
@@ -169,11 +169,11 @@ def export_rgbd(
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (views done, views in all).
         method: the method whose input files are written; None: the plain files of `write_plain`.
-        write: writes a view's files; needed with `method`.
+        write: function that writes a view's files; needed with `method`.
         reads_color: whether the method reads colour, so that views without colour are reported.
 
     Returns:
-        The number of views, and notes on missing colour and cut points.
+        The number of views, and notes: a line each on missing colour and on objects cut by the method.
 
     Raises:
         SettingsError: `out` holds something else.
@@ -197,7 +197,7 @@ def export_rgbd(
 def _write(
     release: Release, view: RgbdView, folder: Path, method: str | None, write: WriteView | None
 ) -> ViewCamera:
-    """Write the files of one view and its camera.json; return the latter."""
+    """Write the files of one view and its camera.json; return the content of camera.json."""
     shown_view, more = (write or write_plain)(release, view, folder)
     given: dict[str, Any] = {} if method is None else {"method": method, **more}
     stated = ViewCamera(
@@ -213,7 +213,10 @@ def _write(
 
 
 def write_plain(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
-    """Write rgb.png if there is colour, depth.png, depth_m.npy, pointmap_cv.npy and mask.png."""
+    """Write depth.png, depth_m.npy, pointmap_cv.npy, mask.png and, if there is colour, rgb.png.
+
+    It is a `WriteView`: it returns the view unchanged, and no further keys of camera.json.
+    """
     write_color(view, folder)
     write_png(folder / "depth.png", view.depth_mm)
     np.save(folder / "depth_m.npy", view.depth_m)
@@ -229,7 +232,7 @@ def write_color(view: RgbdView, folder: Path, name: str = "rgb.png") -> None:
 
 
 def _color_lines(without: Sequence[str], count: int) -> list[str]:
-    """Return a line on the views without colour; none if all have it."""
+    """Return a line on the number of views without colour; an empty list if all views have it."""
     if not without:
         return []
     return [
@@ -239,7 +242,7 @@ def _color_lines(without: Sequence[str], count: int) -> list[str]:
 
 
 def _cut_lines(stated: Sequence[ViewCamera]) -> list[str]:
-    """Return a line about points outside the method's volume; none if all are inside or it has no volume."""
+    """Return a line on objects that the method's input volume cuts off; an empty list if it cuts none."""
     shares = [one.cut_share for one in stated if one.cut_share is not None]
     if not any(shares):
         return []
@@ -268,7 +271,7 @@ def read_view(release: Release, target: Target) -> RgbdView:
 
 
 def camera_of(release: Release, target: Target) -> tuple[Float64, Float64]:
-    """Return K and T_world_camera of a pair.
+    """Return K (3, 3), pixels, and T_world_camera (4, 4), metres, of a pair.
 
     Raises:
         ReleaseError: the pair is missing or damaged, or one of the matrices is invalid.
@@ -280,7 +283,7 @@ def camera_of(release: Release, target: Target) -> tuple[Float64, Float64]:
 
 
 def parts_of(release: Release, target: Target, names: Sequence[str]) -> list[FileArray]:
-    """Return some arrays of a pair; the rest is not unpacked.
+    """Return the named arrays of a pair file; its other arrays are not unpacked.
 
     Raises:
         ReleaseError: the pair is missing or damaged, or lacks an array.
@@ -292,7 +295,7 @@ def parts_of(release: Release, target: Target, names: Sequence[str]) -> list[Fil
 
 
 def color_registered(release: Release, recording: str) -> bool:
-    """Return whether the recording's colour lies on the pixels of depth.
+    """Return whether the recording's colour images are registered to its depth.
 
     Raises:
         ReleaseError: the release has no views of the recording.
@@ -307,5 +310,5 @@ def color_registered(release: Release, recording: str) -> bool:
 
 
 def write_png(path: Path, image: NDArray[np.generic]) -> None:
-    """Write a PNG; see `images.png`."""
+    """Write an image as a PNG file; see `images.png` for shapes and channel order."""
     path.write_bytes(images.png(image))

@@ -26,11 +26,11 @@ def export_webdataset(
     progress: Progress | None = None,
     pairs_per_shard: int = PAIRS_PER_SHARD,
 ) -> int:
-    """Write the pairs of each split as `<split>-000000.tar` and so on, the same bytes every time.
+    """Write the pairs of each split as shards `<split>-000000.tar` and so on; the bytes are reproducible.
 
-    A sample `<recording>_<view>` has `npz`, the bytes of the published pair file, and `json`: names,
-    transforms and numbers. A dot in a recording's name becomes `-`, because WebDataset's keys end at the
-    first dot. If the truth is held back, a sample has only the inputs.
+    A sample `<recording>_<view>` has two files: `npz`, the published pair file, and `json`: names, transforms
+    and numbers. A dot in a recording's name becomes `-`, because WebDataset's keys end at the first dot. If
+    the truth is held back, a sample has only the input.
 
     Args:
         release: the opened release.
@@ -66,12 +66,12 @@ def export_webdataset(
 
 
 def sample_key(target: Target) -> str:
-    """Return the key of a pair in a shard."""
+    """Return the key of a pair's sample in a shard, `<recording>_<view>`, with dots replaced by `-`."""
     return f"{target.recording.replace('.', '-')}_{target.view}"
 
 
 def _check_keys(targets: Sequence[Target]) -> None:
-    """Refuse recordings whose names differ only by dots and hyphens."""
+    """Raise an error if two recordings would get the same keys: if `.` or `-` is their only difference."""
     recordings: dict[str, str] = {}
     for target in targets:
         first = recordings.setdefault(sample_key(target), target.recording)
@@ -82,7 +82,7 @@ def _check_keys(targets: Sequence[Target]) -> None:
 
 
 def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ...]]]:
-    """Yield the name and the pairs of each shard, in the order of targets.csv."""
+    """Yield (file name, pairs) of each shard, split by split; pairs are in the order of targets.csv."""
     for split in SPLITS:
         targets = release.split(split)
         for number, first in enumerate(range(0, len(targets), size)):
@@ -90,7 +90,7 @@ def _shards(release: Release, size: int) -> Iterator[tuple[str, tuple[Target, ..
 
 
 def _read(release: Release, target: Target, content: bytes) -> Pair | PairInput:
-    """Return a checked pair, or its checked input if its truth is held back."""
+    """Parse and check a pair file: return the pair, or its input if the truth is held back."""
     values = pair_values(content, target.file)
     if target.split in release.metadata.inputs_only:
         return checked_pair(PairInput, values, target.file)
@@ -98,7 +98,7 @@ def _read(release: Release, target: Target, content: bytes) -> Pair | PairInput:
 
 
 def _add(shard: tarfile.TarFile, name: str, content: bytes) -> None:
-    """Add a file without owner and time, so that the bytes are reproducible."""
+    """Add a file to a shard without owner and time, so that the shard's bytes are reproducible."""
     entry = tarfile.TarInfo(name)
     entry.size, entry.mode = len(content), 0o644
     shard.addfile(entry, io.BytesIO(content))

@@ -1,4 +1,4 @@
-"""The content of croissant.json and datacite.json, and the date of a release."""
+"""Shared content of croissant.json and datacite.json, such as the date of a release."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,10 +24,10 @@ class About:
     Attributes:
         name: the benchmark's name.
         license: the licence of all recordings.
-        description: a sentence.
-        citation: how the release is cited.
+        description: a sentence on what the release is.
+        citation: authors, title, version and address for citing the release.
         date: the day of publication, year-month-day.
-        answers: answers that only a person can give.
+        answers: a person's answers to the questions of the datasheet.
         warnings: known faults of the release, one line each.
         color: whether colour images are published.
         recorded: whether the release was made from recordings instead of models.
@@ -45,13 +45,13 @@ class About:
 
 
 def day_of(citation: CitationSettings, folder: Path) -> str:
-    """Return the date of a release, year-month-day; the clock is not used, so bytes are reproducible.
+    """Return the date of a release, year-month-day; it does not depend on the clock, so it is reproducible.
 
-    The date is `date_released` if stated; else the day of the last frame in lineage.json; if its stamp is no
-    calendar time, `NO_DAY`.
+    The date is `date_released` if stated, else the day of the last frame in lineage.json, or `NO_DAY` if the
+    timestamp of that frame is not a calendar time.
 
     Args:
-        citation: how the release is cited.
+        citation: the citation, which may state `date_released`.
         folder: the release's folder; lineage.json may be missing.
     """
     if citation.date_released:
@@ -68,7 +68,7 @@ def day_of(citation: CitationSettings, folder: Path) -> str:
 
 
 def responsible_use(about: About) -> Mapping[str, str | list[str]]:
-    """Return Croissant's fields for responsible AI, without prefix; unanswered fields are left out."""
+    """Return {name without `rai:`: text} of Croissant's fields for responsible AI, without empty ones."""
     answers = about.answers
     people = [answers.consent] if answers.consent else []
     if about.recorded:

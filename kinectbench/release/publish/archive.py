@@ -1,4 +1,4 @@
-"""Deterministic archives of a release: the same folder always gives the same bytes."""
+"""Deterministic zip archives of a release: the same folder always gives the same bytes."""
 
 import shutil
 import zipfile
@@ -21,16 +21,17 @@ DEFLATE_LEVEL = 9
 
 
 def archive_stem(info: ReleaseInfo) -> str:
-    """Return `<name>-<version>`, or `<name>-<first 8 digits of benchmark_sha256>` without a version.
+    """Return the name of a release's archive without suffix: `<name>-<version>`.
 
-    The private part of a benchmark with held-back truth gets the suffix `-private`.
+    Without a version, the first 8 digits of benchmark_sha256 replace it. The name of the private part of a
+    benchmark with held-back truth ends with `-private`.
     """
     private = "-private" if info.public_benchmark_sha256 else ""
     return f"{info.name}-{info.version or info.benchmark_sha256[:8]}{private}"
 
 
 def refuse_unstated(settings: BenchmarkSettings, ids: Sequence[str] | None) -> None:
-    """Refuse to archive a release that must not be distributed, before anything is built.
+    """Raise an error if the planned release must not be distributed; called before anything is built.
 
     Args:
         settings: the benchmark's settings.
@@ -55,10 +56,10 @@ def _refuse(reasons: Sequence[str]) -> None:
 
 
 def write_archive(release: Path, out: Path) -> Path:
-    """Pack a release as `out/<stem>.zip`, with `<stem>.zip.sha256` beside it, as `sha256sum -c` reads it.
+    """Pack a release as `out/<stem>.zip`, with its checksum in `<stem>.zip.sha256`; return the zip's path.
 
-    Entries are sorted, and have no times and equal permissions; npz and pictures are stored, the rest is
-    deflated.
+    Entries are sorted, with fixed times and permissions. npz files and pictures are stored uncompressed, all
+    other files are deflated.
 
     Args:
         release: the release's folder.
@@ -84,7 +85,7 @@ def write_archive(release: Path, out: Path) -> Path:
 
 
 def _add(archive: zipfile.ZipFile, file: Path, name: str) -> None:
-    """Add one file without reading it into memory as a whole."""
+    """Add one file to an archive in small blocks, so that it never is in memory as a whole."""
     entry = zipfile.ZipInfo(name, MIDNIGHT)
     entry.create_system = 3  # Unix, on every system
     entry.external_attr = REGULAR_0644

@@ -48,29 +48,29 @@ def reasons_against_distribution(
 
 
 def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> str:
-    """Return the common licence of all recordings, or `otherwise` if they differ."""
+    """Return the licence that all recordings share, or `otherwise` if their licences differ."""
     licenses = {info.license for info in recordings.values()}
     return licenses.pop() if len(licenses) == 1 else otherwise
 
 
 def license_url(license: str) -> str | None:
-    """Return the URL of a licence with an SPDX identifier; None for other texts."""
+    """Return the URL of a licence's text if `license` is a known SPDX identifier, else None."""
     return f"https://spdx.org/licenses/{license}.html" if license in HUGGING_FACE else None
 
 
 def markdown_line(text: str) -> str:
-    """Return an untrusted text as a line of Markdown without tags, links or cells."""
+    """Return an untrusted text as one line of Markdown in which tags, links and table cells are escaped."""
     line = " ".join(text.split()).replace("<", "&lt;")
     return re.sub(r"[\\[|]", r"\\\g<0>", line)
 
 
 def without_tags(text: str) -> str:
-    """Return an author's Markdown text without HTML."""
+    """Return a Markdown text in which HTML tags are escaped."""
     return re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text)
 
 
 def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo]) -> str:
-    """Return the text of LICENSE: the licence, then licence and source of each recording.
+    """Return the text of LICENSE: the benchmark's licence, then licence and source of each recording.
 
     Args:
         name: the benchmark's name.
@@ -118,7 +118,7 @@ def citation_text(citation: CitationSettings, name: str, license: str) -> str:
 
 
 def authors(citation: CitationSettings, name: str) -> list[str]:
-    """Return the authors, or a substitute if the benchmark names none."""
+    """Return the benchmark's authors, or "The makers of <name>" if it names none."""
     return citation.authors or [f"The makers of {name}"]
 
 
@@ -138,7 +138,7 @@ def citation_line(citation: CitationSettings, name: str) -> str:
 
 
 def changelog_text(changes: Sequence[ChangeSettings] | None, name: str) -> str:
-    """Return the text of CHANGELOG.md, newest change first, as given."""
+    """Return the text of CHANGELOG.md; changes keep their order, which should be newest first."""
     lines = [f"# Changes of {name}", ""]
     for change in changes or []:
         lines += [
@@ -153,6 +153,6 @@ def changelog_text(changes: Sequence[ChangeSettings] | None, name: str) -> str:
 
 
 def _author(author: str) -> dict[str, str]:
-    """Return an author as CITATION.cff has it: `Family, Given` is a person, another name a group."""
+    """Return an author's entry in CITATION.cff: `Family, Given` is a person, any other name is a group."""
     family, comma, given = author.partition(", ")
     return {"family-names": family, "given-names": given} if comma else {"name": author}

@@ -62,10 +62,12 @@ NO_TRUTH = "# No pair of this part has its truth."
 
 
 def quality_words(quality: QualityFile) -> dict[str, str]:
-    """Return {label of a known figure: value with unit}, in a fixed order; a person's statements come last.
+    """Return {label: value with unit} of the known quality figures, in a fixed order.
+
+    The stated underside and the kind of truth come last.
 
     Args:
-        quality: quality.json; it has no figures if held back, or if the pairs come from elsewhere.
+        quality: a recording's quality; it has no figures if the truth is held back or the pairs are imported.
     """
     words = {
         label: form.format(factor * value)
@@ -80,7 +82,7 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
 
 
 def reference_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: figure} of a reference that fits and is not the truth itself."""
+    """Return {label: figure} on a reference mesh; empty if it does not fit, or is the truth itself."""
     if info.reference is None or info.reference.refused is not None or info.reference.itself:
         return {}
     figures = {label: getattr(info.reference, key) for key, label in REFERENCE.items()}
@@ -88,15 +90,15 @@ def reference_words(info: RecordingInfo) -> dict[str, str]:
 
 
 def visible_words(info: RecordingInfo) -> dict[str, str]:
-    """Return the share of the true surface that a view sees, with its label, if known."""
+    """Return {label: mean share of the true surface that a view sees}; empty if not known."""
     return {} if info.visible_share is None else {VISIBLE: f"{info.visible_share:.1%}"}
 
 
 def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
-    """Return one line on who stated that undersides are closed or open; empty without a statement.
+    """Return one line with the number of recordings whose underside a person stated, as closed or open.
 
     Args:
-        recordings: {id: entry}; held-back recordings have no quality, and synthetic ones no statement.
+        recordings: {id: entry of benchmark.json}. If none of them states its underside, the line is empty.
     """
     by_word = Counter(info.quality.underside for info in recordings.values() if info.quality.underside)
     if not by_word:
@@ -117,9 +119,9 @@ class CardTexts:
     """The texts of a card that depend on the origin of the pairs.
 
     Attributes:
-        source: the end of the first sentence "A benchmark for ... shape completion from".
-        beside: what the folders beside `pairs/` contain.
-        origin: source of recordings that state none; empty: each has to state its own.
+        source: the end of the card's first sentence, "A benchmark for ... shape completion from ...".
+        beside: text on what the folders beside `pairs/` contain.
+        origin: source of recordings that state none; empty: every recording has to state its source.
         pictured: whether previews/ has a picture of each pair.
     """
 
@@ -146,12 +148,12 @@ def card(
     license: str,
     texts: CardTexts = RECORDED,
 ) -> str:
-    """Return the card as Markdown, with the YAML head that Hugging Face reads.
+    """Return README.md, the card, as Markdown with the YAML head that Hugging Face reads.
 
     Args:
         info: content of benchmark.json.
         targets: every pair.
-        warnings: warnings, one line each.
+        warnings: the release's warnings, one line each.
         license: the licence of all recordings.
         texts: the texts that depend on the origin of the pairs.
     """
@@ -179,7 +181,7 @@ def card(
 
 
 def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: bool) -> str:
-    """Return the card's YAML head: https://huggingface.co/docs/hub/datasets-cards."""
+    """Return the card's YAML head, as https://huggingface.co/docs/hub/datasets-cards defines it."""
     known = HUGGING_FACE.get(license)
     content: dict[str, object] = {"license": known or ("unknown" if license == UNSPECIFIED else "other")}
     if content["license"] == "other":
@@ -208,7 +210,7 @@ def _head(info: ReleaseInfo, targets: Sequence[Target], license: str, pictured: 
 
 
 def _notice(info: ReleaseInfo) -> str:
-    """Return the notice at the top of the card; empty for a complete release that may be distributed."""
+    """Return the card's notice on forbidden distribution, held-back truth and open meshes; else ""."""
     lines = []
     if info.distribution is not None and not info.distribution.allowed:
         lines += ["**Not for distribution.**", *(f"- {reason}" for reason in info.distribution.reasons), ""]
@@ -229,7 +231,7 @@ def _notice(info: ReleaseInfo) -> str:
 
 
 def counts_table(targets: Sequence[Target]) -> str:
-    """Return the table of pairs and objects per category and split."""
+    """Return a Markdown table: for each category, the number of objects, and of pairs in each split."""
     pairs = Counter((target.category, target.split) for target in targets)
     objects = Counter(category for category, _ in {(target.category, target.object) for target in targets})
     rows = [
@@ -240,7 +242,10 @@ def counts_table(targets: Sequence[Target]) -> str:
 
 
 def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
-    """Return the table of each category's object sizes and medians of known figures; empty without any."""
+    """Return a Markdown table: each category's range of object sizes, and medians of its figures.
+
+    Without any figure, the text is empty.
+    """
     category_of = {target.recording: target.category for target in targets}
     rows = []
     for category in sorted(set(category_of.values())):
@@ -261,7 +266,7 @@ def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
 
 
 def category_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: value} of one recording's known figures in the table of categories."""
+    """Return {label: text} of one recording's known figures, those that `category_table` summarises."""
     of = info.quality
     size = _ranges(np.array([of.box.size_m])) if of.box else ""
     rest = _words((info.visible_share, of.unknown_share, *(getattr(of, key) for key in ESTIMATES)))
@@ -270,7 +275,7 @@ def category_words(info: RecordingInfo) -> dict[str, str]:
 
 
 def _ranges(sizes_m: Float64) -> str:
-    """Return the ranges of longer side, shorter side and height of boxes (n, 3), metres."""
+    """Return as text the ranges of longer side, shorter side and height of boxes (n, 3), metres."""
     if not len(sizes_m):
         return ""
     sides_m = np.column_stack([sizes_m[:, :2].max(axis=1), sizes_m[:, :2].min(axis=1), sizes_m[:, 2]])
@@ -279,7 +284,7 @@ def _ranges(sizes_m: Float64) -> str:
 
 
 def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
-    """Return visible and unknown share in percent, and the estimate with its interval; "" where not known."""
+    """Return as texts visible share, unknown share and estimated IoU with its interval; "" if not known."""
     visible, unknown, estimate, low, high = figures
     shares = ["" if share is None else f"{share:.1%}" for share in (visible, unknown)]
     interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
@@ -287,7 +292,7 @@ def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
 
 
 def card_figures(info: ReleaseInfo) -> str:
-    """Return each recording's pairs, refused views and figures of quality.json, and who stated undersides."""
+    """Return a Markdown table of each recording's pairs, refused views and quality, and `underside_line`."""
     words = {
         name: quality_words(recording.quality) | reference_words(recording) | visible_words(recording)
         for name, recording in info.recordings.items()
@@ -304,7 +309,7 @@ def card_figures(info: ReleaseInfo) -> str:
 
 
 def flow_section(info: ReleaseInfo) -> str:
-    """Return how many recordings were tried, and left out at each step and why; empty without figures."""
+    """Return the card's section on the recordings tried, and left out at each step; empty without `flow`."""
     flow = info.flow
     if flow is None:
         return ""
@@ -333,7 +338,7 @@ def flow_section(info: ReleaseInfo) -> str:
 
 
 def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:
-    """Return the table of licences and sources, each with the recordings that share them."""
+    """Return a Markdown table with a row for each licence and source, and the recordings that share them."""
     sharing: dict[tuple[str, str], list[str]] = {}
     for name, info in sorted(recordings.items()):
         sharing.setdefault((markdown_line(info.source), markdown_line(info.license)), []).append(name)
@@ -348,12 +353,12 @@ def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def reading(targets: Sequence[Target], held_back: Sequence[str], why: str = "held back") -> str:
-    """Return READING.md; its example is the first pair with truth, if there is one.
+    """Return the text of READING.md; its example is the first pair with truth, or else the first pair.
 
     Args:
         targets: every pair.
-        held_back: splits with published inputs only.
-        why: why these splits have no truth.
+        held_back: splits of which only inputs are published.
+        why: end of a sentence "their truth is ..." about these splits.
     """
     open_targets = [target for target in targets if target.split not in held_back]
     keys = ", ".join(f"`{key}`" for key in (*TRUTH_KEYS, "occupancy_rule"))

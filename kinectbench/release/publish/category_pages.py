@@ -1,4 +1,4 @@
-"""Pages categories/<category>.html of a release: a picture of every object, with its main figures."""
+"""Write pages categories/<category>.html of a release: a picture of every object, with its main figures."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,7 +29,9 @@ def write_category_pages(
     held_back: Sequence[str],
     isolated: Sequence[str] = (),
 ) -> None:
-    """Write a page for each category of a release with existing pairs; isolated recordings have no pictures.
+    """Write the page of each category of a release whose pairs are written.
+
+    Isolated recordings are listed without a picture.
 
     Raises:
         PairError: a pair is damaged.
@@ -56,7 +58,7 @@ def write_category_pages(
 
 
 def _picture(folder: Path, target: Target, held_back: bool) -> Rgb:
-    """Return the shape as its first view sees it; if held back, only the part that the view saw."""
+    """Draw the full shape from the camera of `target`; if truth is held back, only the visible part."""
     path = folder / target.file
     if held_back:
         return enlarged(seen_from_the_front(unpack(read_input(path).partial), BLUE))[::STEP, ::STEP]

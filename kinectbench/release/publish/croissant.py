@@ -1,4 +1,4 @@
-"""croissant.json: machine-readable metadata of a release, in Croissant 1.1 with its RAI fields (JSON-LD)."""
+"""Make croissant.json: machine-readable metadata of a release (JSON-LD, Croissant 1.1 with RAI fields)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -36,8 +36,8 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 
     Args:
         about: the description of the release.
-        folder: the release, complete except for files that hold hashes or describe it.
-        columns: columns of its targets.csv.
+        folder: the release's folder; only this file, README.md, benchmark.json and SHA256SUMS may be missing.
+        columns: columns of the release's targets.csv.
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
@@ -68,7 +68,7 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 
 
 def _file_objects(folder: Path) -> list[dict[str, object]]:
-    """Return the files at the top of the release, each with its hash."""
+    """Return Croissant's FileObject, with its SHA-256, of each file at the top of the release."""
     return [
         {
             "@type": "cr:FileObject",
@@ -84,7 +84,7 @@ def _file_objects(folder: Path) -> list[dict[str, object]]:
 
 
 def _file_sets(folder: Path) -> list[dict[str, object]]:
-    """Return the sets of files in folders, by pattern; only sets that have files."""
+    """Return Croissant's FileSet of each pattern in `FILE_SETS` that matches a file of the release."""
     return [
         {
             "@type": "cr:FileSet",
@@ -100,7 +100,7 @@ def _file_sets(folder: Path) -> list[dict[str, object]]:
 
 
 def _targets(columns: Sequence[str]) -> dict[str, object]:
-    """Return targets.csv as a record set."""
+    """Return Croissant's RecordSet of targets.csv."""
     return {
         "@type": "cr:RecordSet",
         "@id": "targets",
@@ -112,7 +112,7 @@ def _targets(columns: Sequence[str]) -> dict[str, object]:
 
 
 def _pairs() -> dict[str, object]:
-    """Return the pair files as a record set: numpy.load(io.BytesIO(record["pairs/npz"])) has the arrays."""
+    """Return Croissant's RecordSet of the pair files; a record's `pairs/npz` has the bytes of an npz file."""
     arrays = "; ".join(f"{field.name}: {field.metadata['description']}" for field in fields(Pair))
     content = (
         "the bytes of an npz file, whose arrays are: "
@@ -132,7 +132,7 @@ def _pairs() -> dict[str, object]:
 
 
 def _cameras() -> dict[str, object]:
-    """Return views.json as a record set: the camera of each view."""
+    """Return Croissant's RecordSet of all views.json: name and intrinsics of each view."""
     parts: dict[str, tuple[str, str, dict[str, object]]] = {
         "view": ("zero-padded index", "sc:Text", {}),
         "K": ("intrinsics, pixels", "cr:Float64", {"isArray": True, "arrayShape": "3,3"}),
@@ -156,7 +156,7 @@ def _cameras() -> dict[str, object]:
 
 
 def _of_files(record_set: str, name: str, text: str, extract: dict[str, str], files: str) -> dict[str, Any]:
-    """Return a field that is read from each file of a file set."""
+    """Return Croissant's Field `name`, whose value is extracted from each file of the FileSet `files`."""
     return {
         "@type": "cr:Field",
         "@id": f"{record_set}/{name}",
@@ -188,7 +188,7 @@ def _creator(author: str) -> Mapping[str, str]:
 
 
 def _context() -> dict[str, object]:
-    """Return the context of Croissant 1.1, word for word; readers compare it."""
+    """Return Croissant 1.1's JSON-LD context word for word, because readers compare it."""
     of_croissant = (
         "arrayShape citeAs column containedIn equivalentProperty extract field fileProperty fileObject "
         "fileSet format includes isArray isLiveDataset jsonPath key md5 parentField path recordSet "

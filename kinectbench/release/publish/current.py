@@ -26,7 +26,7 @@ def publish_if_stale(
     wait: bool = True,
     waiting: Callable[[str], None] | None = None,
 ) -> PublishSummary:
-    """Publish `build/` as `benchmark/`, unless the same release is there already.
+    """Publish `build/` as `benchmark/`, unless the same release is there already; return its summary.
 
     Args:
         settings: the benchmark's settings.
@@ -34,12 +34,12 @@ def publish_if_stale(
         recordings: ids of the recordings built without failure.
         force: publish again in any case.
         options: options beyond the settings; None: the options of the last publication.
-        wait: whether to wait if another run holds this benchmark.
-        waiting: called before waiting, with the name of the run that holds it.
+        wait: whether to wait if another run has locked the build.
+        waiting: called before waiting, with the name of the run that has locked it.
 
     Raises:
         ReleaseError: nothing was built, or `benchmark/` holds something else.
-        StorageError: the release cannot be written, or another run holds the benchmark (without `wait`).
+        StorageError: the release cannot be written, or (without `wait`) another run has locked the build.
     """
     build, out = root / "build", root / "benchmark"
     if not recordings:
@@ -69,7 +69,7 @@ def publish_if_stale(
 def already_published(
     settings: BenchmarkSettings, root: Path, recordings: Sequence[str], options: PublishOptions | None
 ) -> PublishSummary | None:
-    """Return the current release that `publish_if_stale` would keep; None if it would publish."""
+    """Return the summary of the present release if `publish_if_stale` would keep it, else None."""
     build, out = root / "build", root / "benchmark"
     stamp = _stamp(build)
     asked = options or (stamp.options if stamp else NO_OPTIONS)
@@ -77,7 +77,7 @@ def already_published(
 
 
 def scoring_folder(root: Path) -> Path:
-    """Return the release that has the truth: `benchmark-private/` if `benchmark/` holds some back."""
+    """Return the release folder that has all truth: `benchmark/`, or else its `benchmark-private/`."""
     out = root / "benchmark"
     private = out.with_name(out.name + PRIVATE)
     try:
@@ -111,7 +111,7 @@ def _fingerprint(
 
 
 def _stamp(build: Path) -> PublishStamp | None:
-    """Return the record of the last publication; None if there is none or it is unreadable."""
+    """Read the record of the last publication; None if there is none or it is unreadable."""
     try:
         return PublishStamp.read_if_there(build)
     except ReleaseError:
@@ -119,7 +119,10 @@ def _stamp(build: Path) -> PublishStamp | None:
 
 
 def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSummary | None:
-    """Return the release in `out`, if it is the one of the stamp and matches the request."""
+    """Return the summary of the release in `out` if it has the stamp's hash, and `wanted` is its fingerprint.
+
+    Otherwise return None.
+    """
     if stamp is None or stamp.fingerprint != wanted:
         return None
     private = out.with_name(out.name + PRIVATE) if stamp.private_sha256 else None

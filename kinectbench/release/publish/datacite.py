@@ -1,4 +1,4 @@
-"""datacite.json: the metadata of a release in DataCite's schema 4, for registries of DOIs.
+"""Make datacite.json: the metadata of a release in DataCite's schema 4, for registries of DOIs.
 
 The content can be sent as `attributes` to `POST https://api.datacite.org/dois`; Zenodo and others export the
 same.
@@ -47,7 +47,7 @@ def _rights(license: str) -> dict[str, str]:
 
 
 def _creator(author: str) -> dict[str, str]:
-    """Return an author as DataCite has it: `Family, Given` is a person, another name a group."""
+    """Return an author's DataCite entry: `Family, Given` is a person, any other name is a group."""
     family, comma, given = author.partition(", ")
     if not comma:
         return {"name": author, "nameType": "Organizational"}

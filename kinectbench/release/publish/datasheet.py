@@ -1,4 +1,4 @@
-"""datasheet.md: purpose, making and known faults of the data."""
+"""Make datasheet.md: purpose, making and known faults of a release's data."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -38,7 +38,7 @@ FIGURES = {
 
 
 def unanswered(settings: BenchmarkSettings) -> list[str]:
-    """Return the unanswered questions of the datasheet, by key."""
+    """Return the keys of `publish.datasheet` that have no answer."""
     return [key for key, value in settings.publish.datasheet.model_dump().items() if not value]
 
 
@@ -56,11 +56,11 @@ def datasheet(
     Args:
         settings: the benchmark's settings; `publish.datasheet` has the answers.
         targets: every pair.
-        infos: {recording: entry}; held-back recordings have no quality.
-        color: "left out", "published" or "none".
-        warnings: warnings of the release.
-        held_back: splits with published inputs only.
-        isolated: recordings with a single published view.
+        infos: {recording: its entry in benchmark.json}; held-back recordings have no quality.
+        color: whether colour images are "left out", "published" or do not exist ("none").
+        warnings: the release's warnings, one line each.
+        held_back: splits of which only inputs are published.
+        isolated: recordings of which a single view is published.
     """
     given = settings.publish.datasheet.model_dump()
     answers = {key: without_tags(value or NOT_STATED) for key, value in given.items()}
@@ -100,7 +100,7 @@ def datasheet(
 
 
 def _sources(infos: Mapping[str, RecordingInfo]) -> str:
-    """Return a list of the sources of the recordings."""
+    """Return a Markdown list of the sources, each with the recordings that come from it."""
     by_source: dict[str, list[str]] = {}
     for name, info in sorted(infos.items()):
         by_source.setdefault(markdown_line(info.source), []).append(name)
@@ -108,7 +108,7 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
 
 
 def datasheet_figures(infos: Mapping[str, RecordingInfo]) -> str:
-    """Return a line for each figure with median and range, and one on who wrote `underside: closed`."""
+    """Return a Markdown list: median and range over recordings of each known figure, and `underside_line`."""
     lines = []
     for key, (text, unit, factor) in FIGURES.items():
         of_key = [getattr(info.quality, key) for info in infos.values()]

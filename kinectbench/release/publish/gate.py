@@ -1,7 +1,7 @@
 """Decide which recordings are published, by the rules of triage or a person's decision.
 
-`recordings[].review` accepts or rejects one recording with a reason, and `publish --allow-poor` accepts every
-built one; a release states the outcome for each recording, with the reason.
+In benchmark.yaml, `review` of a recording accepts or rejects it, with a reason. `publish --allow-poor`
+accepts every built recording. A release states the outcome for each recording, with the reason.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -25,13 +25,13 @@ OF_ONE_OBJECT = "with --isolate one view of its object is published, or it has n
 
 
 def first_lines(lines: Sequence[str]) -> str:
-    """Join lines by semicolons: the first few, and a count of the rest."""
+    """Return the first few lines joined by semicolons, and the number of the rest."""
     more = [f"and {len(lines) - SHOWN_REASONS} more"] if len(lines) > SHOWN_REASONS else []
     return "; ".join([*lines[:SHOWN_REASONS], *more])
 
 
 def left_out_line(name: str, why: str) -> str:
-    """Return the card's line about a recording that is left out; advice may follow `why`."""
+    """Return the card's line about a left-out recording; a caller may append advice."""
     return f"{name} is left out: {why}"
 
 
@@ -41,16 +41,16 @@ def poor_line(name: str, limits: Sequence[str], why: str) -> str:
 
 
 def look_line(name: str, look: Sequence[str]) -> str:
-    """Return the card's line about a recording that a person should review."""
+    """Return the card's line about a published recording that a person should review."""
     return f"{name} is published, and a person should look at it: {'; '.join(look)}"
 
 
 @dataclass(frozen=True)
 class Gate:
-    """The decisions on some recordings.
+    """The decision on each of a benchmark's recordings: published or left out, and why.
 
     Attributes:
-        published: ids of published recordings, in the given order.
+        published: ids of recordings that passed, in the given order; those in `left_out` are not published.
         poor: {published id: (limits that it violates, why it is published nevertheless)}.
         refused: {id: limits that it violates}.
         rejected: {id: a person's reason to leave it out}.
@@ -59,7 +59,7 @@ class Gate:
         not_built: number of the benchmark's recordings that are not built, or not requested.
         without_pair: ids of recordings that passed but have no pair.
         of_one_object: ids left out by `--isolate`, because another recording shows the same object.
-        twice: lines about published recordings that hold the same frames.
+        twice: a line for each two published recordings with the same frames.
     """
 
     published: tuple[str, ...]
@@ -75,7 +75,7 @@ class Gate:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """Return {id: why it is not in the release}, a line each."""
+        """The left-out recordings: {id: why it is not in the release, one line}."""
         return {
             **{name: "; ".join(limits) for name, limits in self.refused.items()},
             **{name: f"{REJECTED}{reason}" for name, reason in self.rejected.items()},
@@ -86,7 +86,7 @@ class Gate:
 
     @property
     def flow(self) -> Flow:
-        """Return the number of recordings tried, and their outcomes."""
+        """The number of recordings tried, and of those with each outcome."""
         in_release = set(self.published) - set(self.left_out)
         return Flow(
             tried=len(in_release) + len(self.left_out) + self.not_built,
@@ -102,11 +102,11 @@ class Gate:
         )
 
     def for_everybody(self, hidden: Collection[str]) -> "Gate":
-        """Return the decisions for the public release, which do not reveal held-back truth.
+        """Return a copy for the public release, in which no reason reveals held-back truth.
 
         Args:
-            hidden: ids of recordings with held-back truth; `WITHHELD` replaces the limits that they violate,
-                and all other stated reasons.
+            hidden: ids of recordings with held-back truth; `WITHHELD` replaces all their violated limits and
+                reasons.
         """
         poor = {name: ((WITHHELD,), WITHHELD) if name in hidden else it for name, it in self.poor.items()}
         refused = {name: (WITHHELD,) if name in hidden else it for name, it in self.refused.items()}
@@ -116,20 +116,20 @@ class Gate:
         return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
 
     def said(self, say: Callable[[str], str]) -> "Gate":
-        """Return a copy in which `say` rewrites each line about the build."""
+        """Return a copy in which `say` rewrites the reasons of failed builds and of reviews, line by line."""
         failed = {name: say(why) for name, why in self.failed.items()}
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)
 
     def with_pairs(self, made: Collection[str]) -> "Gate":
-        """Return a copy that leaves out recordings without a pair, whatever their quality."""
+        """Return a copy that leaves out all recordings but `made`, those that have a pair."""
         without = tuple(name for name in self.published if name not in made)
         poor = {name: lines for name, lines in self.poor.items() if name in made}
         look = {name: lines for name, lines in self.look.items() if name in made}
         return replace(self, without_pair=without, poor=poor, look=look)
 
     def first_reasons(self) -> str:
-        """Return why no recording is in the release: the first reasons, a count of the rest, advice."""
+        """Return in one line why recordings are left out: first reasons, number of the rest, advice."""
         lines = [left_out_line(name, why) for name, why in self.left_out.items()]
         return first_lines(lines) + (ADVICE if self.refused else "")
 
@@ -139,7 +139,7 @@ class Gate:
             yield f"{left_out_line(name, why)}{ADVICE if name in self.refused else ''}"
 
     def lines(self) -> Iterator[str]:
-        """Yield the card's lines: number and reasons of left-out recordings, and poor published ones."""
+        """Yield the card's lines on recordings that are left out, poor, to be reviewed, or twice there."""
         if count := len(self.left_out):
             yield f"{count} recording{' is' if count == 1 else 's are'} left out of this release"
         yield from self.reasons()
@@ -157,10 +157,10 @@ def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], al
         settings: the benchmark's settings, with limits and people's decisions.
         build: the folder with a subfolder for each recording.
         recordings: ids of the built recordings.
-        allow_poor: whether recordings that violate limits pass, too.
+        allow_poor: whether recordings that violate limits are published, too.
 
     Raises:
-        ReleaseError: the same recording would be published in two splits, under two ids.
+        ReleaseError: the same frames would be published under two ids in different splits.
         StorageError: a built file is damaged.
     """
     published, poor = list[str](), dict[str, tuple[tuple[str, ...], str]]()

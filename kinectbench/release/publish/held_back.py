@@ -1,4 +1,4 @@
-"""The public files of recordings whose truth is held back."""
+"""Make the public files of recordings whose truth is held back."""
 
 import numpy as np
 
@@ -17,13 +17,13 @@ DECIMALS = 12
 
 
 def without_truth(pair: Pair, T_floor_world: Float64) -> PairInput:
-    """Return the input of a pair, in a world frame of its own.
+    """Return the input of a pair, transformed to a world frame of its own (`own_world`).
 
-    In the common world frame, the views of an object together would reveal its shape.
+    In a common world frame, the views of an object together would reveal its shape.
 
     Args:
         pair: the complete pair.
-        T_floor_world: (4, 4) of the recording.
+        T_floor_world: (4, 4) of the recording, metres.
     """
     T_own_world = own_world(T_floor_world @ pair.T_world_camera) @ T_floor_world
     values = {key: getattr(pair, key) for key in INPUT_KEYS}
@@ -33,10 +33,10 @@ def without_truth(pair: Pair, T_floor_world: Float64) -> PairInput:
 
 
 def own_world(T_floor_camera: Float64) -> Float64:
-    """Return T_own_floor (4, 4): it shifts the floor's frame and turns it about the vertical.
+    """Return T_own_floor (4, 4), from the floor frame to the own world frame of one view, both with z up.
 
-    Afterwards the camera is above the origin and looks along x. If it looks straight down, the top of its
-    image points along x.
+    In the own frame the camera is above the origin and looks along x. If it looks straight down, the top of
+    its image points along x.
     """
     forward, image_up = T_floor_camera[:2, 2], -T_floor_camera[:2, 1]
     along = forward if np.hypot(*forward) > STEEP else image_up
@@ -48,7 +48,7 @@ def own_world(T_floor_camera: Float64) -> Float64:
 
 
 def own_floor(floor: FloorFile) -> FloorFile:
-    """Return floor.json for these worlds: z up, floor at z = 0; without other planes of the scene."""
+    """Return floor.json in the frames of `own_world`: the floor is z = 0, and other planes are left out."""
     kept = floor.model_copy(
         update={"plane_world": np.array([0.0, 0.0, 1.0, 0.0]), "T_floor_world": np.eye(4)}
     )
@@ -56,6 +56,6 @@ def own_floor(floor: FloorFile) -> FloorFile:
 
 
 def own_views(views: ViewsFile) -> ViewsFile:
-    """Return views.json without frames, poses and the fit to the shape."""
+    """Return views.json with only the views that have a pair, without frames, poses and fit to the shape."""
     rows = tuple(ViewRow(**{key: getattr(row, key) for key in VIEW_KEYS}) for row in views.views if row.pair)
     return views.model_copy(update={"views": rows, "refused": (), "warnings": ()})

@@ -1,8 +1,8 @@
 """`publish --isolate`: one view of each object with held-back truth, and nothing else that reveals it.
 
-Several views of an object can be registered, and together reveal its shape. So everything that other views or
-the camera's place determine is left out, too: the floor, the pose, the background, the outline where the view
-has no depth, frames, stamps, hashes and settings.
+Several views of an object can be registered with each other, and so reveal its shape. So everything that
+depends on other views or on the camera's pose is left out, too: the floor, the pose, the background, the mask
+where the view has no depth, frame numbers, timestamps, hashes and settings.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -37,18 +37,18 @@ JPEG_QUALITY = 95
 
 @dataclass(frozen=True)
 class Isolated:
-    """What `--isolate` publishes of the recordings with held-back truth.
+    """The views that `--isolate` publishes of the recordings with held-back truth.
 
     Attributes:
-        views: {recording: the build's name of its published view}.
-        left_out: other recordings of the same objects, and recordings without a pair.
+        views: {recording: name that its published view has in the build}.
+        left_out: ids of other recordings of the same objects, and of recordings without a pair.
     """
 
     views: Mapping[str, str] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     def lines(self) -> Iterator[str]:
-        """Yield lines for the publisher on what was left out."""
+        """Yield a line that names the left-out recordings, for the publisher; nothing if there are none."""
         if self.left_out:
             yield (
                 f"--isolate: {listed(self.left_out)} left out: one view of an object is published, which is "
@@ -57,7 +57,7 @@ class Isolated:
 
 
 def refuse_framing(settings: BenchmarkSettings) -> None:
-    """Refuse a framing by which a pair's cube reveals the hidden part.
+    """Raise an error if the pairs' framing reveals the hidden part of an object by the cube's size and place.
 
     Raises:
         SettingsError: the framing is `object`.
@@ -70,9 +70,9 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
 
 
 def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
-    """Choose one view of each object, over all of its recordings, with equal probability.
+    """Draw one view of each object with equal probability from all views of all its recordings.
 
-    The draw uses the SHA-256 of `views.seed` and the object's name, so it does not depend on other objects.
+    The draw depends only on `views.seed` and the object's name and views, not on other objects.
 
     Args:
         settings: the benchmark's settings.
@@ -93,14 +93,14 @@ def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str
 
 
 def only_view(rows: Sequence[Row], view: str) -> tuple[Row, ...]:
-    """Return the row of the published view, under its public name."""
+    """Return only the row of the published view (`view` in the build), under its public name `VIEW`."""
     return tuple(row.model_copy(update={"view": VIEW}) for row in rows if row.view == view)
 
 
 def isolated_view(view: PosedView) -> PosedView:
-    """Return the view with the object alone: no depth outside the mask, and no mask without depth.
+    """Return the view restricted to the object: no depth outside the mask, and no mask without depth.
 
-    A view's mask also covers pixels without depth, from the object fused from all views.
+    The original mask also covers pixels without depth, because it comes from the object fused from all views.
     """
     mask = view.mask & (view.depth_m > 0)
     return replace(view, depth_m=np.where(mask, view.depth_m, np.float32(0)), mask=mask)
@@ -122,11 +122,11 @@ def isolated_input(pair: Pair, view: PosedView) -> PairInput:
 
 
 def write_isolated_images(view: PosedView, color: Path | None, folder: Path) -> None:
-    """Write depth and mask of an isolated view, and colour on the object, encoded again.
+    """Write the images of an isolated view: depth, mask, and colour that is black outside the mask.
 
     Args:
         view: the isolated view.
-        color: its colour image; no colour is written if None, or if its size differs from the depth's.
+        color: its colour image; None, or an image of another size than the depth: no colour is written.
         folder: the folder of the recording's views in the release.
 
     Raises:
@@ -142,7 +142,7 @@ def write_isolated_images(view: PosedView, color: Path | None, folder: Path) -> 
 
 
 def isolated_line(isolated: Sequence[str]) -> str:
-    """Return the line of card and datasheet about the isolated recordings."""
+    """Return the text in the card and the datasheet about the isolated recordings."""
     return (
         f"Of each object whose truth is held back one view is published, named {VIEW}. It is drawn by "
         "`views.seed`, and shows the object without its background. Its cube is fitted to it alone. Nothing "

@@ -1,4 +1,4 @@
-"""`objects/<recording>.glb`: a small version of an object for viewers; mesh.ply is the truth.
+"""Write `objects/<recording>.glb`: a small version of an object for viewers; the truth is mesh.ply.
 
 Binary glTF 2.0, written by trimesh: metres, y up, the floor at y = 0. If mesh.ply has more triangles than a
 viewer needs, the GLB has fewer, and states the distance of its surface from mesh.ply.
@@ -29,12 +29,12 @@ MATRIX_DECIMALS, MM_DECIMALS = 12, 3
 
 
 def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = None) -> None:
-    """Write the GLB of each recording with a mesh in a release's folder; held-back ones have none.
+    """Write a GLB for each of the recordings that has a mesh.ply in the release; held-back ones have none.
 
     Args:
         folder: the release's folder.
-        recordings: ids.
-        scenes: `build/`, whose scenes give the objects' colours; None if no colour is published.
+        recordings: ids of recordings.
+        scenes: `build/`, where scene meshes give the objects' colours; None if no colour is published.
 
     Raises:
         StorageError: a mesh or a floor is damaged.
@@ -52,22 +52,25 @@ def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = No
 
 
 def colored_scene(built: Path | None) -> TriangleMesh | None:
-    """Return the scene's mesh in the world with colours; None without a build folder, mesh or colour."""
+    """Read a recording's scene mesh with colours, world frame; None if there is no such mesh or no colour.
+
+    `built` is `build/<recording>/`.
+    """
     path = built and built / SCENE
     scene = read_own_ply(path, colors=True) if path and path.is_file() else None
     return scene if scene and scene.colors is not None else None
 
 
 def glb_bytes(mesh: TriangleMesh, T_floor_world: Float64, scene: TriangleMesh | None = None) -> bytes | None:
-    """Return the content of a GLB of at most 2 MB; the same bytes for the same mesh.
+    """Return an object's mesh as a GLB of at most 2 MB; the bytes are reproducible.
 
-    None if there is no triangle, or if there are too many and they cannot be simplified because they share no
+    None if the mesh has no triangle, or has too many that cannot be simplified because they share no
     vertices.
 
     Args:
-        mesh: the object in the world, metres.
-        T_floor_world: (4, 4), z up, floor at z = 0.
-        scene: coloured mesh in the world, which gives the vertices their colours; None: no colours.
+        mesh: the object, world frame, metres.
+        T_floor_world: (4, 4), to the floor frame: z up, floor at z = 0.
+        scene: coloured mesh, world frame, which gives the vertices their colours; None: no colours.
     """
     T_gltf_world = T_GLTF_FLOOR @ T_floor_world
     most = MOST_TRIANGLES
@@ -103,9 +106,9 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors
 
 
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
-    """Return mean and largest distance of one mesh's vertices from another mesh's surface, millimetres.
+    """Return {"mean", "max"} of the distances of one mesh's vertices from another's surface, millimetres.
 
-    About `MEASURED` vertices are measured, spread evenly over their order.
+    About `MEASURED` vertices, evenly spaced by index, are measured.
     """
     if of is to:
         return {"mean": 0.0, "max": 0.0}

@@ -1,7 +1,7 @@
-"""index.html of a release, one file: objects with pictures, quality and warnings; some objects if many.
+"""Write index.html of a release, one file that shows its objects with pictures, quality and warnings.
 
-A large release's page lists all recordings, and shows some of them, spread evenly, with the pictures of one
-view. Scripts turn the objects and search the list.
+The page of a large release lists all recordings, but shows only some of them, evenly spread, with the
+pictures of one view each. Scripts in the page turn the objects and search the list.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,7 +53,7 @@ def write_preview(
     build: Path | None = None,
     isolated: Sequence[str] = (),
 ) -> None:
-    """Write index.html of a release with existing pairs and views; isolated recordings are left out.
+    """Write index.html of a release whose pairs and views are written; no isolated recording is pictured.
 
     If colour is published, objects get the colours of the scene in `build`.
 
@@ -92,7 +92,7 @@ def write_preview(
 
 
 def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing:
-    """Return the table of all recordings; recordings shown on the page are links."""
+    """Return the list of all recordings; those shown with pictures on the page are links to them."""
     rows = [
         (
             name,
@@ -119,7 +119,7 @@ def _part(
     held_back: bool,
     views: int,
 ) -> dict[str, object]:
-    """Return one recording's part of the page, with this many of its pairs, evenly spread."""
+    """Return the values for a recording's section of the page: `views` of its pairs, evenly spread."""
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,
@@ -132,7 +132,7 @@ def _part(
 
 
 def _turntable(objects: Path, built: Path | None) -> str | None:
-    """Return pictures of the object from all around, as a `data:` address; None without a public surface."""
+    """Return a strip of pictures of the object from all around as a `data:` URL; None without a mesh."""
     if not (objects / OBJECT_FILES[0]).is_file():
         return None
     mesh = read_own_ply(objects / OBJECT_FILES[0])
@@ -144,7 +144,7 @@ def _turntable(objects: Path, built: Path | None) -> str | None:
 
 
 def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:
-    """Return captions and `data:` addresses: depth with mask, visible shape, and the truth if published."""
+    """Return (caption, `data:` URL) of each picture of a pair: depth with mask, partial, truth if public."""
     pair = (read_input if held_back else read_pair)(folder / target.file)
     # The input itself; each of its cells is 4 x 4 pixels.
     partial = unpack(pair.partial)
@@ -164,24 +164,24 @@ def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, 
 
 
 def _png(picture: NDArray[np.uint8]) -> str:
-    """Return an RGB picture (height, width, 3) as a `data:` address."""
+    """Return an RGB picture (height, width, 3) as a `data:` URL of a PNG."""
     return png_uri(png(picture[..., ::-1]))
 
 
 def seen_from_the_front(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """Draw a grid (x right, y down, z forward) from the camera's side: (ny, nx, 3) uint8 RGB."""
+    """Draw a grid (x right, y down, z forward) as the camera sees it: (ny, nx, 3) uint8 RGB."""
     return _shaded(cells.transpose(1, 0, 2), color)
 
 
 def seen_from_the_right(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """Draw a grid from the camera's right: (ny, nz, 3) uint8 RGB; the camera is on the left."""
+    """Draw a grid (x right, y down, z forward) from the camera's right, z to the right: (ny, nz, 3) RGB."""
     return _shaded(cells[::-1].transpose(1, 2, 0), color)
 
 
 def upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
-    """Draw a cut along the view through the shape's middle: (ny, nz, 3) uint8 RGB; the camera is on the left.
+    """Draw a vertical slice through the middle of a shape, (ny, nz, 3) uint8 RGB; the camera is on the left.
 
-    The solid is clay-coloured, its part that the view saw blue, and unknown cells yellow.
+    Cells of `full` are clay-coloured, cells of `partial` blue, and empty cells that are not known yellow.
     """
     filled = np.flatnonzero(full.any(axis=(1, 2)))
     middle = int(filled[0] + filled[-1]) // 2 if len(filled) else len(full) // 2
@@ -195,12 +195,12 @@ def upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
 
 
 def enlarged(picture: Rgb) -> Rgb:
-    """Return a picture of 64-cells, enlarged to the size of a picture of 256-cells."""
+    """Return a picture of a 64^3 grid, enlarged to the size of a picture of a 256^3 grid."""
     return picture.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1)
 
 
 def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """Draw cells (rows, columns, away from the viewer) as a shaded relief."""
+    """Draw cells, whose axes are rows, columns and away from the viewer, as a shaded relief: uint8 RGB."""
     covered = np.asarray(cells.any(axis=2))
     depth = _nearest(cells)
     smooth = _blurred(depth, covered)
@@ -217,9 +217,9 @@ def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
 
 
 def _nearest(cells: Bools) -> Float64:
-    """Return the index of the first filled cell along the last axis; 0 without one.
+    """Return (rows, columns), the index of the first set cell along the last axis; 0 if none is set.
 
-    If that axis is not the fastest in memory, argmax takes 14 times as long as a loop over layers (54 ms
+    If that axis is not contiguous in memory, argmax takes 14 times as long as a loop over layers (54 ms
     instead of 4 ms for 256^3 cells).
     """
     if cells.strides[2] == min(cells.strides, key=abs):
@@ -231,7 +231,7 @@ def _nearest(cells: Bools) -> Float64:
 
 
 def _blurred(depth: Float64, covered: Bools) -> Float64:
-    """Return the mean depth over the covered cells around each cell, so that the relief has no steps."""
+    """Return the depth averaged over the covered neighbours of each cell, so that the relief has no steps."""
     around = np.ones((2 * BLUR_CELLS + 1,) * 2)
     total = ndimage.convolve(np.where(covered, depth, 0.0), around, mode="constant")
     count = ndimage.convolve(covered.astype(np.float64), around, mode="constant")

@@ -1,4 +1,4 @@
-"""Private facts about people and devices: found, removed and listed in privacy.json."""
+"""Find and remove private facts about people and devices in a release; list them in privacy.json."""
 
 import re
 from collections import Counter
@@ -68,14 +68,14 @@ ALONE = (0x01, *range(0xD0, 0xD9))
 
 
 def scrubbed(value: object, file: str, removals: list[Removed], model: object = None) -> Any:
-    """Return a JSON value without private facts; removals are recorded.
+    """Return a copy of a JSON value without private facts; removals are appended to `removals`.
 
     Args:
         value: a JSON value.
         file: the release's file that will hold the value.
         removals: a list to which removed facts are added.
-        model: the typed value behind `value`, or None. Keys that its types declare, and keys of its declared
-            mappings (data, such as categories), are never removed because of their names.
+        model: the pydantic model behind `value`, or None. A key that looks private is kept if the model
+            declares it, or if it is a key of a declared mapping (such as the name of a category).
     """
     removed: list[str] = []
     result = _scrubbed(value, "", removed, model)
@@ -84,7 +84,7 @@ def scrubbed(value: object, file: str, removals: list[Removed], model: object = 
 
 
 def scrubbed_file(stored: StoredFile, file: str, removals: list[Removed]) -> StoredFile:
-    """Return a stored file without private facts; removals are recorded.
+    """Return the content of a file without private facts; removals are appended to `removals`.
 
     Raises:
         ReleaseError: the file is invalid without these facts.
@@ -96,7 +96,7 @@ def scrubbed_file(stored: StoredFile, file: str, removals: list[Removed]) -> Sto
 
 
 def scrubbed_jpeg(data: bytes, file: str, removals: list[Removed]) -> bytes:
-    """Return a JPEG file without metadata; removals are recorded.
+    """Return the bytes of a JPEG file without metadata; removals are appended to `removals`.
 
     Raises:
         ReleaseError: the data is no complete JPEG file.
@@ -115,7 +115,7 @@ def privacy(color: ColorPublished, removals: list[Removed]) -> Privacy:
     """Return the content of privacy.json.
 
     Args:
-        color: "left out", "published" or "none".
+        color: whether colour images are "left out", "published" or do not exist ("none").
         removals: the removed private facts.
     """
     return Privacy(
@@ -129,18 +129,18 @@ def privacy(color: ColorPublished, removals: list[Removed]) -> Privacy:
 
 
 def removed_lines(rows: list[Removed]) -> Iterator[str]:
-    """Yield one line for each kind of removed fact, with the number of files."""
+    """Yield one line for each kind of removed fact, with the number of files that had it."""
     for what, count in Counter(row.what for row in rows).items():
         yield f"removed from {count} file{'s' if count > 1 else ''}: {what}"
 
 
 def _rows(file: str, removed: list[str]) -> list[Removed]:
-    """Return the kinds of facts removed from a file of the release."""
+    """Return rows of privacy.json for one file: one for each kind of fact in `removed`."""
     return [Removed(file=file, what=what) for what in dict.fromkeys(removed)]
 
 
 def _scrubbed(value: object, key: str, removed: list[str], model: object) -> object:
-    """Return the value of a key without private facts; add removals to `removed`."""
+    """Return the value of a JSON key without private facts; append removals to `removed`. Recursive."""
     if isinstance(value, Mapping):
         result, declared = {}, _declared(model)
         for name, child in value.items():
@@ -164,13 +164,13 @@ def _scrubbed(value: object, key: str, removed: list[str], model: object) -> obj
 
 
 def _last_part(path: re.Match[str]) -> str:
-    """Return the last part of a path, unless it is the name of a user."""
+    """Return the text that replaces a matched path: its last part, unless that is a user's name."""
     *above, last = re.split(r"[/\\]+", path[0].rstrip("/\\"))
     return "(path removed)" if above and above[-1].lower() in HOMES else last
 
 
 def _declared(model: object) -> Mapping[str, object]:
-    """Return the keys of JSON that a typed value declares, and the typed values below them."""
+    """Return {JSON key: its value} of the keys that a model declares; empty for other values."""
     if isinstance(model, BaseModel):
         fields = type(model).model_fields.items()
         return {field.serialization_alias or name: _below(getattr(model, name)) for name, field in fields}
@@ -179,26 +179,26 @@ def _declared(model: object) -> Mapping[str, object]:
 
 @dataclass(frozen=True)
 class _Entries:
-    """A mapping that a model declares: its keys are data."""
+    """A mapping inside a model; its keys are data, such as names of categories, and are kept."""
 
     entries: Mapping[str, object]
 
 
 def _below(value: object) -> object:
-    """Return the value of a declared key; a mapping's own keys count as declared, keys below them do not."""
+    """Return a model's value as a `model` for `_scrubbed`: a mapping's own keys will count as declared."""
     return _Entries(value) if isinstance(value, Mapping) else value
 
 
 def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
-    """Remove application segments, comments and what follows the picture; its pixels are unchanged.
+    """Remove metadata from a JPEG file: application segments, comments, and data after the picture.
 
-    Telephones put a second picture or a film behind the first one, with metadata of its own.
+    The pixels are unchanged. Phones append a second picture or a film, which has metadata of its own.
 
     Args:
         data: bytes of the file.
 
     Returns:
-        The file without these, and the names of what was removed in order, such as "EXIF (GPS position)".
+        The bytes without metadata, and the names of the removed parts, such as "EXIF (GPS position)".
 
     Raises:
         ValueError: the data is no JPEG file, or ends too early.
@@ -218,7 +218,7 @@ def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
-    """Yield (marker, first byte, byte after the last, payload) of every segment of the picture."""
+    """Yield (marker, start, end, payload) of every JPEG segment; start and end are offsets in `data`."""
     if data[:2] != b"\xff\xd8":
         raise ValueError("not a JPEG file")
     at, has_scan = 2, False
@@ -247,9 +247,10 @@ def _segments(data: bytes) -> Iterator[tuple[int, int, int, bytes]]:
 
 
 def _end_of_scan(data: bytes, at: int) -> int:
-    """Return where the scan that begins at a byte ends: at a marker that may follow, with its whole segment.
+    """Return the offset of the end of the JPEG scan that contains offset `at`.
 
-    A damaged byte of a scan may look like a marker; it is followed by no segment and no other marker.
+    A scan ends at the end of the image, at another scan, or at a marker whose segment is followed by a
+    marker. A damaged byte in a scan may look like a marker, but is not followed by a segment and a marker.
     """
     for following in AFTER_SCAN.finditer(data, at):
         start = following.start()
@@ -262,7 +263,7 @@ def _end_of_scan(data: bytes, at: int) -> int:
 
 
 def _name(marker: int, payload: bytes) -> str:
-    """Return the name of a segment, and the private facts in it."""
+    """Return the name of a JPEG segment with the private facts in it, such as "EXIF (GPS position)"."""
     if marker == COMMENT:
         return "comment"
     name = next((name for head, name in NAMES if payload.startswith(head)), f"APP{marker - APP0}")
@@ -271,7 +272,7 @@ def _name(marker: int, payload: bytes) -> str:
 
 
 def _exif_facts(tiff: bytes) -> list[str]:
-    """Return the private facts in a block of EXIF, by their tags."""
+    """Return the kinds of private facts in an EXIF block, such as "GPS position", found by their tags."""
     order: Order = "little" if tiff[:2] == b"II" else "big"
     tags = {0x8825: "GPS position", 0xA431: "serial number", 0xA435: "serial number", 0xA430: "owner"}
     facts = [name for tag, name in tags.items() if tag.to_bytes(2, order) in _tags(tiff, order)]
@@ -279,7 +280,10 @@ def _exif_facts(tiff: bytes) -> list[str]:
 
 
 def _tags(tiff: bytes, order: Order) -> set[bytes]:
-    """Return the tags of the first directory and of the EXIF directory below it; empty if damaged."""
+    """Return the tags, two bytes each, of a TIFF's first directory and of its EXIF directory.
+
+    The result is empty if the data is damaged.
+    """
 
     def number(part: bytes) -> int:
         return int.from_bytes(part, order)

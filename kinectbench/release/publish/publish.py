@@ -51,15 +51,15 @@ class PublishSummary:
 
     Attributes:
         folder: the release, or its public part.
-        benchmark_sha256: the identity of that release.
+        benchmark_sha256: the hash that identifies the release in `folder`.
         pairs: number of pairs.
         recordings: ids of the published recordings, in the given order.
-        warnings: one line each; the card has the same, except reasons that reveal held-back truth.
+        warnings: one line each. The card has the same lines, except reasons that reveal held-back truth.
         private: the private part for scoring, if truth is held back.
-        private_sha256: the identity of the private part.
+        private_sha256: the hash that identifies the private part.
         removed: removed private facts, one line each.
-        unanswered: questions of the datasheet, by key.
-        refused: ids of recordings that violate limits of `publish.gate`.
+        unanswered: keys of the datasheet's unanswered questions.
+        refused: ids of recordings left out because they violate limits of `publish.gate`.
     """
 
     folder: Path
@@ -101,8 +101,8 @@ def publish(
         settings: the benchmark's settings.
         build: the folder with a subfolder for each recording.
         out: the release's folder; with `hold_back` its public part, and `<out>-private` is written, too.
-        recordings: ids of built recordings; one without a pair, or that fails the gate, is left out with a
-            warning.
+        recordings: ids of built recordings. A recording that has no pair, or that the gate refuses, is left
+            out with a warning.
         options: thresholds, held-back splits, and whether poor recordings pass the gate.
 
     Raises:
@@ -156,7 +156,7 @@ def _hidden(settings: BenchmarkSettings, options: PublishOptions) -> frozenset[s
 
 
 def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> None:
-    """Refuse a release with too many files, before hours are spent on it."""
+    """Raise an error if the release would have too many files, before hours are spent on writing it."""
     pairs = sum(len(PairsFile.read(build / name / "pairs").pairs) for name in recordings)
     of_pair = 2 + len(VIEW_IMAGES) + settings.publish.color
     total = of_pair * pairs + FILES_OF_RECORDING * len(recordings)
@@ -171,7 +171,7 @@ def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Seq
 def _refuse_empty_split(
     settings: BenchmarkSettings, recordings: Sequence[str], hold_back: Sequence[str]
 ) -> None:
-    """Refuse to hold back a split that has no recording."""
+    """Raise an error if a split is to be held back that has no recording."""
     by_id = settings.by_id()
     splits = {by_id[name].split for name in recordings}
     for split in hold_back:
@@ -190,7 +190,7 @@ def _write(
     options: PublishOptions,
     isolated: Isolated,
 ) -> PublishSummary:
-    """Write one release into a folder."""
+    """Write one release, complete, public or private, into an empty folder; return its summary."""
     removals = list[Removed]()
     passed = passed.said(lambda line: scrubbed({"left_out": line}, BENCHMARK_JSON, removals)["left_out"])
     made = _pairs(settings, build, folder, passed, options, isolated, removals)
@@ -253,7 +253,7 @@ def _pairs(
     isolated: Isolated,
     removals: list[Removed],
 ) -> dict[str, Published]:
-    """Write the pairs of each recording; return the recordings with a pair, by id."""
+    """Write the files of each recording; return {id: published part} of the recordings with a pair."""
     made = dict[str, Published]()
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
@@ -267,7 +267,7 @@ def _pairs(
 
 
 def _with_warnings(published: Published, passed: Gate, name: str) -> Published:
-    """Return a published recording with the limits that it violates and the reasons to review it."""
+    """Return a published recording to whose entry the violated limits and reasons for a review are added."""
     changes = dict[str, object]()
     if name in passed.poor:
         changes["poor"], changes["accepted"] = passed.poor[name]
@@ -311,7 +311,7 @@ def _gives_away(
     infos: Mapping[str, RecordingInfo],
     isolated: Isolated,
 ) -> list[str]:
-    """Return lines about published facts that may have to stay hidden: people, parts of held-back shapes."""
+    """Return warnings on published facts that may have to stay hidden: people, parts of held-back shapes."""
     warnings = []
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
@@ -326,7 +326,7 @@ def _gives_away(
 
 
 def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """Return a line if no published split can choose the methods' thresholds."""
+    """Return a warning if the release has no validation split, from which methods get their thresholds."""
     names = [recording.id for recording in settings.recordings if recording.split == "validation"]
     if any(name in infos for name in names):
         return []
@@ -335,7 +335,7 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
 
 
 def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """Return a line for each recording with warnings on object or trajectory; the datasheet has all."""
+    """Return a line for each recording with quality warnings: the first one, and the number of the rest."""
     lines = []
     for name, info in infos.items():
         warnings = info.quality.warnings
@@ -356,7 +356,7 @@ def _unknown(made: Mapping[str, Published]) -> list[str]:
 
 
 def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorPublished:
-    """Return whether colour exists and is published."""
+    """Return "none" if no recording has colour images, else whether they are "published" or "left out"."""
     if not any(published.has_color for published in made.values()):
         return "none"
     return "published" if settings.publish.color else "left out"
@@ -365,9 +365,10 @@ def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorP
 def _public_settings(
     settings: BenchmarkSettings, hold_back: Sequence[str], removals: list[Removed], isolate: bool = False
 ) -> dict[str, Any]:
-    """Return the settings without this machine's paths, and without keys that reveal held-back truth.
+    """Return the settings for benchmark.json: without this machine's paths and private facts.
 
-    Each recording states its underside itself, because recordings of its category may be unpublished.
+    Keys that reveal held-back truth are left out, too. Each recording states its underside, because the
+    defaults of its category are not published.
     """
     public = settings.model_dump(mode="json", exclude={"name", "license", "publish", "categories"})
     for recording, own in zip(public["recordings"], settings.recordings, strict=True):
@@ -388,7 +389,7 @@ def _public_settings(
 
 
 def _set_apart(row: dict[str, Any]) -> dict[str, Any]:
-    """Return what people say of source and licence, and empty it where it stands."""
+    """Return {key: value} of `source` and `license` in `row`, and set both to None in it."""
     said: dict[str, Any] = {key: row[key] for key in ("source", "license") if key in row}
     row.update(dict.fromkeys(said))
     return said

@@ -1,4 +1,4 @@
-"""Write the files of one recording in a release: pairs, views and object, or only inputs if held back."""
+"""Write one recording's files into a release: pairs, views, object; only inputs if truth is held back."""
 
 import shutil
 from collections.abc import Sequence
@@ -51,15 +51,15 @@ from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 @dataclass(frozen=True)
 class Built:
-    """A recording to publish.
+    """A built recording that is to be published.
 
     Attributes:
         settings: the benchmark's settings.
         recording: the recording's settings.
         folder: `build/<recording>/`.
         hidden: whether the recording's truth is held back.
-        most_named: most files that lineage.json lists one by one; for more files it has one hash over all.
-        only: with `--isolate`, the build's name of the one published view; None: all views are published.
+        most_named: most files that lineage.json lists one by one; of more files it has a single hash.
+        only: with `--isolate`, the name in the build of the only published view; None: all are published.
     """
 
     settings: BenchmarkSettings
@@ -75,12 +75,12 @@ class Built:
         return self.hidden and self.only is not None
 
     def built_name(self, view: str) -> str:
-        """Return the build's name of a published view."""
+        """Return the name that a published view has in the build."""
         return view if self.only is None else self.only
 
     @cached_property
     def pairs(self) -> PairsFile:
-        """The recording's pairs, and its views without one; cached, like `views` and `camera`."""
+        """Content of pairs.json, reduced to the only published view if the recording is isolated."""
         pairs = PairsFile.read(self.folder / "pairs")
         if self.only is None:
             return pairs
@@ -88,7 +88,7 @@ class Built:
 
     @cached_property
     def views(self) -> ViewsFile:
-        """The recording's views."""
+        """Content of views.json, reduced to the only published view if the recording is isolated."""
         views = ViewsFile.read(self.folder / "views")
         if self.only is None:
             return views
@@ -101,7 +101,7 @@ class Built:
 
     @cached_property
     def posed_views(self) -> dict[str, PosedView]:
-        """Return the views with a pair, by published name; an isolated view shows the object alone."""
+        """The views with a pair, {published name: view}; an isolated view has the object only."""
         published = {row.view for row in self.pairs.pairs}
         return {row.view: self._posed(row) for row in self.views.views if row.view in published}
 
@@ -140,7 +140,7 @@ class Published:
 
 
 def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Published | None:
-    """Copy the published part of one recording into a release; None if it has no pair.
+    """Write the files of one recording into a release; return its published part, or None without a pair.
 
     Args:
         built: the recording.
@@ -166,7 +166,7 @@ def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Pu
 
 
 def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
-    """Read a built pair and its file's bytes; its framing and partial rule must be the benchmark's."""
+    """Read a built pair: return its file's bytes and the pair; check its framing and partial rule."""
     path = built.folder / "pairs" / f"{built.built_name(view)}.npz"
     try:
         content = pair_content(path)
@@ -183,11 +183,11 @@ def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
 
 
 def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, float]:
-    """Write a pair as built, or only its input.
+    """Write a pair into a release as built, or only its input if its truth is held back.
 
     Returns:
-        The pair's target, whether its true shape is entirely unknown, and the visible share of the true
-        surface.
+        The pair's target, whether its true shape is entirely unknown, and the share of the true surface that
+        the view sees.
     """
     recording = built.recording
     content, pair = _read_pair(built, view)
@@ -225,7 +225,9 @@ def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None
 
 
 def _publish_views(built: Built, targets: Sequence[Target], folder: Path, removals: list[Removed]) -> bool:
-    """Copy depth and mask of every view with a pair, and colour if requested; return whether there is colour.
+    """Copy depth and mask of every view with a pair, and colour if requested; write views.json.
+
+    Return whether the build has colour images of these views.
 
     Args:
         built: the recording.
@@ -257,7 +259,7 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
 
 def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> ViewsFile:
-    """Return views.json with the camera in each view's row, and the unknown share of the view's pair."""
+    """Return views.json with intrinsics, existence of a pair and its unknown share added to each row."""
     more: dict[str, object] = {"K": camera.K, "width": camera.width, "height": camera.height}
     shares = {target.view: target.unknown_share for target in targets}
     rows = []
@@ -270,7 +272,7 @@ def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> 
 
 
 def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]) -> RecordingInfo:
-    """Return the facts about a recording for benchmark.json."""
+    """Return a recording's entry in benchmark.json."""
     recording = built.recording
     quality = QualityFile() if built.hidden else _without_method(built.quality)
     refused = (*built.views.refused, *built.pairs.refused)
@@ -294,20 +296,21 @@ def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]
 
 
 def _without_method(quality: QualityFile) -> QualityFile:
-    """Return quality.json for benchmark.json, without the method, which is long and equal for all."""
+    """Return a quality without its key `method`, which is long and the same for all recordings."""
     kept = quality.model_fields_set - {"method"}
     return QualityFile.model_construct(kept, **{key: getattr(quality, key) for key in kept})
 
 
 def _write(stored: Stored, folder: Path, name: str, removals: list[Removed]) -> None:
-    """Write a file without its private facts into a folder of the release."""
+    """Write a JSON file into the folder `name` of a release, without private facts."""
     scrubbed_file(stored, f"{name}/{stored.FILE}", removals).write(folder / name)
 
 
 def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
-    """Return the origin of a recording's pairs; if its truth is held back, without views and a given box.
+    """Return a recording's entry in lineage.json: its files, stages and the frames of its views.
 
-    For an isolated recording only its author and licence are returned.
+    If its truth is held back, frames and people's statements on the object are left out. An isolated
+    recording has only source and licence.
     """
     if built.isolated:
         return LineageRecording(
@@ -337,7 +340,7 @@ def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
 
 
 def _frame(row: ViewRow) -> LineageView:
-    """Return the recorded frame of a view."""
+    """Return a view's entry in lineage.json: its frame number and timestamp."""
     if row.frame is None or row.stamp_ns is None:
         raise ReleaseError(
             f"view {row.view}: views.json does not say of which frame it is; build it again", what="not-built"
@@ -346,7 +349,7 @@ def _frame(row: ViewRow) -> LineageView:
 
 
 def _stage(folder: Path, hidden: bool) -> LineageStage:
-    """Return a stage's manifest; without a person's statements about the object if it is hidden."""
+    """Return a stage's entry in lineage.json; if `hidden`, without people's statements on the object."""
     manifest = Manifest.read(folder)
     return LineageStage(
         package_version=manifest.package_version,

@@ -1,8 +1,9 @@
-"""How well public views can rebuild a held-back truth: a solid carved at their poses.
+"""Estimate how well an attacker could rebuild a held-back truth from the public views of an object.
 
-Whoever has the views can register them. No registration finds better poses than the true ones, so the solid
-carved at the true poses shows about how much an attack can reach. The benchmark `held_back_attack` compares
-both: registered views of a real cabinet were 0.02 below this IoU (8 views) and 0.01 above it (5 views).
+Anybody can register the views with each other. No registration finds better poses than the true ones, so a
+solid carved from the views at their true poses shows about what an attack can reach.
+benchmarks/scoring/held_back_attack.py compares both: registered views of a real cabinet were 0.02 below this
+IoU (8 views) and 0.01 above it (5 views).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -53,11 +54,11 @@ class PosedView:
 
 @dataclass(frozen=True)
 class Rebuilt:
-    """IoUs of rebuilt solids with the known truth, in [0, 1]: means over some of the views' cubes.
+    """IoU on known cells between rebuilt solids and the truth, in [0, 1]: means over the cubes of some views.
 
     Attributes:
         iou: IoU of the solid rebuilt from all views.
-        single_iou: IoU of the solid rebuilt only from the view of each cube.
+        single_iou: IoU of the solid rebuilt from one view, the one that the cube belongs to.
     """
 
     iou: float
@@ -65,10 +66,10 @@ class Rebuilt:
 
 
 def rebuilt_line(infos: Mapping[str, RecordingInfo]) -> str | None:
-    """Return how well held-back truth can be rebuilt, and the remedy; None without held-back truth.
+    """Return a warning with the highest IoU of a rebuilt held-back object, and the remedy; None if none is.
 
     Args:
-        infos: entries of benchmark.json.
+        infos: {recording: its entry in benchmark.json}.
     """
     results = {
         name: (info.rebuilt_iou, info.rebuilt_single_iou)
@@ -98,11 +99,11 @@ def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Flo
 
 
 def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> Rebuilt:
-    """Return how well the truth of one object can be rebuilt, by the best method of `solids`.
+    """Return how well one object can be rebuilt from its public views, by the best method of `solids`.
 
     Args:
         views: {name: public view} of the object.
-        pair_of: returns the pair of a view.
+        pair_of: function that returns the complete pair of a view by its name.
     """
     pairs = {name: pair_of(name) for name in spread(sorted(views), CUBES)}
     every = [_ious(pair, list(views.values())) for pair in pairs.values()]
@@ -111,34 +112,37 @@ def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> R
 
 
 def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:
-    """Return the IoU of each of the solids of `solids` in a pair's cube."""
+    """Return the IoU with the truth of each of the three `solids` that the views give in a pair's cube."""
     return [sampled_known_iou(solid, pair) for solid in solids(pair.grid, views)]
 
 
 def sampled_known_iou(solid: Bools, pair: Pair) -> float:
-    """Return the IoU of a solid (64, 64, 64) with `every_fourth` known cell of the truth; 1 if both empty."""
+    """Return the IoU of a solid (64, 64, 64) and the truth at `every_fourth` cell, known cells only.
+
+    It is 1 if both are empty.
+    """
     full, known = every_fourth(unpack(pair.full)), every_fourth(unpack(pair.known))
     union = int(((solid | full) & known).sum())
     return int((solid & full & known).sum()) / union if union else 1.0
 
 
 def every_fourth(cells: Bools) -> Bools:
-    """Return one cell of each 4 x 4 x 4 of a grid (256, 256, 256): (64, 64, 64)."""
+    """Sample a grid (256, 256, 256): return (64, 64, 64), one cell of each block of 4 x 4 x 4."""
     return cells[MIDDLE, MIDDLE, MIDDLE]
 
 
 def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]:
-    """Return solids from some views: carved, convex hull of the points, and their intersection.
+    """Return three solids from some views: carved, convex hull of the points, intersection of both.
 
-    A view sees through a cell that lies outside its mask or in front of its depth. A cell is empty if more
-    than one view in eight sees through it. A view says nothing about cells outside its image.
+    A view sees through a cell that projects outside its mask, or lies in front of its depth. Carving empties
+    a cell if more than one view in eight sees through it. Views have no say on cells outside their image.
 
     Args:
-        grid: a grid of 256 cells a side.
+        grid: the grid of a pair, 256 cells a side.
         views: the views, at least one.
 
     Returns:
-        Three (64, 64, 64) bool grids, of `every_fourth` cell.
+        Three (64, 64, 64) bool grids, sampled by `every_fourth`.
     """
     side = np.arange(grid.shape[0])[MIDDLE]
     cells = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -155,7 +159,10 @@ def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]
 
 
 def _seen_through(points_world: Float64, view: PosedView, margin_m: float) -> Bools:
-    """Return which points (n, 3) lie outside a view's mask, or before its depth beyond margin and noise."""
+    """Return (n,) bool: points (n, 3) that project outside a view's mask, or lie in front of its depth.
+
+    "In front" means by more than `margin_m` and the depth's noise. Points outside the image are False.
+    """
     points = transform_points(invert_rigid(view.T_world_camera), points_world)
     ahead = np.where(points[:, 2:] > 0, points, np.array([0.0, 0.0, 1.0]))
     column, row = np.rint(view.camera.project(ahead)).T.astype(np.int64)

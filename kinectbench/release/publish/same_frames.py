@@ -1,4 +1,4 @@
-"""Find recordings that are declared under two ids: test data must not be training data."""
+"""Find recordings that are declared twice under two ids, so that no test data is training data."""
 
 import heapq
 from collections import defaultdict
@@ -20,16 +20,16 @@ LOOKED_FOR = 16
 
 @dataclass(frozen=True)
 class SameFrames:
-    """Two entries of benchmark.yaml that select the same object in the same frames, under two names."""
+    """Two recordings in benchmark.yaml with the same frames and selected object, but two object names."""
 
     first: RecordingSettings
     second: RecordingSettings
 
 
 def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> Iterator[SameFrames]:
-    """Yield pairs of recordings that hold the same frames but name different objects, in their order.
+    """Yield every two recordings that have the same frames but name different objects.
 
-    Entries with different boxes, clicks or masks select different objects: such pairs are left out.
+    Recordings with different boxes, picks or masks select different objects, and are left out.
 
     Args:
         settings: the benchmark's settings.
@@ -57,10 +57,10 @@ def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[s
 
 
 def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> list[str]:
-    """Return lines about recordings that are published twice.
+    """Return a line for each two recordings that `same_frames` yields.
 
     Raises:
-        ReleaseError: two ids of one recording are in different splits.
+        ReleaseError: two such recordings are in different splits.
     """
     lines = []
     for same in same_frames(settings, build, recordings):
@@ -80,25 +80,28 @@ def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Seq
 
 
 def _files(folder: Path) -> Mapping[str, SourceFile]:
-    """Return the files of a recording; none if sources.json is missing."""
+    """Return {name: size and hash} of a recording's files from sources.json; empty without this file."""
     sources = Sources.read_if_there(folder)
     return {} if sources is None else sources.files
 
 
 def _looked_for(files: Mapping[str, SourceFile]) -> list[str]:
-    """Return the smallest hashes of files no smaller than the mean size: pictures, or the bag."""
+    """Return hashes to look for in other recordings: the smallest `LOOKED_FOR` among those of large files.
+
+    Large means at least the mean size, so that the files are images or the bag.
+    """
     mean = sum(file.size for file in files.values()) / max(1, len(files))
     return heapq.nsmallest(LOOKED_FOR, {file.sha256 for file in files.values() if file.size >= mean})
 
 
 def _shared(files: Mapping[str, SourceFile], others: Mapping[str, SourceFile]) -> float:
-    """Return the share of the smaller recording's bytes that is in equal files."""
+    """Return the share of the smaller recording's bytes that lie in files that both recordings have."""
     sizes, others_sizes = ({file.sha256: file.size for file in each.values()} for each in (files, others))
     equal = sum(size for digest, size in sizes.items() if digest in others_sizes)
     return equal / max(1, min(sum(sizes.values()), sum(others_sizes.values())))
 
 
 def _chosen_by(recording: RecordingSettings) -> str:
-    """Return as text how an entry selects its object in the frames."""
+    """Return as text the settings by which a recording selects its object in the frames."""
     mask_object = recording.camera.mask_object if recording.camera else None
     return repr((recording.box, recording.pick, recording.masks, recording.segment_by, mask_object))

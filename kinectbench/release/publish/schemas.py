@@ -1,10 +1,9 @@
-"""The schemas of a release: the content of every file, for readers without this package.
+"""Schemas of a release's files, for readers without this package.
 
-They are stored in `schemas/` beside this file in their published form, so that the bytes of a release do not
-depend on the version of pydantic; a test compares them with the models. The schema of scores.json is stored
-there, too, but not published. After a change of the models, run `python -m
-kinectbench.release.publish.schemas` in a checkout: it writes all schemas, and the copy of that of scores.json
-in docs/.
+The published schemas are stored in `schemas/` beside this module, so that the bytes of a release do not
+depend on the version of pydantic; a test compares them with the models. `schemas/` also has the schema of
+scores.json, which is not published. After a change of the models, run `python -m
+kinectbench.release.publish.schemas` in a checkout: it writes all schemas, and docs/scores.schema.json.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -65,7 +64,7 @@ PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha25
 
 
 def schema_texts() -> dict[str, str]:
-    """Return {file name: text} of every schema, made from the models."""
+    """Make every schema from the models: return {file name: text}."""
     schemas = {
         f"{name}.schema.json": {"$schema": DIALECT, "$comment": files}
         | model.model_json_schema(by_alias=True)
@@ -76,11 +75,11 @@ def schema_texts() -> dict[str, str]:
 
 
 def write_schemas(folder: Path, columns: Sequence[str]) -> None:
-    """Write the schemas of the files that a release holds so far; benchmark.json comes last.
+    """Write the schemas of all files that the release folder has so far, and that of benchmark.json.
 
     Args:
-        folder: the release's folder.
-        columns: columns of its targets.csv.
+        folder: the release's folder; benchmark.json is written later.
+        columns: columns of the release's targets.csv.
     """
     (folder / SCHEMAS).mkdir()
     stored = resources.files("kinectbench.release.publish").joinpath(SCHEMAS)
@@ -94,7 +93,7 @@ def write_schemas(folder: Path, columns: Sequence[str]) -> None:
 
 
 def schema_problems(name: str, text: str) -> Iterator[str]:
-    """Yield the schema violations of a JSON file of a release, a clause each; none without a schema.
+    """Yield a message for each schema violation of a JSON file of a release; nothing without a schema.
 
     Args:
         name: the file's name, relative to the release.
@@ -115,7 +114,7 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
 
 
 def _table(columns: Iterable[str] = COLUMNS) -> dict[str, object]:
-    """Return a table schema (https://datapackage.org/standard/table-schema/) of targets.csv."""
+    """Return the table schema (https://datapackage.org/standard/table-schema/) of targets.csv."""
     rows: list[dict[str, object]] = []
     for column in columns:
         if column == TRUTH_COLUMN:  # the table of a split without such a truth lacks it
@@ -136,7 +135,7 @@ def _table(columns: Iterable[str] = COLUMNS) -> dict[str, object]:
 
 
 def _pair() -> dict[str, object]:
-    """Return the description of the keys of a pair file."""
+    """Return the schema of a pair file: name, dtype, shape and description of each array."""
     keys = []
     about = {field.name: field.metadata["description"] for field in fields(Pair)}
     about["format_version"] = str(FORMAT_VERSION)

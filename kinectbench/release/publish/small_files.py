@@ -1,4 +1,4 @@
-"""The small files of a release: targets, splits, licence, citation, schemas, metadata, card, checksums."""
+"""Write a release's small files: targets, splits, licence, citation, schemas, metadata, card, checksums."""
 
 import platform
 from collections.abc import Mapping, Sequence
@@ -65,7 +65,7 @@ PACKAGES = (
 
 @dataclass(frozen=True)
 class Head:
-    """The first keys of benchmark.json.
+    """Facts about a release as a whole, for benchmark.json and the other small files.
 
     Attributes:
         name: the benchmark's name.
@@ -73,12 +73,12 @@ class Head:
         framing: framing of every pair.
         partial_rule: partial rule of every pair.
         settings: the settings that made the release, as plain JSON values, without paths of the machine.
-        texts: the card's texts.
-        citation: how the release is cited.
-        held_back: splits with published inputs only.
+        texts: the card's texts that depend on the origin of the pairs.
+        citation: authors, title, version and address for citing the release.
+        held_back: splits of which only inputs are published.
         left_out: {recording: why it is not published}, for built and failed recordings.
         flow: number of recordings tried, and their outcomes; None: the pairs are not made from recordings.
-        isolated: recordings with a single published view.
+        isolated: recordings of which a single view is published.
         surface_truth: splits whose truth is an open mesh.
     """
 
@@ -104,14 +104,14 @@ def write_small_files(
     warnings: Sequence[str],
     scenes: Path | None = None,
 ) -> str:
-    """Write the small files of an otherwise complete release folder; return its identity.
+    """Write the small files of an otherwise complete release folder; return its benchmark_sha256.
 
     Args:
-        head: the first keys of benchmark.json.
+        head: facts about the release as a whole.
         folder: the release's folder.
         targets: every pair, sorted.
         infos: {recording: its entry in benchmark.json}.
-        warnings: one line each, for the card.
+        warnings: the release's warnings, one line each, for the card.
         scenes: see `write_glbs`.
     """
     infos = {name: _with_origin(info, head) for name, info in infos.items()}
@@ -134,7 +134,7 @@ def write_small_files(
 
 
 def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> About:
-    """Return the metadata of a release for other catalogues."""
+    """Return the description of a release from which croissant.json and datacite.json are made."""
     published = head.settings.get("publish")
     options = PublishSettings() if published is None else PublishSettings.model_validate(published)
     return About(
@@ -151,7 +151,7 @@ def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> A
 
 
 def note_in_benchmark_json(folder: Path, **more: str) -> None:
-    """Set keys of benchmark.json in a finished release; its identity stays the same."""
+    """Set keys of benchmark.json in a finished release; they must not count in its benchmark_sha256."""
     ReleaseInfo.read(folder).model_copy(update=more).write(folder)
     path = folder / SHA256SUMS
     sums = parse_sums(read_plain_text(path), str(path)) | {
@@ -161,14 +161,14 @@ def note_in_benchmark_json(folder: Path, **more: str) -> None:
 
 
 def _with_origin(info: RecordingInfo, head: Head) -> RecordingInfo:
-    """Return a recording with the benchmark's licence and source in place of missing ones."""
+    """Return a recording's entry with the benchmark's licence and source in place of missing ones."""
     defaults = {"license": head.license, "source": head.texts.origin}
     update = {key: value for key, value in defaults.items() if value and getattr(info, key) == UNSPECIFIED}
     return info.model_copy(update=update)
 
 
 def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
-    """Return benchmark.json without the identity; keys of missing parts are left out."""
+    """Return benchmark.json with zeros as benchmark_sha256; empty optional keys are not set."""
     reasons = reasons_against_distribution(infos)
     info = ReleaseInfo(
         name=head.name,
@@ -196,7 +196,7 @@ def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:
 
 
 def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
-    """Write targets.csv, a table for each split with pairs, and splits.json."""
+    """Write targets.csv, targets/<split>.csv for each split with pairs, and splits.json."""
     (folder / TARGETS_CSV).write_text(targets_text(targets), encoding="utf-8")
     (folder / SPLIT_TARGETS).mkdir()
     for split in SPLITS:
@@ -207,7 +207,7 @@ def _write_targets(folder: Path, targets: tuple[Target, ...]) -> None:
 
 
 def _seal(folder: Path, info: ReleaseInfo) -> str:
-    """Write benchmark.json and the checksums; return the release's identity."""
+    """Compute benchmark_sha256, write benchmark.json and SHA256SUMS, and return benchmark_sha256."""
     sums = {path.relative_to(folder).as_posix(): sha256_file(path) for path in release_files(folder)}
     identity = benchmark_sha256(sums_text(sums), info.text())
     info.model_copy(update={"benchmark_sha256": identity}).write(folder)
@@ -217,6 +217,6 @@ def _seal(folder: Path, info: ReleaseInfo) -> str:
 
 
 def data_package_versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that compute the data; "unknown" if not installed."""
+    """Return {package: version} of Python and the packages that compute data; "unknown" if not installed."""
     versions = {name: package_version(name) or "unknown" for name in PACKAGES}
     return {"python": platform.python_version(), **versions}

@@ -39,7 +39,7 @@ def publish_stored(
     options: PublishOptions | None = None,
     progress: Progress | None = None,
 ) -> PublishSummary:
-    """Publish a benchmark in a store as `benchmark/` there; see `publish_if_stale`.
+    """Publish a benchmark whose build is in a store as `benchmark/` in that store; see `publish_if_stale`.
 
     Args:
         jobs: the built recordings, at least one.
@@ -75,7 +75,7 @@ def publish_stored(
 
 
 def _fetch_state(store: Store, root: Path) -> None:
-    """Download the record of the last publication."""
+    """Download the record of the last publication, and benchmark.json of the release and its private part."""
     for name in (
         f"build/{PublishStamp.FILE}",
         f"{RELEASE}/{BENCHMARK_JSON}",
@@ -87,7 +87,7 @@ def _fetch_state(store: Store, root: Path) -> None:
 
 
 def _fetch_failures(store: Store, root: Path, names: Sequence[str]) -> None:
-    """Download the reasons why some recordings are not built."""
+    """Download the files that say why some recordings are not built."""
     for name, content in zip(
         names,
         in_parallel(partial(store.read_if_there, f"build/{name}/{Failed.FILE}") for name in names),
@@ -102,7 +102,7 @@ def _fetch_pairs_manifest(copy: Checkout) -> None:
 
 
 def _fetch_read(copy: Checkout) -> None:
-    """Download the files that a release is made from."""
+    """Download the files of a built recording that `publish` reads."""
     recording = copy.job.recording.id
     for stage, files in READ.items():
         if files is None:

@@ -1,4 +1,4 @@
-"""previews/: a small picture of each pair's view, and the tables for viewers of datasets.
+"""Write previews/: a small picture of each pair's view, and tables that dataset viewers read.
 
 Each split has a folder that `ImageFolder` of Hugging Face's `datasets` can read: `metadata.jsonl` has a line
 for each pair, with its picture's path in `file_name`. Source:
@@ -22,19 +22,19 @@ WIDTH_PX = 320
 
 
 def row_picture(target: Target) -> str:
-    """Return `file_name` in the row of a pair."""
+    """Return `file_name` in a pair's row: the path of its picture below the folder of its split."""
     return f"{target.recording}/{target.view}.jpg"
 
 
 def rows_text(targets: Sequence[Target]) -> str:
-    """Return metadata.jsonl of the pairs of one split: `file_name`, then the columns of targets.csv."""
+    """Return the text of a split's metadata.jsonl: a row per pair, `file_name` and columns of targets.csv."""
     names = columns_of(targets)
     rows = [{"file_name": row_picture(t)} | {name: getattr(t, name) for name in names} for t in targets]
     return "".join(json.dumps(row) + "\n" for row in rows)
 
 
 def write_view_pictures(folder: Path, targets: Sequence[Target]) -> None:
-    """Write previews/ of a release with existing views; the pictures show nothing that `views/` lacks.
+    """Write previews/ from the images in `views/` of a release's folder.
 
     Raises:
         StorageError: an image is damaged.
@@ -49,7 +49,7 @@ def write_view_pictures(folder: Path, targets: Sequence[Target]) -> None:
 
 
 def view_picture(views: Path, view: str) -> Rgb:
-    """Draw depth with the mask's outline, and to its right colour if published."""
+    """Draw a view's depth with the mask's outline, and its colour image, if any, to the right."""
     picture = depth_with_mask(views, view)
     path = views / f"{view}.color.jpg"
     if not path.is_file():
@@ -61,7 +61,7 @@ def view_picture(views: Path, view: str) -> Rgb:
 
 
 def depth_with_mask(views: Path, view: str) -> Rgb:
-    """Draw the depth image with the mask's outline, thinned to a small picture."""
+    """Draw a view's depth with the mask's outline, as a picture about `WIDTH_PX` wide."""
     depth_mm = images.read_gray(views / f"{view}.depth.png")
     mask = images.read_gray(views / f"{view}.mask.png") > 0
     step = max(1, round(depth_mm.shape[1] / WIDTH_PX))

@@ -1,4 +1,4 @@
-"""Reasons against a recording: violated limits, and reasons for a review.
+"""Judge recordings: find violated limits, which reject a recording, and reasons for a person's review.
 
 The limits are `publish.gate` of benchmark.yaml: a recording that violates one is rejected. A recording with
 reasons for a review is published, and the release states the reasons. docs/evidence/releases.md compares the
@@ -48,7 +48,7 @@ NOT_BUILT = "not built, or not asked for"
 
 @dataclass(frozen=True)
 class Judged:
-    """Reasons against one recording, a line each.
+    """The reasons against one recording, one line each.
 
     Attributes:
         recording: the recording's settings, with a person's review.
@@ -67,7 +67,7 @@ class Judged:
 
     @property
     def decision(self) -> Decision:
-        """The decision: a person's review has priority over the rules."""
+        """The decision: a person's review has priority over the rules, but a failed build is rejected."""
         review = self.recording.review
         if self.failure or (review and review.decision == "reject"):
             return "reject"
@@ -77,7 +77,9 @@ class Judged:
 
 
 def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> Iterator[Judged]:
-    """Judge every recording of a benchmark, in the order of the settings; unknown figures are ignored.
+    """Yield the reasons against every recording of a benchmark, in the order of the settings.
+
+    Figures that are not known give no reason.
 
     Args:
         settings: the benchmark's settings, with limits and people's decisions.
@@ -105,7 +107,7 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
 
 
 def failure(folder: Path) -> str:
-    """Return why `build/<recording>/` is not complete, in a line."""
+    """Return one line on why `build/<recording>/` (`folder`) is not complete."""
     try:
         failed = Failed.read_if_there(folder)
     except StorageError:  # damaged: the reason is unreadable
@@ -118,7 +120,7 @@ def failure(folder: Path) -> str:
 def _beyond(
     limits: GateSettings, quality: QualityFile, health: TrajectoryHealth | None, head: CameraFile | None
 ) -> Iterator[str]:
-    """Yield the violated limits, with the figures."""
+    """Yield a line for each limit of `publish.gate` that the figures violate."""
     grade = None if health is None else health.grade
     # The estimate may be wrong if poses are: unless the trajectory is good, take its lower end.
     value, low, where = quality.trusted_iou
@@ -165,7 +167,7 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
 
 
 def _incomplete(quality: QualityFile) -> Iterator[str]:
-    """Yield the parts of the object that no camera saw, if they are large."""
+    """Yield a line for each kind of unseen part of the object that is large."""
     behind_m3 = sum(frontier.volume_m3 for frontier in quality.frontiers)
     if quality.volume_m3 and behind_m3 > MOST_BEHIND * quality.volume_m3:
         yield (
@@ -179,7 +181,7 @@ def _incomplete(quality: QualityFile) -> Iterator[str]:
 
 
 def _of_parts(folder: Path) -> Iterator[str]:
-    """Yield a reason to review the solid if it may not be the object alone."""
+    """Yield a reason to review the solid if another thing may be merged with the object."""
     if (share := part_that_stands_alone(folder)) is not None:
         yield (
             f"a part of it, {share:.0%} of the solid, stands alone, and the rest does without it: does "
@@ -188,7 +190,7 @@ def _of_parts(folder: Path) -> Iterator[str]:
 
 
 def current_reference(folder: Path) -> ReferenceFile | None:
-    """Return the result of `compare-truth` for `build/<recording>/`; None if missing or of an earlier object.
+    """Read the result of `compare-truth` in `build/<recording>/`; None if missing or of an earlier build.
 
     Raises:
         StorageError: the file is damaged.
@@ -200,7 +202,7 @@ def current_reference(folder: Path) -> ReferenceFile | None:
 
 
 def _of_references(found: ReferenceFile | None) -> Iterator[str]:
-    """Yield reasons to review from meshes that somebody else measured or drew."""
+    """Yield a reason to review for each reference mesh that does not fit or disagrees with the object."""
     for each in () if found is None else found.all:
         if each.refused is not None:
             yield f"its reference {each.reference} does not fit: {each.refused}"
@@ -212,7 +214,7 @@ def _of_references(found: ReferenceFile | None) -> Iterator[str]:
 
 
 def _of_frames(head: CameraFile | None) -> Iterator[str]:
-    """Yield reasons to review the recording: a file that ends early, damaged frames."""
+    """Yield reasons to review the recorded frames, such as a file that ends early, or damaged frames."""
     if head is None:
         return
     yield from (line.split(END_OF_WARNING, 1)[0] for line in head.doubts)

@@ -1,4 +1,4 @@
-"""Find recordings of the same object: their shapes are turned about the vertical until they agree.
+"""Find recordings of the same object by registering their shapes with each other on the floor.
 
 docs/releases.md has the rule; docs/evidence/releases.md has the measurements of `python
 benchmarks/truth/same_object.py`.
@@ -39,11 +39,11 @@ LEAST_AGREEMENT = 0.9
 
 @dataclass(frozen=True)
 class Shape:
-    """An object's surface as it stands on its floor; frame floor (z up), metres.
+    """Points on an object's surface, metres, in the floor frame (z up) shifted in x and y to its middle.
 
     Attributes:
         measured: (n, 3) points of the surface that cameras measured.
-        surface: (m, 3) points of the whole surface, inferred parts included.
+        surface: (m, 3) points of the whole surface, including inferred parts.
     """
 
     measured: Float64
@@ -51,7 +51,7 @@ class Shape:
 
     @classmethod
     def of(cls, measured_floor: Float64, surface_floor: Float64) -> Self:
-        """Make a shape of these points; many points are thinned evenly."""
+        """Make a shape from points (n, 3) in the floor frame; more than about `KEPT` of them are thinned."""
         middle = np.array([*surface_floor[:, :2].mean(axis=0), 0.0])
         few = (points[:: max(1, len(points) // KEPT)] - middle for points in (measured_floor, surface_floor))
         return cls(*few)
@@ -74,10 +74,10 @@ class Shape:
 
 
 def shape_agreement(a: Shape, b: Shape) -> float:
-    """Return the agreement of two shapes, 0 to 1, after the best turn about the vertical and shift.
+    """Register two shapes by a turn about the vertical and a shift; return their agreement, 0 to 1.
 
     Returns:
-        For each shape, the share of its measured points that lie near the other's surface; the smaller share.
+        The share of a shape's measured points that lie near the other's surface: of both shapes the smaller.
     """
     diagonals_m = [float(np.linalg.norm(np.ptp(shape.surface, axis=0))) for shape in (a, b)]
     near_m = max(NEAR_SHARE * max(diagonals_m), NEAR_M)
@@ -95,7 +95,7 @@ def shape_agreement(a: Shape, b: Shape) -> float:
 
 
 def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tuple[Float64, Float64]:
-    """Return R (3, 3) and t (3,), a turn about z and a shift, that register points (n, 3) to a tree's."""
+    """Register points (n, 3) to a tree's by ICP from R: return a turn about z R (3, 3) and a shift t (3,)."""
     t = np.zeros(3)
     for step in range(STEPS):
         placed = points @ R.T + t
@@ -115,13 +115,13 @@ def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tup
 def same_objects(
     folders: Mapping[str, Path], sizes_m: Mapping[str, Float64], objects: Mapping[str, str]
 ) -> Iterator[tuple[str, str, float]]:
-    """Yield pairs of recordings with the same shape and different object names, and their agreement.
+    """Yield (recording, other recording, agreement) for shapes that agree under different object names.
 
-    Only shapes of similar height, length and width are compared. Shapes of one object may differ more if a
-    recording has not seen a side.
+    Only shapes of similar height, length and width are compared. An object is missed if a recording has not
+    seen one of its sides, so that its size differs more.
 
     Args:
-        folders: {recording: its `object/`}.
+        folders: {recording: path of its `object/`}.
         sizes_m: {recording: (3,) longer side, shorter side and height of its object, metres}.
         objects: {recording: name of its object}.
 

@@ -1,7 +1,7 @@
-"""Find a part of a solid that stands by itself: another thing was probably merged with the object.
+"""Find a part of a solid that could stand by itself, probably another thing merged with the object.
 
-A box against a chair leaves no gap in the depth, so both are built as one solid. Such a box is thick, and its
-joint with the rest is narrower than itself. Both the box and the rest reach the floor.
+If a box touches a chair, the depth shows no gap, and both are built as one solid. Such a box is thick, and
+wider than its joint with the chair. Box and chair both reach the floor.
 """
 
 from collections.abc import Iterator
@@ -33,11 +33,10 @@ LEAST_GROUNDED, MOST_COVERED, LEAST_REST, LEAST_PIECE = 0.9, 0.25, 0.15, 0.01
 
 
 def part_that_stands_alone(folder: Path) -> float | None:
-    """Return the share of the solid in a part that stands alone; None without such a part.
+    """Return the volume of a part that stands alone, as a share of the solid; None without such a part.
 
     Args:
-        folder: `object/`; None is returned if its volume is missing or damaged (`publish` refuses a damaged
-            one).
+        folder: `build/<recording>/object/`; if its volume is missing or damaged, the result is None.
     """
     try:
         solid = ObjectVolume.read(folder).solid
@@ -47,10 +46,10 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the share of the smallest part that stands alone while the rest stands, too; None without one.
+    """Return the volume share of the smallest part that stands alone, like the rest; None without one.
 
     Args:
-        solid: (nx, ny, nz), z up, with at least one cell set.
+        solid: (nx, ny, nz) bool, z up, with at least one cell set.
     """
     some = solid[ndimage.find_objects(solid.astype(np.int8))[0]]
     step = -(-max(some.shape) // CELLS)
@@ -68,7 +67,11 @@ def share_standing_alone(solid: Bools) -> float | None:
 
 
 def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
-    """Yield each connected core of cells deeper inside than `radius`, and the part grown from it."""
+    """Yield (core, part), masks of `cells`, for each thick part.
+
+    A core is a connected set of cells deeper inside than `radius` cells. Its part has all cells within about
+    `radius` of the core.
+    """
     labels, count = ndimage.label(ndimage.distance_transform_edt(cells) > radius)
     for number in range(1, count + 1):
         core = labels == number
@@ -76,7 +79,10 @@ def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
 
 
 def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
-    """Return whether a part stands on the floor beside the rest, and each stands without the other."""
+    """Return whether a part stands on the floor beside the rest, and both would stand without each other.
+
+    `low` is the number of layers that count as the floor.
+    """
     columns = core.any(axis=2)
     low_columns = np.asarray(cells[:, :, :low].any(axis=2))
     labels, count = ndimage.label(cells & ~part)
@@ -91,12 +97,12 @@ def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
 
 
 def _tops(cells: Bools) -> NDArray[np.int64]:
-    """Return (nx, ny), the index of the highest cell of each column; -1 without one."""
+    """Return (nx, ny), the z index of the highest set cell of each column; -1 if none is set."""
     return np.asarray(np.where(cells, np.arange(cells.shape[2]), -1).max(axis=2))
 
 
 def _balances(cells: Bools, low: int) -> bool:
-    """Return whether the centroid of all cells lies above the convex hull of the lowest `low` layers."""
+    """Return whether the centroid of the cells lies above the convex hull of those in the lowest layers."""
     feet = np.argwhere(cells[:, :, :low].any(axis=2)).astype(np.float64)
     try:
         hull = ConvexHull(feet)

@@ -1,4 +1,4 @@
-"""Triage of a benchmark: a decision for each recording, and recordings that show one object undeclared."""
+"""Triage of a benchmark: decide on each recording, and find recordings of one object under two names."""
 
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -59,13 +59,13 @@ def _row(each: Judged, settings: BenchmarkSettings, quality: QualityFile | None)
 
 
 def _severity(row: TriageRow) -> tuple[int, float, int, str]:
-    """Return the sort key: the gravest decision first, then the lowest estimate, then the most reasons."""
+    """Return the sort key of a row: worst decision first, then lowest estimated IoU, then most reasons."""
     low = row.estimated_iou_low
     return DECISIONS.index(row.decision), -1.0 if low is None else low, -len(row.reasons), row.recording
 
 
 def _size_m(quality: QualityFile) -> Float64 | None:
-    """Return (3,) longer side, shorter side and height of the object, metres; None: not known."""
+    """Return (3,) longer side, shorter side and height of the object, metres; None if not known."""
     if quality.box is None:
         return None
     x, y, z = quality.box.size_m
@@ -75,7 +75,7 @@ def _size_m(quality: QualityFile) -> Float64 | None:
 def _same(
     recordings: Sequence[RecordingSettings], build: Path, sizes_m: dict[str, Float64]
 ) -> Iterator[SameObject]:
-    """Yield recordings of one shape whose objects have different names, those in different splits first."""
+    """Yield each two recordings of one shape with different object names; first those in different splits."""
     by_id = {each.id: each for each in recordings}
     pairs = []
     names = {name: by_id[name].object_name for name in sizes_m}
