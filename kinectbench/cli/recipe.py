@@ -150,8 +150,8 @@ def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then:
         *recipe.other_attribution(scans),
         *_other_cameras(recipe, [row.scan for row in rows if row.fetched]),
     ]
-    console.lines("warning", console.at_most(warnings), "yellow")
-    console.lines("error", console.at_most(errors), "red")
+    console.lines("warning", warnings, "yellow")
+    console.lines("error", errors, "red")
     return (SOME_FAILED if present else CANNOT_BE_USED) if errors else 0
 
 

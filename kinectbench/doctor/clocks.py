@@ -88,7 +88,9 @@ def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator
         pattern = np.rint(periods).astype(int)
         every = f", one after every {_regular(pattern)} frames" if _regular(pattern) else ""
         what = f"{dropped} {stream} frames are missing ({share:.1%}){every}"
-        yield Finding("dropped_frames", "warning" if many else "note", what, where, RECORD_SLOWER if many else "")
+        yield Finding(
+            "dropped_frames", "warning" if many else "note", what, where, RECORD_SLOWER if many else ""
+        )
 
 
 def _regular(periods: NDArray[np.int64]) -> int:

@@ -180,12 +180,9 @@ class Recipe:
         if path.exists():
             content = Content(path.stat().st_size, sha256_file(path))
             if content.sha256 != (row.sha256 if row else sha256 or content.sha256):
-                raise StorageError(
-                    f"{path}: is not the file that came first; remove it to fetch it again",
-                    what="other-content",
-                )
+                raise _other_file(path)
             check(path)
-            self._lock(file, content)
+            self._lock(file, path, content)
             return False
         downloaded = download(
             [f"{base}/{file}" for base in bases],
@@ -196,15 +193,24 @@ class Recipe:
             most_bytes=most_bytes,
             room=room or partial(_refuse_full, path),
         )
-        self._lock(file, downloaded)
+        self._lock(file, path, downloaded)
         return True
 
-    def _lock(self, file: str, content: Content) -> None:
-        """Record a file's size and hash in sources.lock, unless they are there already."""
+    def _lock(self, file: str, path: Path, content: Content) -> None:
+        """Record a file's size and hash in sources.lock, unless they are there already.
+
+        Raises:
+            StorageError: a fetch to another folder has recorded another file under this name.
+        """
         with self._writing:
             if file in self._locked:
                 return
-            self._locked[file] = LockedFile(bytes=content.size, sha256=content.sha256)
+            # A fetch with another --out may have added entries since this one began.
+            since = SourcesLock.read_if_there(self.folder) or SourcesLock()
+            self._locked |= since.files
+            row = self._locked.setdefault(file, LockedFile(bytes=content.size, sha256=content.sha256))
+            if row.sha256 != content.sha256:
+                raise _other_file(path)
             with replaced_file(self.folder / SourcesLock.FILE) as temporary:
                 files = dict(sorted(self._locked.items()))
                 temporary.write_text(SourcesLock(files=files).text(), encoding="utf-8")
@@ -300,6 +306,12 @@ def _refuse_full(path: Path, size: int) -> None:
         raise NoRoomError(
             f"{path}: {size} bytes are to come, and the disk has {free}; free some space, or use --stream"
         )
+
+
+def _other_file(path: Path) -> StorageError:
+    return StorageError(
+        f"{path}: is not the file that came first; remove it to fetch it again", what="other-content"
+    )
 
 
 def _check_zip(path: Path) -> None:

@@ -112,6 +112,24 @@ def test_the_scans_go_to_another_folder(command: Command, server: ScanServer, tm
     assert (recipe / "sources.lock").is_file()
 
 
+def test_two_fetches_to_two_folders_keep_each_others_hashes(server: ScanServer, tmp_path: Path) -> None:
+    folder = write_recipe(tmp_path / "r", server.url)
+    sources, locked = read_sources(folder), folder / "sources.lock"
+
+    def opened(out: str) -> recipes.Recipe:
+        return recipes.Recipe(folder, tmp_path / out, sources, lambda _path: True, {})
+
+    one, other = opened("one"), opened("other")
+    scans = {scan.id: scan for scan in one.chosen(("table",))}
+    assert one.fetch(scans["00009"]).error is None and other.fetch(scans["00010"]).error is None
+    assert json.loads(locked.read_text())["files"].keys() >= {"00009.zip", "00010.zip"}
+    server.files["/00011.zip"] = zipped("first")
+    assert one.fetch(scans["00011"]).error is None
+    server.files["/00011.zip"] = zipped("second")
+    late = other.fetch(scans["00011"]).error
+    assert late is not None and "00011.zip: is not the file that came first; remove it" in late
+
+
 def test_a_missing_scan_does_not_stop_the_others(
     command: Command, server: ScanServer, tmp_path: Path
 ) -> None:
