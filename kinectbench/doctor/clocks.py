@@ -26,7 +26,7 @@ MIN_FRAMES = 3
 PAIRED_SHARE = 0.9
 # If at least this share of images is paired, the clocks agree, and the other images were lost.
 MOSTLY_PAIRED_SHARE = 0.5
-RECORD_SLOWER = "record again at a rate that the computer keeps up with; gaps make tracking harder"
+SLOWER = "record again at a rate that the computer keeps up with; gaps make tracking harder"
 
 
 def check_clock(probe: Probe) -> Iterator[Finding]:
@@ -88,9 +88,7 @@ def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator
         pattern = np.rint(periods).astype(int)
         every = f", one after every {_regular(pattern)} frames" if _regular(pattern) else ""
         what = f"{dropped} {stream} frames are missing ({share:.1%}){every}"
-        yield Finding(
-            "dropped_frames", "warning" if many else "note", what, where, RECORD_SLOWER if many else ""
-        )
+        yield Finding("dropped_frames", "warning" if many else "note", what, where, SLOWER if many else "")
 
 
 def _regular(periods: NDArray[np.int64]) -> int:

@@ -207,7 +207,7 @@ class Recipe:
                 return
             # A fetch with another --out may have added entries since this one began.
             since = SourcesLock.read_if_there(self.folder) or SourcesLock()
-            self._locked |= since.files
+            self._locked.update(since.files)
             row = self._locked.setdefault(file, LockedFile(bytes=content.size, sha256=content.sha256))
             if row.sha256 != content.sha256:
                 raise _other_file(path)
