@@ -52,7 +52,7 @@ VERSIONS: dict[str, int] = {
 def fingerprint(
     stage: str, version: int, settings: Mapping[str, JsonValue], inputs: Mapping[str, str]
 ) -> str:
-    """The fingerprint of a stage's output: a hash of its version, settings and inputs."""
+    """The fingerprint of a stage's output: a hash of the stage's name, version, settings and inputs."""
     return sha256_text(canonical_json([FORMAT_VERSION, stage, version, settings, inputs]))
 
 
@@ -86,7 +86,7 @@ class Artefact:
 
     @contextlib.contextmanager
     def write(self) -> Iterator[Path]:
-        """Yield an empty folder to fill; on success it replaces the artefact, on failure it is deleted.
+        """Yield an empty folder to fill: it replaces the artefact, or is deleted if the block fails.
 
         Raises:
             StorageError: the disk is full or read-only.
@@ -137,6 +137,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
 
     Raises:
         RecordingError: a file cannot be read, or is a sparse file with almost no content.
+        StorageError: the cache cannot be written.
     """
     known = {} if cache is None else _known(cache)
     entries: dict[str, SourceFile] = {}
@@ -160,7 +161,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
 
 
 def whole_hash(sources: Sources) -> str:
-    """The hash over names and contents of files whose content hashes are known; as `content_hash`."""
+    """The hash that `content_hash` returns for files, from the known hashes of their contents."""
     return _hash_of(sources.sha256)
 
 
@@ -176,7 +177,7 @@ def has_sizes(root: Path, cache: Path, sha256: str, names: Collection[str] | Non
 
     Args:
         root: path that the names are relative to.
-        cache: file where `content_hash` keeps names and sizes; without it the result is True.
+        cache: file where `content_hash` keeps names and sizes; if missing or damaged, the result is True.
         sha256: the hash over the files, as by `content_hash`.
         names: the names of all files at the path; None: added files are not noticed.
     """

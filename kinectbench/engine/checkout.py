@@ -65,7 +65,7 @@ def checked_out(job: Job, upto: str = "pairs", report: Report = nobody) -> Itera
     The recording is downloaded only if the hashes of its files are not stored.
 
     Raises:
-        SettingsError: the recording's path cannot exist in a store.
+        SettingsError: the path of the recording, its masks or its reference mesh leads out of the store.
         RecordingError: the recording is missing, or is no recording.
         StorageError: the store fails.
     """
@@ -143,7 +143,7 @@ def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkou
 
 
 def fetch_named(store: Store, job: Job) -> None:
-    """Download a person's masks and the reference mesh to the job's places, if benchmark.yaml names any."""
+    """Download a person's masks and the reference mesh below the job's root, if benchmark.yaml names any."""
     masks, mesh = name_there(store, job, "masks"), name_there(store, job, "reference")
     if masks is not None:
         fetch_files(store, job.root, store.objects(masks))
@@ -177,7 +177,8 @@ def name_there(store: Store, job: Job, key: str) -> str | None:
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
     """Stages of a recording that are up to date in its store, and why its last run failed, or None.
 
-    Downloads no recording; if its files have not been hashed, no stage is known to be up to date.
+    Downloads no recording; if its files have not been hashed, no stage is known to be up to date. A recording
+    that is missing, or a path that leads out of the store, counts as a failure.
     """
     try:
         listing = _listing(job)
@@ -212,7 +213,15 @@ def fetch_files(
 
 
 def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
-    """List a recording in the store: one file, or all files below its folder and known ones beside it."""
+    """List a recording in the store: one file, or the files of its folder and known ones beside the folder.
+
+    Returns:
+        The files, without hidden ones and the clicked point; [] if the recording's path is absolute.
+
+    Raises:
+        SettingsError: the path leads out of the store.
+        RecordingError: there is no such recording.
+    """
     name = name_there(store, job, "path")
     if name is None:
         return []
@@ -234,7 +243,9 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
 
 
 def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
-    """The name in the store of the hashes of a recording's files; it changes if the listed files do.
+    """The name of the file in the store with the hashes of a recording's files.
+
+    It changes if a listed file's name, size or ETag (without ETags, its time) changes.
 
     It also changes with the version of `ingest`, which may read other files.
     """

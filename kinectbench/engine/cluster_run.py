@@ -161,6 +161,8 @@ class Run(Generic[Task, Result]):
 
         Raises:
             TimeoutError: the result does not arrive; the future will end again.
+            KinectBenchError: raised by the task.
+            ClusterError: the task raised another error, or the scheduler has gone.
         """
         from distributed.scheduler import KilledWorker, NoValidWorkerError
 

@@ -160,9 +160,10 @@ class DrawnMasks:
         )
 
     def check_frames(self, sequence: Sequence) -> Self:
-        """Refuse masks named by frames if the frame's depth image, or the picture drawn on, has changed.
+        """Refuse masks named by frames if the frame is missing or its depth image has changed.
 
-        Masks without an entry get one: there was no build when they were drawn.
+        With `of_recorded`, also refuse masks drawn on pictures that differ from the recorded frames. Masks
+        without an entry get one: there was no build when they were drawn.
 
         Returns:
             The masks with the new entries.
@@ -189,9 +190,10 @@ class DrawnMasks:
         )
 
     def check_views(self, sequence: Sequence, views: Path) -> Self:
-        """Refuse masks named by views if the frame or the pictures of the view have changed.
+        """Refuse masks of views whose frame or pictures have changed; do nothing with `of_recorded`.
 
-        For masks without a recorded picture, record that of the view.
+        A mask named by a frame counts as one of the view that shows the frame, if any. For masks without a
+        recorded picture, record that of the view.
 
         Args:
             sequence: the recording.
@@ -327,7 +329,8 @@ def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
         Lines to print: the images assumed for masks, and files that are not used because of their names.
 
     Raises:
-        SettingsError: masks are in use, but their images are unknown.
+        StorageError: masks.json is damaged or cannot be written.
+        SettingsError: masks are in use, but the image of one is unknown; or as in `DrawnMasks.of`.
     """
     drawn = DrawnMasks.of(job)
     if drawn is None:
@@ -354,7 +357,8 @@ def check_mask_numbers(job: Job) -> None:
     """Refuse masks of frames that a recording does not have; its sequence must be up to date.
 
     Raises:
-        SettingsError: there are such masks.
+        SettingsError: there are such masks; or as in `DrawnMasks.of`.
+        StorageError: masks.json or the sequence is damaged.
     """
     drawn = DrawnMasks.of(job)
     if drawn is not None and any(name.of_frame for name in drawn.names.values()):

@@ -69,7 +69,7 @@ class Executor(Protocol):
                 counts; only for tasks that do not wait for each other.
 
         Raises:
-            Exception: raised by the function.
+            Exception: raised by the function; on a cluster, a ClusterError unless it is a KinectBenchError.
             ClusterError: the cluster cannot be used any more.
         """
 

@@ -211,6 +211,7 @@ def listed_box(job: Job, number: int) -> BoxPart:
 
     Raises:
         SettingsError: there is no current list, or the list has no such number.
+        RecordingError, StorageError: the recording or the list cannot be read.
     """
     name = job.recording.id
     if not is_current(job, SUGGEST.name):

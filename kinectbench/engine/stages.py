@@ -179,7 +179,7 @@ def check_masks(job: Job) -> None:
     """Check that the folder of masks exists, if benchmark.yaml names one.
 
     Raises:
-        RecordingError: the folder is missing.
+        RecordingError: the folder is missing, or is no folder.
     """
     from kinectbench.stages.ingest.sources import check_there
 
@@ -275,7 +275,7 @@ def _own_files(job: Job, files: list[Path]) -> list[Path]:
 
 
 def _results(job: Job, files: Sequence[Path]) -> set[Path]:
-    """Files and folders that the benchmark writes, if its root is in the recording's folder; else none."""
+    """Files and folders of the benchmark itself, if its root is in the recording's folder; else none."""
     root = _whole(job.root)
     if not root.is_relative_to(_whole(job.source)):
         return set()

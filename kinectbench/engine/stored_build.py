@@ -57,7 +57,9 @@ def build_stored(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """Build a recording in a store as `build_recording` does; the outcome includes the figures `row`.
+    """Build a recording in a store as `build_recording` does.
+
+    The outcome includes the figures `row`, unless the recording could not be checked out or stored.
 
     Args:
         job: the recording.

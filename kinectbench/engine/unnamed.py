@@ -45,7 +45,7 @@ def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
 
 
 def remove(store: Store, orphans: Iterable[StoredObject]) -> int:
-    """Delete the files that `unnamed` found, unless a manifest has appeared; return the number deleted."""
+    """Delete the files that `unnamed` found, unless a manifest names them by now; return their number."""
     folders: dict[str, list[StoredObject]] = {}
     for each in orphans:
         match = _ARTEFACT.fullmatch(each.name)
