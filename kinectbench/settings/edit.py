@@ -27,8 +27,8 @@ def file_of(config: Path, recording: str, box: BoxPart) -> Path:
         box: the new box, for the message.
 
     Raises:
-        SettingsError: a table defines the recording and is not changed; the message names the cells to fill
-            in.
+        SettingsError: a table defines the recording and is not changed (the message names the cells to fill
+            in), or a file cannot be read.
     """
     root = nodes_of(as_text(read_bytes(config), str(config)), str(config), config)
     entry = _entry(yaml_nodes.items(root)["recordings"], recording)
@@ -141,7 +141,7 @@ def _with_first(text: str, empty: yaml.Node | None, lines: Sequence[str]) -> str
 
 
 def _with_lines(text: str, recordings: yaml.Node, lines: Sequence[str]) -> str:
-    """Insert the lines after the last recording and the comments indented like it."""
+    """Insert the lines after the last recording and the comments indented further than its dash."""
     rows = text.removesuffix("\n").split("\n")
     margin, end = recordings.start_mark.column, len(rows)
     if recordings.end_mark.index < len(text):
@@ -153,6 +153,6 @@ def _with_lines(text: str, recordings: yaml.Node, lines: Sequence[str]) -> str:
 
 
 def _is_indented(row: str, margin: int) -> bool:
-    """Whether a row has content to the right of the margin: it is not blank, and no comment at the margin."""
+    """Whether a row is neither blank nor a comment that begins at column `margin` or left of it."""
     inner = row.lstrip(" ")
     return bool(inner.strip()) and (not inner.startswith("#") or len(row) - len(inner) > margin)

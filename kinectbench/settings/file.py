@@ -47,8 +47,9 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
         The settings, with defaults for missing keys and empty sections.
 
     Raises:
-        SettingsError: one line for each error, in the order of the file: file and line (or the override),
-            dotted key, the value found, and the value expected.
+        SettingsError: one line for each of the first 20 errors, in the order of the file: file and line (or
+            the override), dotted key, the value found, and the value expected.
+        StorageError: a store cannot be read.
     """
     source = shown(path)
     return parse_benchmark(as_text(read_bytes(path), source), source, overrides, path)
@@ -76,7 +77,7 @@ def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
     """Parse a benchmark.yaml and the files that it includes into nodes.
 
     Raises:
-        SettingsError: the text holds no settings, a key repeats, or a file cannot be included.
+        SettingsError: the text is not YAML or holds no settings, a key repeats, or a file cannot be included.
     """
     allowance = yaml_nodes.Allowance()
     root = yaml_nodes.compose(text, source, allowance)

@@ -23,7 +23,13 @@ MISSING = "correct the name under `include:`, or make the file"
 
 @dataclass
 class _Left:
-    """What the included files may still take together, in values and bytes, and the files read so far."""
+    """What remains of the limits that all included files share, and the files read so far.
+
+    Attributes:
+        allowance: number of YAML keys and values that may still be read.
+        bytes: number of bytes that may still be read.
+        seen: resolved paths of benchmark.yaml and of the files read so far; none is read twice.
+    """
 
     allowance: yaml_nodes.Allowance
     bytes: int = MOST_BYTES
@@ -39,10 +45,11 @@ def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Al
         allowance: number of values that all files together may still have.
 
     Returns:
-        Nodes without `include:`; each recording keeps its file and line number.
+        Nodes without `include:`, unless its form is wrong; each recording keeps its file and line number.
 
     Raises:
-        SettingsError: a file is missing, outside the folder, unreadable, or holds more than recordings.
+        SettingsError: a file is missing, outside the folder, invalid, or holds more than recordings.
+        StorageError: a store cannot be read.
     """
     nodes = yaml_nodes.items(root)
     patterns = nodes.get(INCLUDE)

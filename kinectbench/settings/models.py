@@ -187,7 +187,7 @@ class RecordingSettings(Settings):
 
     @property
     def trajectory_mode(self) -> TrajectoryMode | None:
-        """How to use a given trajectory; "ignore" by default if the object moves, not the camera."""
+        """How to use a given trajectory; by default None, or "ignore" if the object moves, not the camera."""
         return "ignore" if self.trajectory is None and self.segment_by else self.trajectory
 
     @property

@@ -28,7 +28,7 @@ def settings_from_options(
             starts with its option.
 
     Raises:
-        SettingsError: one line for each wrong value.
+        SettingsError: one line for each wrong value, or a line about an override of another form.
     """
     for override in overrides:
         values = merged(values, _nested(override))

@@ -28,7 +28,7 @@ def read_bytes(path: Path, most_bytes: int = MOST_BYTES, missing: str = INIT) ->
         missing: advice if the file is missing.
 
     Raises:
-        SettingsError: the file is missing or unreadable.
+        SettingsError: the file is missing, unreadable or too large.
         StorageError: a store cannot be read.
     """
     if (url := url_of(path)) is not None:

@@ -178,7 +178,7 @@ def chosen_scans(
         limit: most scans of each category.
 
     Raises:
-        SettingsError: the recipe has no scan of a category, or an id is listed twice.
+        SettingsError: the recipe has no such category, no scan is left, or an id is listed twice.
     """
     known = sorted(set(sources.categories.values()))
     for name in categories:

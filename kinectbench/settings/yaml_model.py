@@ -29,7 +29,8 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
         example: a valid line, for an error message.
 
     Raises:
-        SettingsError: the file is unreadable, or one line for each error: file and line, key, expected value.
+        SettingsError: the file is unreadable or not YAML; or one line for each of the first 20 errors: file
+            and line, key, expected value.
     """
     try:
         text = read_plain_text(path, MOST_BYTES)

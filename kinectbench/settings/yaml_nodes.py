@@ -123,7 +123,8 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
         allowance: a limit that several texts share; None: the default limit, for this text alone.
 
     Raises:
-        SettingsError: the text is not YAML, has several documents, or contains a control character.
+        SettingsError: the text is not YAML, has several documents, contains a control character, is nested
+            too deeply, or has more keys and values than allowed.
     """
     if source.startswith(OVERRIDE):
         # Arguments are decoded by the locale's encoding, perhaps ASCII, although people type UTF-8.
