@@ -47,8 +47,9 @@ def baseline_command(
 def check_command(common: Common, predictions: Predictions) -> int:
     """Report all faults of folders of predictions, without scoring.
 
-    For predictions in the camera frame, the distance of each from its view's depth is stated, and a likely
-    cause. Predictions that are constant, or the same for every view, are named.
+    For predictions in the camera frame and in metres, the median and the largest distance to the views'
+    depth are stated; a prediction that another unit or other axes would bring to its depth is a fault. A note
+    says how many predictions are constant, or the same for several views.
     """
     from kinectbench.cli import console
     from kinectbench.scoring.camera_predictions import check_camera

@@ -130,7 +130,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 
 def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
-    """Print a table of `build_recordings`' results up to a stage, and details of objects below it."""
+    """Print a table of `build_recordings`' results, at most 100, up to a stage, and details of objects."""
     from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 

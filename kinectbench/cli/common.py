@@ -176,6 +176,7 @@ class Common:
 
         Raises:
             SettingsError: the file or an override is wrong.
+            StorageError: a store cannot be read.
         """
         from kinectbench.settings.file import load_benchmark
 

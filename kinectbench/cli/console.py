@@ -55,10 +55,10 @@ TEXTS = ("recording", "status", "state", "next", "error")
 
 
 class SafeConsole(Console):
-    """A rich console that shows control characters as `?`, so that untrusted text is harmless."""
+    """A rich console that replaces control characters as `one_line` does: untrusted text is harmless."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render with rich, then replace control characters in the texts except line ends."""
+        """Render with rich; lines with control characters become those that `one_line` returns."""
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment
@@ -163,7 +163,7 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
 
 
 def failures(rows: "Sequence[BuiltRecording]") -> None:
-    """Print one line on the recordings of a run that failed, and how to continue; nothing if none failed."""
+    """Print one line on the failed recordings and how to continue; nothing if none failed or only one ran."""
     from kinectbench.settings.words import listed
 
     failed = [row.recording for row in rows if row.error is not None]

@@ -162,7 +162,7 @@ def _recheck(
 ) -> int:
     """Do the work of `score --recheck`: score again with the settings in a scores.json; print differences.
 
-    Only the file of thresholds may be given as an option.
+    Of the options that change scores, only `--thresholds` may be given.
     """
     from kinectbench.cli import console
     from kinectbench.scoring.compare import find_scores
@@ -256,7 +256,7 @@ def baselines_of(
     """Score the baselines that are not among the methods, to show them beside the methods.
 
     For predictions in the camera frame, baselines are scored as solids in that frame. No baseline is scored
-    if predictions have an unknown scale, or if a table has very many rows.
+    if all those predictions have an unknown scale, or if the first table has more than `ROWS_IN_JSON` rows.
     """
     from kinectbench.cli import console
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
@@ -285,7 +285,7 @@ def baselines_of(
 
 
 def tell_problems(tables: "Sequence[ScoreTable]") -> None:
-    """Print the warnings and failures of each method, grouped by mistake, one line each."""
+    """Print the warnings and failures of each method, one line for each mistake; of failures at most 20."""
     from kinectbench.cli import console
 
     for table in tables:
