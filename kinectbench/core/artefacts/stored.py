@@ -277,11 +277,14 @@ class ScaledPart(StoredPart):
 
 
 def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[object, ...]:
-    """Annotations of a field with a finite numpy array of this shape and type; nested lists in the file."""
+    """Annotations of a field with a finite numpy array of this shape and type; nested lists in the file.
+
+    Texts, booleans, NaN and infinity are refused, and for an integer `dtype` also floats.
+    """
     number_type = Integral if np.issubdtype(dtype, np.integer) else Real
 
     def checked(value: object) -> NDArray[np.generic]:
-        """Convert a value to a read-only array; ValueError for another shape or non-finite numbers."""
+        """Convert a value to a read-only array; ValueError for another shape, or values that are refused."""
         refusal = ValueError(f"must be {' x '.join(map(str, shape))} finite numbers")
         # Numpy would take texts and booleans for numbers.
         given = np.array(value, dtype=object)
