@@ -35,12 +35,18 @@ NO_MEMORY = "not enough memory; run again with --jobs 1, or with larger voxels (
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of one recording: stages that were made or up to date (`current`), and the error or None.
+    """The outcome of building one recording.
 
-    `repeated`: the error is that of an earlier run; nothing was tried because no input has changed.
-    `row`: figures of a recording in a store; None: read them from its local folder.
-    `code`: code of the error.
-    `warnings`: warnings of the run, one line each; stages keep their own warnings in their artefacts.
+    Attributes:
+        recording: id of the recording.
+        made: names of the stages that were made.
+        current: names of the stages that were up to date.
+        error: why the recording failed, one line; None if it did not.
+        seconds: how long the run took, with waiting for other runs.
+        repeated: the error is that of an earlier run; nothing was tried because no input has changed.
+        row: figures of a recording in a store; None: read them from its local folder.
+        warnings: warnings of the run, one line each; stages keep their own warnings in their artefacts.
+        code: code of the error, as in docs/errors.md.
     """
 
     recording: str

@@ -41,10 +41,10 @@ Needed = TypeVar("Needed", bound="StageSettings")
 
 
 def part_of(wanted: type[Section], section: Settings) -> Section:
-    """Copy those keys from a section of benchmark.yaml that the model `wanted` has.
+    """Copy a section of benchmark.yaml into the model `wanted`, which has only some of the section's keys.
 
     Args:
-        wanted: a model with some of the section's keys.
+        wanted: the model; its fields with `exclude` keep their defaults.
         section: the whole section.
     """
     kept = (name for name, field in wanted.model_fields.items() if not field.exclude)
