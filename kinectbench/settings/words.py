@@ -42,7 +42,7 @@ def choices_of(annotation: object) -> tuple[str, ...]:
 def field_at(
     location: Location, root: type[Settings] = BenchmarkSettings
 ) -> tuple[object, Sequence[object], int]:
-    """Follow a location from the model `root` down to a field, as far as possible.
+    """Follow a location (keys and indices of lists) from the model `root` to a field, as far as possible.
 
     Returns:
         The field's type annotation, its constraints, and how many parts of the location were followed. An
