@@ -119,7 +119,10 @@ class ReferenceFile(Stored, ComparedMesh):
 
     @classmethod
     def of(cls, compared: Sequence[ComparedMesh], object_fingerprint: str) -> Self:
-        """Make the file from comparisons with one object, ordered from the last to the first."""
+        """Make the file from comparisons with one object, given from the last to the first.
+
+        The last accepted one comes to the top level of the file, the others into `others`.
+        """
         first, *others = sorted(compared, key=lambda each: (each.refused is not None, bool(each.itself)))
         values = given(first) | {"object_fingerprint": object_fingerprint}
         return cls(**(values | {"others": tuple(others)} if others else values))

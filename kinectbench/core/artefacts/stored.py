@@ -190,7 +190,7 @@ class Stored(StoredPart):
 
     @classmethod
     def validated(cls, text: str) -> Self:
-        """Like `parse`, but raises pydantic's ValidationError, which holds all errors."""
+        """Parse JSON like `parse`, but without its limits on the JSON; raises pydantic's ValidationError."""
         return cls.model_validate_json(text, strict=True, by_alias=True, by_name=False)
 
 
