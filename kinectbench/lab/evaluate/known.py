@@ -209,7 +209,10 @@ def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) 
 
 
 def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnknown:
-    """Return the share of unknown voxels near the true surface whose nearest surface sample was measured."""
+    """Return the share of voxels labelled unknown, among voxels beside measured surface.
+
+    These are within 10 mm of the true mesh, and the surface sample nearest to them was measured.
+    """
     from scipy.spatial import cKDTree
 
     near = (voxels.exact_distance_m <= NEAR_M) & voxels.judged
