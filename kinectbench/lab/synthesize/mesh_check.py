@@ -88,8 +88,8 @@ def check_mesh(mesh: TriangleMesh, max_faces: int) -> CheckedMesh:
         max_faces: meshes with more are refused.
 
     Raises:
-        ShapeError: the mesh is empty, too large, without area, not finite, inside out, or too far from its
-            origin.
+        ShapeError: the mesh is empty, too large, damaged, without area, not finite, inside out, or too far
+            from its origin.
     """
     if len(mesh.faces) > max_faces:
         raise ShapeError(f"{len(mesh.faces)} faces, more than {max_faces}", what="bad-mesh")

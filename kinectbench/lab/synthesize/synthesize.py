@@ -186,8 +186,8 @@ def synthesize(
         progress: called with ("checking" or "making", models done, models in all).
 
     Raises:
-        SettingsError: there are no such models, or `out` holds something else.
-        KinectBenchError: no model can be used, or a process was killed.
+        SettingsError: there are no such models, or `out` or `<out>.work` holds something else.
+        KinectBenchError: no model can be used, every pair was refused, or a process was killed.
         StorageError: the disk is full or read-only.
     """
     tell = progress or (lambda what, done, total: None)
