@@ -166,7 +166,8 @@ def draw_path(
         subject: the subject's mesh, z up, metres.
         camera: the depth camera.
         rng: draws all random parts of the path.
-        min_range_m: minimum range of the sensor; without a distance in the settings, the camera keeps it.
+        min_range_m: minimum range of the sensor; without a distance in the settings, the camera stays so far
+            from the subject.
     """
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
     target_room = np.array([0.0, 0.0, (low[2] + high[2]) / 2])

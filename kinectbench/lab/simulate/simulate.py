@@ -300,7 +300,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
 
     Raises:
         SettingsError: the path does not fit the format, or holds other content; or the family is unknown.
-        RecordingError: the mesh cannot be used.
+        RecordingError: the mesh cannot be used, or a folder without depth images is to be cut.
         StorageError: the recording cannot be written.
     """
     _check_place(spec, out)

@@ -92,7 +92,7 @@ def still_renderer(
 
 
 def turning_only(settings: PathSettings) -> PathSettings:
-    """Return a turntable's path settings without shake, rise, fall or varying distance; others unchanged."""
+    """Return path settings in which only the turntable moves; unchanged if the settings have no turntable."""
     if settings.moves != "turntable":
         return settings
     still = {

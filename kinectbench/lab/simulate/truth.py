@@ -113,7 +113,7 @@ class Truth:
         """Read noise-free depth of a frame in metres, 0 = none: (height, width) float32; None if not stored.
 
         Raises:
-            RecordingError: the image is damaged.
+            RecordingError: the image is missing or damaged, although others are stored.
         """
         if not (self.folder / "depth").is_dir():
             return None

@@ -40,8 +40,8 @@ class MessageMaker:
 
     If colour is registered, depth has topics below /camera/depth_registered and the frame_id of colour; else
     topics below /camera/depth and its own frame_id. Headers of colour and its CameraInfo have colour's stamp,
-    other headers depth's. PoseStamped is the depth camera's pose in frame `world`, optical axes; a frame
-    without a pose has no such message.
+    those of poses the pose's stamp (`given_ns`), others depth's. PoseStamped is the depth camera's pose in
+    frame `world`, optical axes; a frame without a pose has no such message.
     """
 
     def __init__(
