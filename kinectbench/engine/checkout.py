@@ -245,9 +245,8 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
 def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
     """The name of the file in the store with the hashes of a recording's files.
 
-    It changes if a listed file's name, size or ETag (without ETags, its time) changes.
-
-    It also changes with the version of `ingest`, which may read other files.
+    It changes if a listed file's name, size or ETag (without ETags, its time) changes, and with the version
+    of `ingest`, which may read other files. For an absolute path no file is listed.
     """
     rows = [[each.name, each.size, each.e_tag or each.modified_s] for each in listed]
     listing = sha256_text(canonical_json([VERSIONS["ingest"], job.recording.path, rows]))

@@ -60,7 +60,7 @@ class DrawnMasks:
     Attributes:
         recording: id of the recording.
         folder: folder of the masks.
-        names: the parsed name of each file.
+        names: {file name: its parsed name} of all files that are masks by their names.
         entries: the image that each mask was drawn on, if known, by file name.
         of_recorded: whether the masks were drawn on frames as recorded, not on pictures of views.
     """

@@ -15,7 +15,7 @@ from kinectbench.stages.segment.find.turntable import plane_below, turntable_mas
 
 
 def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -> Masks | None:
-    """The masks that define the object in each frame, index -> mask or None; None if `by` is None.
+    """The masks that define the object: a function from a frame's index to its mask, or None if `by` is None.
 
     Args:
         sequence: the recording.
@@ -58,8 +58,9 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
     """Read a person's masks `frame_<index>.png` or `<index>.png`; the index counts from 0, as in frames.json.
 
     Raises:
-        SegmentationError: no file is named by a frame, two files are named by one frame, or a file only adds
-            to a mask or removes from it. Raised later, on use: a mask is damaged or has another size.
+        SegmentationError: no file is named by a frame of the recording, two files are named by one frame, or
+            a file only adds to a mask or removes from it. Raised later, on use: a mask is damaged or has
+            another size.
     """
     given = read_masks(folder)
     names: dict[int, str] = {}

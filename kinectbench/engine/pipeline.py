@@ -184,7 +184,9 @@ def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
 
 
 def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
-    """Settings that differ from those of the artefacts on disk: {key: (then, now)}.
+    """Settings that differ from those of the artefacts on disk: {dotted key: (then, now)}.
+
+    Artefacts of another version of their stage are not compared.
 
     Args:
         job: the recording, with its present settings.

@@ -32,7 +32,10 @@ def build_at_its_place(
     limit_s: float | None = None,
     hung: Hung | None = None,
 ) -> Outcome:
-    """Build a recording as `build_recording` does, in a local folder or in a store."""
+    """Build a recording as `build_recording` does, in a local folder or in a store.
+
+    In a store, `wait` has no effect: runs do not wait for each other.
+    """
     if url_of(job.root) is None:
         return build_recording(job, upto, force, progress, wait=wait, limit_s=limit_s, hung=hung)
     from kinectbench.engine.stored_build import build_stored
