@@ -74,7 +74,7 @@ def parse_benchmark(
 
 
 def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
-    """Parse a benchmark.yaml and the files that it includes into nodes.
+    """Parse a benchmark.yaml and the files that it includes into nodes; without `config` nothing is included.
 
     Raises:
         SettingsError: the text is not YAML or holds no settings, a key repeats, or a file cannot be included.
