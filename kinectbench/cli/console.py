@@ -177,7 +177,7 @@ def failures(rows: "Sequence[BuiltRecording]") -> None:
 
 
 def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> WideTable:
-    """Return the table that ends a build: one row per recording, with the columns of some stages."""
+    """Return the table that ends a build: one row per recording, with the columns of these stages."""
     columns = {"recording": "recording"}
     for stage in stages:
         columns |= COLUMNS.get(stage, {})
@@ -250,7 +250,7 @@ class PlainLines:
         err.print(shown, markup=False, highlight=False, soft_wrap=True)
 
     def say_sometimes(self, text: str) -> None:
-        """Print a line unless one was printed shortly before."""
+        """Print a line unless one was printed in the last 10 s."""
         if time.monotonic() - self._last >= LOG_EVERY_S:
             self.say(text)
 

@@ -164,7 +164,8 @@ def publish_options(
         isolate: whether only one view is published of each object with held-back truth.
 
     Raises:
-        SettingsError: an unknown split, an unusable threshold file, or nothing to isolate.
+        SettingsError: an unknown split, an unusable threshold file, or an object that cannot be isolated,
+            because nothing is held back or the framing is `object`.
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS

@@ -68,7 +68,10 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
 
 
 def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
-    """Return a table of predictions in the camera frame: a row per heading and method, for whole shapes."""
+    """Return a table of predictions in the camera frame, for whole shapes: a row per heading and method.
+
+    A heading is a protocol with its variant (`ScoreRow.heading`).
+    """
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable
@@ -154,7 +157,7 @@ def _add_published(
 
 
 def _any_known(shares: Sequence[float | None]) -> bool:
-    """Return whether any of the unknown shares is known."""
+    """Return whether any of the shares is not None."""
     return any(share is not None for share in shares)
 
 
