@@ -293,7 +293,8 @@ def with_interval(
 ) -> str | None:
     """Format a value and its interval, such as `0.74 (0.35 to 0.80)`; without an interval the value alone.
 
-    The default is two decimals with an interval, which is wider than rounding, else three. None for None.
+    The default is two decimals with an interval, which is wider than rounding, else three. Without a value
+    the result is None.
     """
     if value is None:
         return None
