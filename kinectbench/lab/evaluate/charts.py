@@ -195,7 +195,10 @@ def slice_picture(solids: EvaluatedSolids) -> bytes:
 
 
 def slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
-    """Return a slice's cell colours (n, m, 3), 0 to 255: correct, missing, excess, tinted if unknown."""
+    """Return colours (n, m, 3), 0 to 255, of a slice's cells: empty, correct, missing or excess.
+
+    Unknown cells are tinted if they are empty or correct.
+    """
     kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
     colors = SLICE_COLORS[kind]
     # Errors keep their colour even if unknown: tinted, they would look correct.

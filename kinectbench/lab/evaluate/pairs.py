@@ -35,7 +35,7 @@ class MaskRow:
 
 @dataclass(frozen=True)
 class MaskFigures:
-    """Agreement of all views' masks with the true silhouettes; the IoUs are None without views.
+    """Agreement of all views' masks with the true silhouettes; the IoUs are None if no view is compared.
 
     Attributes:
         mean_valid_iou: mean over the views of `MaskRow.valid_iou`.
@@ -126,7 +126,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class PairFigures:
-    """All pairs against the truth: summaries of the figures of `EvaluatedPair`, None without pairs.
+    """All pairs against the truth: summaries of the figures of `EvaluatedPair`, None if no pair has it.
 
     Attributes:
         iou: summary of `iou`.

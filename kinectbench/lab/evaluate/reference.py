@@ -214,7 +214,8 @@ def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
 def by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -> DirectionsPart:
     """Return mean distances, signed and absolute, of the measured surface from the reference.
 
-    They are given for faces up, down and to the side. Positive: the measured surface is too far out.
+    There is a mean for faces that point up, for those that point down and for the others. Positive: the
+    measured surface is too far out.
     """
     ours, theirs = fit.ours, fit.theirs
     points, normals = ours.points[ours.counted], ours.normals[ours.counted]

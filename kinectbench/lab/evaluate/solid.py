@@ -116,7 +116,7 @@ class SolidFigures:
         solid_called_air: the part of `known_gross_share` inside the seeable solid, including the parts of it
             outside the object's voxel grid.
         air_called_solid: the part of `known_gross_share` outside the seeable solid.
-        unknown_near_measured: share of unknown voxels within 10 mm of measured surface.
+        unknown_near_measured: share labelled unknown, of the voxels within 10 mm of measured surface.
         calibration_error: mean over the bins of |mean probability - share inside the seeable solid|.
         calibration_bins: ten bins of equal count, of voxels that are unknown or within 30 mm of the surface.
         face_bias_m: mean signed distance of the built mesh from measured surface, > 0: too far out.
