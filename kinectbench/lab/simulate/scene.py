@@ -51,7 +51,7 @@ class Item:
     """One mesh of the scene, with its role and material.
 
     Attributes:
-        role: the item's role in the benchmark.
+        role: what the item is: a piece of the subject, floor, wall or clutter.
         mesh: the mesh, in frame `room`, metres.
         color_rgb: mean colour, each in [0, 1].
         contrast: strength of its texture in [0, 1].
@@ -191,7 +191,7 @@ def _table(subject_radius_m: float, draw: Draw) -> list[Item]:
 
 
 def _table_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
-    """Draw boxes and books on the table, spread evenly around the subject; the higher, the farther away."""
+    """Draw boxes and books on the table, spread evenly around the subject; farther ones may be higher."""
     items = []
     start = draw.between(0, 2 * np.pi)
     for k in range(count):

@@ -97,7 +97,7 @@ class SimulatedFrame:
     Attributes:
         frame: the sensor's output.
         depth_m: (height, width) float32, noise-free depth, metres, 0 where no surface is hit.
-        mask: (height, width) bool, the subject's silhouette.
+        mask: (height, width) bool, the subject's silhouette; empty if the frame shows another scene.
     """
 
     frame: RecordedFrame
@@ -291,7 +291,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
 
     This folder has the files of `write_truth`, `masks/<frame>.png` (noise-free silhouettes in depth pixels,
     255 = subject) and, with `save_depth`, `depth/<frame>.png` (noise-free, 5000 units per metre); `<frame>`
-    is the recorded frame's index in six digits.
+    is the recorded frame's index in six digits. A simulated recording that is there is replaced.
 
     Args:
         spec: the settings of the simulation.

@@ -143,7 +143,8 @@ def is_truth(folder: Path) -> bool:
 def added_files(folder: Path, recording: Path) -> list[str]:
     """Return the files and folders in a simulated recording's folder that its simulation did not write.
 
-    Hidden ones are ignored. An added folder is named without its content.
+    Hidden ones are ignored. An added folder is named without its content. A name that differs from a written
+    one only by its numbers, as those of frames do, counts as written.
 
     Args:
         folder: the folder of the recording's truth; without a truth, the result is empty.

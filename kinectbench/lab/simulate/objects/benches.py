@@ -221,7 +221,7 @@ def _stone(draw: Draw, size: _Size) -> Parts:
 
 
 def _box(draw: Draw, size: _Size) -> Parts:
-    """Draw a hall bench: an open shelf or a closed chest under the seat, a cushion, perhaps a back."""
+    """Draw a hall bench: open shelves or a closed chest under the seat, perhaps a cushion or a back."""
     wood, thick, y = draw.pick(looks.WOODS), draw.between(0.02, 0.03), size.y + 0.01
     under = size.seat - thick
     yield Part("seat", box((-size.x, -y, under), (size.x, y, size.seat)), wood)

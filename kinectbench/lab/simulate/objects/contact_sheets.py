@@ -21,7 +21,7 @@ FORWARD = np.array([-0.55, -0.8, -0.42])
 
 
 def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
-    """Draw a subject's pieces in their colours, seen from its front, in parallel projection.
+    """Draw a subject's pieces in their colours, in parallel projection from the front, the right and above.
 
     Args:
         subject: the object to draw.
@@ -43,7 +43,7 @@ def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
 
 
 def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np.uint8]:
-    """Draw objects of one family in rows of four, each with its name and height below it.
+    """Draw objects of one family in rows of four, each with its name and size in cm below it.
 
     Args:
         family: one of `families()`.

@@ -36,7 +36,7 @@ class Body:
 
 
 def merged_vertices(mesh: TriangleMesh) -> TriangleMesh:
-    """Merge vertices within 1e-7 m, and drop faces that no longer have three corners."""
+    """Merge vertices that are equal if rounded to 1e-7 m; drop faces that no longer have three corners."""
     keys = np.round(mesh.vertices / MERGE_M).astype(np.int64)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces = index.reshape(-1)[mesh.faces].astype(np.int32)

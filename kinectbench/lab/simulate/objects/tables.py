@@ -43,7 +43,7 @@ def _top(draw: Draw, size: _Size, look: Look, thick: float) -> Part:
 
 
 def _wooden(draw: Draw, size: _Size) -> Parts:
-    """Draw a table with four or six wooden legs and aprons, perhaps with a shelf or a drawer."""
+    """Draw a table with four or six wooden legs, perhaps with aprons, a shelf or a drawer."""
     wood, thick, leg_m = draw.pick(looks.WOODS), draw.between(0.018, 0.04), draw.between(0.04, 0.08)
     top_look = wood if draw.chance(0.6) else draw.pick(looks.WOODS + looks.STONES)
     inset = leg_m / 2 + draw.between(0.01, 0.06)
@@ -150,7 +150,7 @@ def _steel(draw: Draw, size: _Size) -> Parts:
 
 
 def _panels(draw: Draw, size: _Size) -> Parts:
-    """Draw a table on two side panels, with a panel or a shelf between them."""
+    """Draw a table on two side panels, perhaps with a panel or a shelf between them."""
     look, thick = draw.pick(looks.WOODS), draw.between(0.02, 0.05)
     under, inset = size.top - thick, 0.0 if draw.chance(0.5) else draw.between(0.04, 0.15)
     half = (size.x - inset - thick / 2, size.y - min(inset, 0.03))
@@ -166,7 +166,7 @@ def _panels(draw: Draw, size: _Size) -> Parts:
 
 
 def _drop_leaf(draw: Draw, size: _Size) -> Parts:
-    """Draw a drop-leaf table: a narrow top on legs, with two leaves that hang down at its ends."""
+    """Draw a drop-leaf table: a narrow top on legs, with up to two leaves that hang down at its ends."""
     wood, thick = draw.pick(looks.WOODS), draw.between(0.018, 0.026)
     x, under = min(size.x, 0.55), size.top - thick
     yield Part("top", box((-x, -size.y, under), (x, size.y, size.top)), wood)

@@ -202,7 +202,8 @@ def write_rosbag2(
 ) -> None:
     """Write a ROS 2 bag into an empty folder: metadata.yaml, and recording.mcap or recording.db3.
 
-    If colour is not registered, /tf_static has the transform between the cameras.
+    Colour and its CameraInfo are logged at colour's stamp, all other messages at depth's. If colour is not
+    registered, /tf_static has the transform between the cameras.
 
     Args:
         folder: an empty folder.

@@ -177,8 +177,8 @@ def png_bytes(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
 def color_json(rig: Rig) -> dict[str, object]:
     """Return the colour camera's intrinsics and its pose relative to depth, as plain JSON values.
 
-    The key `color_registered` is always there. If it is false, so are `color_camera` (size and intrinsics in
-    pixels) and `T_color_depth` (four rows, metres, depth camera to colour camera), which registration needs.
+    The key `color_registered` is always there. If its value is false, there are also `color_camera` (size and
+    intrinsics in pixels) and `T_color_depth` (four rows, metres, depth camera to colour camera).
     """
     if rig.color_registered:
         return {"color_registered": True}
