@@ -71,7 +71,9 @@ def check_pose(
     every: int,
     recheck_above_m: float = 0.0,
 ) -> Disagreement | None:
-    """Register a frame to others, starting at its given pose; None if fewer than 5 % or 100 points overlap.
+    """Register a frame to others, starting at its given pose; or None.
+
+    None: the overlap is below 5 %, or fewer than 100 points agree.
 
     If the frame moves by more than `recheck_above_m` but fits as well at its given pose, it has only slid
     along a surface: the result then is no shift and no turn.

@@ -191,8 +191,9 @@ class _Checker:
     def outlier(self, disagrees: Bools) -> Bools:
         """Which frames (n,) are within the limits, but agree far worse than nearly all others.
 
-        Candidates are measured again against the frames before and after them, and the better side counts: a
-        wrong frame makes its correct neighbours look worse, and next to a jump only one side agrees.
+        Candidates are measured again against the frames before and after them, and the better side counts,
+        also in `residual_m`: a wrong frame makes its correct neighbours look worse, and next to a jump only
+        one side agrees.
         """
         odd = find_outliers(self.residual_m / self.noise_m, ~disagrees)
         sound = np.setdiff1d(self.compared, np.flatnonzero(odd | disagrees))
@@ -203,7 +204,7 @@ class _Checker:
         return odd & find_outliers(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
-        """Search around the given pose and, if ordered, the nearest frame's; `best` unless clearly better."""
+        """Search around the given pose and, if ordered, the nearest frame's; `best` if nothing is better."""
         others = sound[sound != frame]
         if self.ordered:
             near = int(others[np.argmin(np.abs(others - frame))])
@@ -291,7 +292,7 @@ class _Checker:
 
 @dataclass(frozen=True)
 class _TypicalQuality:
-    """The quality that nearly all registrations of the recording reach."""
+    """The inlier ratio and intensity correlation that nearly all of the recording's registrations reach."""
 
     inlier_share: float
     correlation: float

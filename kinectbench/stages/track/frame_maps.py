@@ -123,7 +123,7 @@ class FrameMaps:
         return self._inputs[0][2].size > 0
 
     def reduced(self, enough_px: int, *, with_intensity: bool) -> "FrameMaps":
-        """The same frame, halved if it is then still `enough_px` wide; with its intensity only on request."""
+        """The same frame, at half the resolution if that is `enough_px` wide; intensity only on request."""
         camera, depth_m, intensity = self._inputs[0]
         if camera.width >= 2 * enough_px:
             camera, depth_m, intensity = _halved_inputs(camera, depth_m, intensity)

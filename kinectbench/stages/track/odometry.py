@@ -88,7 +88,7 @@ class Odometry:
 
 @dataclass(frozen=True)
 class ReferenceQuality:
-    """Running means of the quality of this recording's registrations."""
+    """Running means of inlier ratio and intensity correlation of this recording's registrations."""
 
     inlier_share: float
     correlation: float

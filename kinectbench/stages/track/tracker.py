@@ -58,8 +58,8 @@ def track_frames(
 
     Args:
         sequence: the recording.
-        T_given: (n, 4, 4) initial poses and weak priors, NaN where unknown. None: the first camera of the
-            largest segment defines the world.
+        T_given: (n, 4, 4) initial poses and weak priors, NaN where unknown. None: the first camera of a
+            segment, mostly of the largest, defines the world.
         progress: called with (done, total); each frame counts twice.
     """
     n = len(sequence)
