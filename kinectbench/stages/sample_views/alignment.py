@@ -196,7 +196,7 @@ def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, pri
 
 
 def helps(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: Camera) -> bool:
-    """Whether a motion lowers the mean residual of held-out points, at least 100 of them, below 90 %.
+    """Whether a motion lowers the mean residual of at least 100 held-out points to below 90 %.
 
     Args:
         points: points that the fit did not use, camera frame.
