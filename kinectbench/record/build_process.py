@@ -65,12 +65,12 @@ class BuildProcess:
         self._ask("whole")
 
     def sequence(self) -> PartialSequence | None:
-        """Return the frames stored so far; None without any, or if the process failed. It continues."""
+        """Return the frames stored so far, while the process goes on; None without any, or if it failed."""
         answer = self._answer("sequence")
         return answer if isinstance(answer, PartialSequence) else None
 
     def odometry(self) -> PartialOdometry | None:
-        """Return the odometry so far; None without any, or if the process failed. The process ends."""
+        """Return the odometry so far, and let the process end; None without any, or if it failed."""
         answer = self._answer("odometry")
         return answer if isinstance(answer, PartialOdometry) else None
 
@@ -110,7 +110,11 @@ class GrowingBuild:
         self._digests: list[bytes] = []
 
     def read_again(self) -> None:
-        """Read the folder's lists of images again, because they may have grown."""
+        """Read the folder's lists of images again, because they may have grown.
+
+        Raises:
+            RecordingError: the camera is another one now.
+        """
         try:
             recording = open_recording(self.folder)
         except KinectBenchError:
@@ -141,7 +145,7 @@ class GrowingBuild:
         return True
 
     def _follow(self, recording: Recording, frames: FolderFrames) -> None:
-        """Register the newest stored frame."""
+        """Register the newest stored frame, which `frames` ends with."""
         registered = recording.color_registered or recording.color_calibration is not None
         stamps_ns = np.array([row.stamp_ns for row in frames.rows], np.int64)
         sequence = Sequence(recording.camera, recording.depth_scale, stamps_ns, registered, None, frames)

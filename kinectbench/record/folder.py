@@ -92,7 +92,7 @@ class FolderWriter:
         return number
 
     def close(self) -> None:
-        """Wait until all added frames are written, or have failed."""
+        """Wait until all added frames are written; after an error, those not started are left out."""
         self._pool.shutdown(wait=True)
         for handle in self._lists.values():
             os.close(handle)
@@ -149,7 +149,7 @@ class FolderWriter:
 
 
 def _append(handle: int, row: str) -> None:
-    """Append a whole row to a file without buffering; after an error, nothing of it stays."""
+    """Append a whole row to a file without buffering; after an OSError, which is raised, none of it stays."""
     data = f"{row}\n".encode()
     before = os.fstat(handle).st_size
     try:

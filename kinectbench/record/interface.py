@@ -67,7 +67,8 @@ class Setup:
         camera: intrinsics of the depth images (pinhole images), pixels.
         depth_scale: native depth units per metre.
         color_registered: whether colour pixels lie on depth pixels.
-        color_calibration: the colour camera relative to the depth camera, if not registered; None: not known.
+        color_calibration: the colour camera relative to the depth camera, if colour is not registered; None:
+            registered or not known.
     """
 
     camera: Camera
@@ -83,7 +84,7 @@ class Device(Protocol):
         name: the device's name for `--device`.
         cameras: the cameras that it supports.
         extra: the optional dependencies of kinectbench that it needs, as in `kinectbench[extra]`; "" = none.
-        system: what it needs that pip does not install, with a command to install it; "" = nothing.
+        system: what it needs that pip does not install, and how to get it; "" = nothing.
         missed: number of frames lost since it was opened, as far as the device reports.
     """
 
@@ -106,7 +107,7 @@ class Device(Protocol):
         ...
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the frames, each as soon as it arrives.
+        """Yield the frames, each as soon as it arrives, until the device ends.
 
         Raises:
             CaptureError: no more frames arrive.
@@ -121,15 +122,15 @@ class Device(Protocol):
 def polled(
     ask: Callable[[], Item | None], device: str, has_depth: Callable[[Item], bool] = lambda item: True
 ) -> Iterator[Item]:
-    """Yield the items that `ask` returns, until no depth arrives.
+    """Yield the items that `ask` returns, without end.
 
     Args:
-        ask: waits at most `POLL_MS` for an item; returns None if none arrived.
+        ask: waits at most 200 ms for an item; returns None if none arrived.
         device: the device's name, for the message.
         has_depth: whether an item contains depth; items of other streams do not reset the time limit.
 
     Raises:
-        CaptureError: no depth arrived for `SILENT_S`.
+        CaptureError: no depth arrived for five seconds.
     """
     last = time.monotonic()
     while True:

@@ -27,6 +27,6 @@ def quiet() -> Iterator[None]:
 
 
 def in_a_line(error: Exception) -> str:
-    """Return the first sentence of an error's message; the error's class if the message is empty."""
+    """Return the first sentence of the first line of an error's message, or its class if that is empty."""
     said = str(error).strip().partition("\n")[0].partition(". ")[0].rstrip(":. ")
     return said or type(error).__name__

@@ -31,8 +31,8 @@ class Recorded:
         frames: number of written frames.
         missed: number of frames that the device lost, as far as it reports.
         dropped: number of frames not written because the disk was too slow.
-        set_back: number of times that the device's clock went back.
-        seconds: time from the first frame to the end, by the clock of this machine.
+        set_back: number of times that the device's clock stood still or went back.
+        seconds: time from the first frame to the last, by the clock of this machine.
         failure: one line on what ended the recording too early, or "".
         observers: one line for each observer that failed.
     """
@@ -51,11 +51,11 @@ class Recorded:
 class Clock:
     """Makes stamps that increase, whatever the device's clock does.
 
-    If the device's clock goes back or restarts, the new stamp is the previous one plus the time passed by
-    this machine's monotonic clock. Later stamps keep that offset.
+    If the device's clock stands still, goes back or restarts, the new stamp is the previous one plus the time
+    passed by this machine's monotonic clock. Later stamps keep that offset.
 
     Attributes:
-        set_back: number of times that the device's clock went back.
+        set_back: number of times that this happened.
     """
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ def record(
     observers: Sequence[Observer] = (),
     progress: Progress | None = None,
 ) -> Recorded:
-    """Record until the device ends, `seconds` have passed, or KeyboardInterrupt.
+    """Record until the device ends or fails, a frame cannot be written, time is up, or KeyboardInterrupt.
 
     Args:
         device: the device, which is opened and closed here.
@@ -104,6 +104,7 @@ def record(
         SettingsError: the folder is not empty.
         CaptureError: the device cannot be opened, or gave no frame.
         StorageError: the folder cannot be created.
+        ModuleNotFoundError: the device's library is not installed.
     """
     check_new(folder)
     try:
@@ -146,7 +147,10 @@ class _Run:
         self.started_s = self.seconds = 0.0
 
     def until_the_end(self, seconds: float | None, progress: Progress) -> str:
-        """Take frames; return one line on what ended the recording too early, or ""."""
+        """Take frames; return one line on what ended the recording too early, or "".
+
+        A KinectBenchError before the first frame is written is raised.
+        """
         try:
             for frame in self.device.frames():
                 self._take(frame)

@@ -58,8 +58,9 @@ class FullShape:
         volume_m3: volume of the mesh, cubic metres.
         known: cells whose truth is known (not labelled UNKNOWN), on the object's fine grid and on the coarse
             grid around it.
-        interior: the known cells labelled INTERIOR, which were not measured.
-        said: the known cells that are known only by the user's statement about an unseen underside.
+        interior: the known cells labelled INTERIOR, which were not measured; none on the coarse grid.
+        said: the known cells that are known only by the user's statement about an unseen underside; none on
+            the coarse grid.
         surface_sigma_m: standard deviation of the mesh's surface, metres.
     """
 

@@ -36,7 +36,7 @@ class Orbbec(Device):
         )
 
     def open(self) -> Setup:
-        """Start depth and colour in their usual modes, synchronised; the first frames give the depth unit."""
+        """Start depth and colour in their usual modes, synchronised; the first pair gives the depth unit."""
         ob = _sdk()
         if not self.plugged_in():
             raise CaptureError(f"{self.name}: no camera is plugged in")

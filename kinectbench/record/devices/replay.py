@@ -1,4 +1,4 @@
-"""Plays any readable recording as if it were a camera, at its own speed."""
+"""Plays any readable recording as if it were a camera, at its own or another speed."""
 
 import time
 from collections import deque
@@ -51,7 +51,7 @@ class Replay(Device):
         return Setup(said.camera, said.depth_scale, said.color_registered, said.color_calibration)
 
     def frames(self) -> Iterator[Frame]:
-        """Yield each frame at its time; a frame that is requested too late counts as missed.
+        """Yield each frame at its time; a damaged frame, or one requested too late, counts as missed.
 
         A jump of the clock is replayed as the longest step that still counts as a pause
         (`core.trajectory.stamps`).

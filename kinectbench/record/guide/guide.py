@@ -55,8 +55,8 @@ class Snapshot:
         advice: the sentence, and the motion that it asks for.
         lost: whether the camera has no pose.
         distance_m: distance from the camera to the middle of the object, metres; None: not known yet.
-        speed_mps: speed of the camera, metres a second.
-        T_world_camera: (4, 4), the first frame defines the world; None: the camera is lost.
+        speed_mps: speed of the camera, metres a second; while it is lost, the last known one.
+        T_world_camera: (4, 4), in the tracker's current world; None: the camera is lost.
         T_floor_camera: (4, 4), camera to floor frame; None: the floor is not known, or the camera is lost.
         looks: number of reconstructions of the object so far (`look`); each has a new mesh.
     """
@@ -146,7 +146,7 @@ class Guide:
         return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= self.seen.floor_cut_m)
 
     def shown(self) -> dict[str, object]:
-        """Return the camera's path, the seen part of the ring, and the box: metres, floor frame."""
+        """Return path (n, 3), ring (12, 3) of "seen", and the object's box, if known: metres, floor frame."""
         if self.seen is None:
             return {"path": [], "ring": [], "box": None}
         _, T_world = self.tracker.poses()

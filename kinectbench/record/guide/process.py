@@ -45,7 +45,7 @@ class Said(NamedTuple):
         number: number of the frame.
         sentence: one line.
         done_s: when the guide was done, by the monotonic clock of this machine, seconds.
-        T_world_camera: (4, 4), the first frame defines the world; None: the camera is lost.
+        T_world_camera: (4, 4), in the tracker's world at that time; None: the camera is lost.
     """
 
     number: int
@@ -98,7 +98,7 @@ class GuideProcess:
         return self._process.pid
 
     def see(self, number: int, frame: Frame, setup: Setup) -> None:
-        """Send a frame to the guide, and wait for its answer."""
+        """Send a frame to the guide, and wait for its answer. CaptureError: the guide has ended."""
         try:
             self._mine.send((number, frame, setup))
             kind, what = self._mine.recv()
@@ -168,7 +168,7 @@ class _Shown:
         return self._last
 
     def state(self, query: str) -> tuple[str, bytes] | None:
-        """Return, as JSON, what the page shows after the last frame, except for mesh and picture."""
+        """Return, as JSON, what the page shows after the last frame, except for mesh and picture, or None."""
         last, guide, picture = self._last, self._guide, self._picture
         if last is None or guide is None or picture is None:
             return None
@@ -183,12 +183,15 @@ class _Shown:
         return "application/json", json.dumps(value).encode()
 
     def mesh(self, query: str) -> tuple[str, bytes] | None:
-        """Return the mesh of the last reconstruction of the object (`mesh_bytes`)."""
+        """Return the mesh of the last reconstruction of the object (`mesh_bytes`); None before the first."""
         seen = self._guide.seen if self._guide is not None else None
         return None if seen is None else ("application/octet-stream", mesh_bytes(seen.mesh))
 
     def pick(self, body: bytes) -> str:
-        """Handle a click on the object: `{"picture": number, "x": share of its width, "y": of its height}`.
+        """Handle a click on the object: JSON `{"picture": number, "x": ..., "y": ...}`.
+
+        x and y are shares of the picture's width and height, 0 to 1; the pixel of depth at the same shares is
+        picked.
 
         Returns:
             A sentence why the click is not accepted; "" if it is.
@@ -222,12 +225,16 @@ class _Shown:
         return None if frame is None else _jpeg(frame)
 
     def picked(self, query: str) -> tuple[str, bytes] | None:
-        """Return the clicked picture, with a ring around the clicked pixel."""
+        """Return the clicked picture, with a ring around the clicked pixel; None before a click."""
         return None if self._picked is None else _jpeg(self._picked[1], self._picked[0].pixel)
 
 
 def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, bytes] | None:
-    """Encode a frame as a small JPEG, colour or grey depth; with a ring around `marked`, a depth pixel."""
+    """Encode a frame's colour, or else grey depth, as a small JPEG; with a ring around depth pixel `marked`.
+
+    Returns:
+        Content type and file; None if colour is damaged.
+    """
     import cv2
 
     if isinstance(frame.color, tuple):

@@ -1,9 +1,9 @@
 """The guide's sentences: one at a time, chosen by a fixed rule from what was seen so far.
 
-The first condition that holds decides: the camera is lost; it moves too fast; it is too near, or too far
-away; a sector of the ring around the object is unseen from every height; an opening was not looked into;
-openings are left, and a sector is unseen from low or from high; enough was seen. A sentence stays for at
-least five seconds, unless the camera is lost.
+The first condition that holds decides: the camera is lost; it moves too fast; the object is not known yet;
+the camera is too near, or too far away; a sector of the ring around the object is unseen from every height;
+an opening was not looked into; openings are left, and a sector is unseen from low or from high; enough was
+seen. A sentence stays for at least five seconds, unless the camera is lost.
 """
 
 from collections.abc import Sequence
@@ -176,7 +176,7 @@ def _around(now: Situation, position: Float64) -> Advice | None:
 
 
 def _into_openings(now: Situation, position: Float64) -> Advice | None:
-    """Return advice to look into the largest opening that no keyframe looked into; None if there is none."""
+    """Return advice to look into the largest opening that fewer than two keyframes looked into, or None."""
     for each in now.frontiers:
         center, rise_rad = np.array(each.center_m), _rise_rad(each, now.fits_m)
         if each.obstructed or rise_rad is None or _was_looked_into(each, rise_rad, now.positions):
@@ -235,7 +235,7 @@ def _rise_rad(each: Frontier, fits_m: float) -> float | None:
 
 
 def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> bool:
-    """Return whether enough keyframes looked into an opening from its viewing direction."""
+    """Return whether at least two keyframes looked into an opening from about its viewing direction."""
     if not len(positions):
         return False
     towards_rad, at_rad = directions_of(positions, np.array(each.center_m))

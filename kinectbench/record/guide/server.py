@@ -83,7 +83,7 @@ class _Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers GET and POST; other requests are refused without a reason."""
+    """Answers GET and POST; requests that are not the page's get an empty 403, other methods 501."""
 
     token: str
     answers: Mapping[str, Answer]

@@ -79,7 +79,7 @@ class KeyframesSoFar(NamedTuple):
 
 
 class LiveTracker:
-    """Tracks the camera frame by frame; the first frame defines the world.
+    """Tracks the camera frame by frame; the first frame defines the world, until `go_on_from` changes it.
 
     Attributes:
         lost: whether the last frame has no pose in the world.

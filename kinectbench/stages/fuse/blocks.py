@@ -48,11 +48,11 @@ class BlockVolume:
 
     @property
     def surface(self) -> NDArray[np.uint16]:
-        """Number of frames that measured a surface in each voxel or just before it: (n, 8, 8, 8) uint16."""
+        """Number of frames that measured a surface at each voxel, or just before it: (n, 8, 8, 8) uint16."""
         return (self.votes >> 16).astype(np.uint16)
 
     def dense(self, values: NDArray[Scalar], first_block: Int32, blocks: int) -> NDArray[Scalar]:
-        """Copy a per-voxel array into a dense cube of `blocks`^3 blocks starting at `first_block`.
+        """Copy a per-voxel array (n, 8, 8, 8) into a dense cube of `blocks`^3 blocks from `first_block` on.
 
         Blocks that are not in the volume are 0.
         """
@@ -95,7 +95,7 @@ def in_cubes(blocks: Int32, values: NDArray[Scalar]) -> tuple[Int32, NDArray[Sca
 
 
 def blocks_of_grid(grid: Grid) -> Int32:
-    """The blocks that cover a dense grid, whose sides must be multiples of 8: coordinates (n, 3), sorted."""
+    """The blocks of a dense grid, whose sides must be multiples of 8 cells: coordinates (n, 3), sorted."""
     counts = [n // BLOCK_VOXELS for n in grid.shape]
     return np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
 

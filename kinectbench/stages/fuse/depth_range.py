@@ -3,7 +3,7 @@
 The distance to what the cameras look at is taken as the larger of two: the distance to where the optical axes
 meet, and the 10th percentile of the depth in the middle of the images. The latter alone is meaningful where
 the axes do not meet, as along a shelf. What the cameras look at may extend farther back by the radius of a
-ball that fills the wider side of the image. This rule was chosen here. Depth up to 3 m is fused in any case.
+ball that fills the wider side of the image. This rule was chosen here. Its result is within 3 to 8 m.
 """
 
 from collections.abc import Iterable
@@ -77,7 +77,7 @@ def depth_range_of(
 def depth_range(
     camera: Camera, T_world_camera: Float64, sampled: SampledDepth, settings: FusionSettings
 ) -> DepthRangePart:
-    """Choose the largest depth to fuse into the scene, and find the share of the depth beyond it.
+    """Choose the largest depth to fuse into the scene, 3 to 8 m, and find the share of the depth beyond it.
 
     Args:
         camera: intrinsics of the depth images.
@@ -115,7 +115,7 @@ def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
 
 
 def grid_range_m(T_world_camera: Float64, grid: Grid, settings: FusionSettings) -> float:
-    """The largest depth to fuse into a grid, metres: the farthest point of the grid, within 3 to 8 m.
+    """The largest depth to fuse into a grid, metres: that of its farthest point, within 3 to 8 m.
 
     All depth inside the grid is useful: depth measured on the far wall of a cavity carves the cavity. The
     size of the grid limits the cost. If the settings give `fusion.max_depth_m`, that is returned instead.

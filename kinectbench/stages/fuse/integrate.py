@@ -89,10 +89,11 @@ def integrate(
 
     A voxel at camera depth z whose nearest pixel measures d has the projective signed distance s = d - z
     (Curless & Levoy 1996). sigma is the standard deviation of s from the noise of depth and pose. s is
-    clipped to +-truncation and averaged with weight 1 / sigma^2. Voxels behind the surface by more than the
-    truncation, or two standard deviations of the depth if these are more, are not updated; with less than
-    these, the mean would lie too deep. Each updated voxel gets a vote: `free` if s > max(2 sigma, half a
-    voxel's diagonal), else `surface`.
+    clipped to +-truncation and averaged with weight (cos / sigma)^2, cos being that of the angle between
+    the surface's normal and the viewing axis. Voxels behind the surface by more than the truncation, or two
+    standard deviations of the depth if these are more, are not updated; with less than these, the mean would
+    lie too deep. Each updated voxel gets a vote: `free` if s > max(2 sigma, half a voxel's diagonal), else
+    `surface`.
 
     A voxel that lies behind the surface, along its normal, by more than max(1.5 sigma, half a voxel's
     diagonal) is hidden: it may be solid or empty. There the frame's weight falls within half a voxel to a

@@ -30,7 +30,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
 
     Args:
         volume: fused blocks.
-        min_weight: voxels of less weight (`evident_weight`, 1/mm^2) count as not observed.
+        min_weight: voxels of at most this weight (`evident_weight`, 1/mm^2) count as not observed.
         trust: confidence in `free` votes, in [0, 1], from `trust_in_votes`.
     """
     of_blocks = volume.blocks // BRICK_BLOCKS
@@ -78,7 +78,7 @@ def _edge_keys(vertices: Float64, first: Int64) -> Int64:
 
 
 def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajectory) -> TriangleMesh:
-    """Give each vertex the mean colour of up to 24 frames whose depth agrees with it within 30 mm.
+    """Give each vertex its mean colour in those of some 24 frames whose depth agrees within 30 mm.
 
     Without colour registered to depth the mesh is returned unchanged; vertices that no frame sees are grey.
     """

@@ -84,8 +84,8 @@ def fuse(
 ) -> Reconstruction:
     """Fuse good frames (Curless & Levoy 1996, block-sparse) and extract the surface.
 
-    Of more than 300 frames, only some are fused, evenly spread (`SCENE_FRAMES`). Unless the settings give the
-    largest depth, it is chosen from the recording (`depth_range`).
+    Of more than 300 frames, only 300, or a tenth if that is more, are fused, evenly spread. Unless the
+    settings give the largest depth, it is chosen from the recording (`depth_range`).
 
     Raises:
         TrackingError: no frame has a pose.
@@ -121,7 +121,7 @@ def scene_voxel_size_m(ray_width_m: float) -> float:
 
 
 def write_reconstruction(reconstruction: Reconstruction, folder: Path) -> None:
-    """Write the surface, reconstruction.json, and the volume, its blocks joined to cubes of 16^3.
+    """Write mesh.ply, reconstruction.json, and volume.npz, its blocks joined to cubes of 16^3 voxels.
 
     volume.npz: `blocks` (n, 3) int32, `tsdf` and `weight` (n, 16, 16, 16) float16 in metres and 1/mm^2,
     `free` and `surface` (n, 16, 16, 16) uint16 votes, `voxel_size_m`, `T_world_grid` (4, 4).
@@ -193,7 +193,7 @@ def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: F
 
 
 def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far: bool = False) -> Float32:
-    """Depth of a frame, metres, 0 outside the fused range; `far` keeps depth beyond it, for free space."""
+    """Depth of a frame, metres, 0 outside the fused range; `far` keeps it to twice the range, at most 8 m."""
     depth_m, farthest_m = sequence.depth_m(index), _max_depth_m(settings)
     if far:
         farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))

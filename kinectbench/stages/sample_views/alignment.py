@@ -61,7 +61,8 @@ def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> Oriente
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         camera: intrinsics.
-        stride_px: stride along rows and columns; normals come from the pixels four to either side.
+        stride_px: stride along rows and columns; normals come from the pixels four to either side. Pixels
+            beyond 3.5 m or at a depth edge are left out.
     """
     reach = NORMAL_REACH_PX
     points = camera.backproject(depth_m)
@@ -142,7 +143,7 @@ def align_view(
     Every second point on the object is used for the fit, with the trajectory's pose as a prior, so that
     motions that the object does not constrain stay near zero. The corrected pose is accepted only if the mean
     residual of the other points falls below 90 % of that before, and the median displacement of all points is
-    at most 2.5 times `pose_sigma_m` (taken as at least 1 mm).
+    at most 2.5 times `pose_sigma_m` (taken as at least 1 mm). Fewer than 100 other points correct nothing.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
@@ -195,7 +196,7 @@ def fitted_motion(surface: OrientedPoints, depth_m: Float32, camera: Camera, pri
 
 
 def helps(points: OrientedPoints, rendered_m: Float32, motion: Float64, camera: Camera) -> bool:
-    """Whether a motion lowers the mean residual of held-out points to the rendered object below 90 %.
+    """Whether a motion lowers the mean residual of at least 100 held-out points to below 90 %.
 
     Args:
         points: points that the fit did not use, camera frame.

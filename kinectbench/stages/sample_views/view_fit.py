@@ -54,7 +54,7 @@ def fit_of_view(
     model: ObjectModel,
     renderer: DepthRenderer,
 ) -> ViewFit:
-    """Measure how well a view's depth fits the object.
+    """Measure how well a view's depth fits the object; without depth on it, the residual is infinite.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.

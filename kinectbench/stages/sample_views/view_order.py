@@ -36,7 +36,7 @@ def frame_order(
 
     `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: frames are grouped by sectors of 30 degrees
     around the object, within a sector by heights of 15 degrees, and within a height by three classes of the
-    visible share (up to 50 %, up to 80 %, more). Sectors take turns; within each sector its heights take
+    visible share (below 50 %, below 80 %, more). Sectors take turns; within each sector its heights take
     turns, and within each height its classes. Frames of one class are in the order of `random`.
     """
     order = np.random.default_rng(settings.seed).permutation(trajectory.good_frames).tolist()
@@ -81,7 +81,7 @@ def visible_share(
 
 
 def share_class(share: float) -> int:
-    """The class of a visible share: 0 up to 50 %, 1 up to 80 %, 2 above."""
+    """The class of a visible share, given in [0, 1]: 0 below 50 %, 1 below 80 %, else 2."""
     return int(np.searchsorted(SHARES[1:-1], share, side="right"))
 
 
@@ -96,7 +96,13 @@ def stratum_text(stratum: Stratum) -> str:
 
 
 def taking_turns(frames: Rows[int], strata: dict[int, Stratum], depth: int = 0) -> list[int]:
-    """Order frames so that sectors take turns, within them heights, and within these visibility classes."""
+    """Order frames so that sectors take turns, in them heights, and in these visibility classes.
+
+    Args:
+        frames: the frames to order.
+        strata: {frame: (sector, height, class)}.
+        depth: 0 to start with sectors, 1 with heights, 2 with classes.
+    """
     if depth == 3:
         return list(frames)
     groups: dict[int, list[int]] = {}

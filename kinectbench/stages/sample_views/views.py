@@ -1,4 +1,4 @@
-"""The stage `sample-views`: samples 50 frames with the object's mask in each, and stores them.
+"""The stage `sample-views`: samples frames (usually 50), with the object's mask in each, and stores them.
 
 They are stored as views.json with depth, colour and mask images.
 """
@@ -58,7 +58,8 @@ class View:
         reason: why the frame was tried at this point of the order.
         alignment: its pose, corrected by aligning its depth with the object.
         mask: (height, width) bool, the object, in depth pixels.
-        fit: how well depth fits the object, with the mask before a person's masks are applied.
+        fit: how well depth fits the object, with the mask before a person's masks are applied; but if the
+            view was read from a file, `fit.pixels` counts the final mask.
         blur: blur of the colour relative to the recording, as in health.json; None if unknown.
         pose_residual_m: residual of its depth to other frames' under the trajectory's poses, metres; None if
             unknown.
@@ -206,7 +207,7 @@ def _warnings(views: list[View], settings: ViewSettings, good_frames: int) -> li
 
 
 def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
-    """Write views.json and, for each view, depth (uint16 mm), mask (255 = object) and colour (JPEG)."""
+    """Write views.json and, for each view, depth (uint16 mm), mask (255 = object) and any colour (JPEG)."""
 
     def images(view: View) -> dict[str, bytes]:
         mask = view.mask.astype(np.uint8) * 255
@@ -224,7 +225,7 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
 
 
 def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
-    """The images of a view by file suffix: depth (uint16 mm), and colour if available."""
+    """The images of a view by file suffix: depth (uint16 mm), and colour, if any; StorageError: damaged."""
     encoded = sequence.frames.color_encoded(frame)
     color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
     return {"depth.png": png(depth_in_mm(sequence.depth_m(frame))), **color}
@@ -284,7 +285,7 @@ def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
     """Read the images of a view as `pictures_of` makes them.
 
     Raises:
-        StorageError: a picture is missing or cannot be read.
+        StorageError: the depth image is missing, or an image cannot be read.
     """
     paths = {end: folder / f"{view}.{end}" for end in ("depth.png", "color.jpg")}
     try:
@@ -297,7 +298,7 @@ def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
 
 
 def picture_digest(pictures: Mapping[str, bytes]) -> str:
-    """SHA-256 of a view's images: every pixel of depth in mm, and the colour file if available.
+    """SHA-256 (hex) of a view's images: the shape and pixels of depth in mm, and any colour file.
 
     The depth file itself may differ with the version of zlib; colour is usually stored as recorded.
 
@@ -319,7 +320,7 @@ def picture_digest(pictures: Mapping[str, bytes]) -> str:
 
 
 def read_masks(folder: Path) -> GivenMasks:
-    """A person's masks in a folder: PNGs with nonzero pixels inside; each is read on request."""
+    """A person's masks in a folder: PNGs, nonzero where the object is; each is read on request."""
 
     def read(name: str) -> Bools:
         """Read a mask (height, width) by the name of its file."""
@@ -345,7 +346,7 @@ def _read_mask(path: Path) -> Bools | None:
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:
-    """Colour as a JPEG: the recorded file if it is one, else encoded once."""
+    """Colour as a JPEG: the recorded file if it is one, else encoded once. StorageError: it is damaged."""
     import cv2
 
     if suffix in (".jpg", ".jpeg"):

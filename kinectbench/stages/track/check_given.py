@@ -1,4 +1,4 @@
-"""Check a given trajectory: compare each frame with its neighbours, and distant frames with each other."""
+"""Check a given trajectory: compare each frame with similar views, and distant frames with each other."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ class GivenCheck:
 
     Attributes:
         T_given: (n, 4, 4), NaN where a frame has no given pose.
-        frames: each frame compared with its neighbours.
+        frames: each frame compared with frames of similar views.
         distant: constraints between distant frames, registered from the given poses.
         figures: figures for health.json. `refined_distant_residual_m` is measured at the refined poses or,
             without these, at the poses of the pairwise registrations.
@@ -56,7 +56,7 @@ class GivenCheck:
 
     @property
     def agrees(self) -> Bools:
-        """Whether each frame's depth was compared with other frames and agrees with them: (n,)."""
+        """Whether each frame (n,) was compared with others and does not disagree; outliers count, too."""
         return np.isfinite(self.frames.shift_m) & ~self.frames.disagrees
 
 
@@ -68,8 +68,8 @@ def check_given(
     Args:
         sequence: the recording, n frames.
         T_given: (n, 4, 4), NaN where a frame has no given pose.
-        settings: the limits for disagreement.
-        progress: called with (done, total).
+        settings: stride of the points, number of similar views, and the limit for disagreement.
+        progress: called with (frames compared, frames with a pose).
     """
     maps, every = MapCache(sequence), settings.check_stride_px
     posed = np.flatnonzero(has_pose(T_given))
@@ -94,7 +94,11 @@ def check_given(
 def as_refined(
     sequence: Sequence, checked: GivenCheck, T_refined: Float64, settings: TrackingSettings
 ) -> GivenCheck:
-    """Return the check with the figures that compare the given poses with refined ones (n, 4, 4)."""
+    """Return the check, with the figures of refined poses (n, 4, 4) added.
+
+    These are the distant residual at the refined poses, and their distance from the given ones, None if
+    fewer than three frames have both.
+    """
     maps, every = MapCache(sequence), settings.check_stride_px
     maps.calibrate(checked.calibration)
     found_m = distant_residual_m(maps, checked.distant, every, T_refined)
@@ -108,7 +112,7 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
     """Keep the given poses, without those of frames that disagree, are outliers, or have no depth.
 
     Raises:
-        TrackingError: most frames disagree.
+        TrackingError: more than half of the compared frames disagree.
     """
     posed, wrong, blind = has_pose(checked.T_given), checked.frames.disagrees, checked.frames.blind
     compared = int(np.isfinite(checked.frames.shift_m).sum())
@@ -141,7 +145,7 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
 
 
 def warnings_of(sequence: Sequence, checked: GivenCheck) -> list[str]:
-    """Warnings about a given trajectory: jumps, implausible drift, unchecked frames."""
+    """Warnings about a given trajectory: jumps, implausible drift, many disagreeing or unchecked frames."""
     jumps = checked.frames.jumps
     # Stamps that only count frames add no information.
     counted = counts_frames(sequence.stamps_ns)

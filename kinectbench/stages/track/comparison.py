@@ -28,7 +28,7 @@ class TrajectoryComparison:
     clock: ClockOffset | None = None
 
     def row(self) -> dict[str, float | int | None]:
-        """The figures as printed and written as JSON, in millimetres and degrees.
+        """The figures as printed and written as JSON: lengths in mm, angles in degrees, times in ms.
 
         Relative errors (rmse) are from one matched frame to the next, and over a metre of path; the latter
         are None if the path is shorter. `ate_rmse_moved_mm` is the absolute error after the clock offset is

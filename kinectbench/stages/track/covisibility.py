@@ -31,9 +31,9 @@ class KeyframeThumbnail:
     """A depth thumbnail of a keyframe and a few points, enough to compute shared views.
 
     Attributes:
-        depth_m: (height, width) float32 at the coarsest level, about 80 x 60.
+        depth_m: (height, width) float32, metres, at the coarsest level, about 80 x 60 pixels.
         intrinsics: (4,) fx, fy, cx, cy of that level.
-        points: (m, 6) float64, at most 200, position and normal, camera frame.
+        points: (m, 6) float64, m <= 200: position (metres) and normal, camera frame.
     """
 
     depth_m: NDArray[np.float32]
@@ -58,10 +58,10 @@ def shared_view(a: KeyframeThumbnail, b: KeyframeThumbnail, T_a_b: Float64) -> f
 
 
 def covisible(thumbnails: Sequence[KeyframeThumbnail], T_world: Float64) -> list[tuple[float, int, int]]:
-    """Pairs of keyframes that see the same places: (shared view, i, j) with i < j.
+    """Pairs i < j of keyframes that look at nearby places, with their shared view: (share, i, j).
 
-    The shared view is the lesser of `shared_view` in both directions. Each keyframe is compared with at most
-    60 others that look at nearby places, so the cost grows linearly with their number.
+    The share is the lesser `shared_view` of both directions, and may be 0. Each keyframe is paired with the
+    nearest 60 others at most, so the cost grows linearly with their number.
 
     Args:
         thumbnails: thumbnails of the keyframes.

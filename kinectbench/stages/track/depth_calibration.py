@@ -57,6 +57,8 @@ class CalibrationView:
 def calibrate(views: Iterable[CalibrationView]) -> DepthCalibration:
     """Estimate the correction under which pairs of frames agree best; each pair's motion is free.
 
+    There is no correction for fewer than six pairs, or if the estimate from one half does not help the other.
+
     Args:
         views: pairs in the order of time, with depth as recorded, not yet corrected.
     """
@@ -64,16 +66,16 @@ def calibrate(views: Iterable[CalibrationView]) -> DepthCalibration:
 
 
 def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.int64]) -> DepthCalibration:
-    """Estimate the correction under which frames of known poses agree best; their motions are also estimated.
+    """Estimate the correction under which pairs of frames agree best; their given relative poses may adjust.
 
     Given poses may contain the error of a hand-eye calibration, or come from the same distorted depth. Then
-    correct depth fits them worse. The correction is therefore accepted only if frames agree clearly better at
-    the given poses.
+    correct depth fits them worse. The correction is therefore accepted only if it also lowers the squared
+    residuals at the given poses, by more than 2 %.
 
     Args:
         maps: maps of the recording, depth as recorded.
-        T_world_camera: (n, 4, 4), poses of all frames.
-        frames: (k,) frames to compare, ascending; all have poses.
+        T_world_camera: (n, 4, 4) given poses, NaN where unknown.
+        frames: (k,) indices of the frames to compare, ascending; all have poses.
     """
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_world_camera[frames])
     pairs = sorted((int(frames[i]), int(frames[j])) for share, i, j in seen if share >= MIN_SHARED_VIEW)
@@ -92,7 +94,7 @@ def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _accepted(sums: Sequence[Float64]) -> DepthCalibration:
-    """The correction by all pairs, if that by each half of the pairs improves the other half; else none."""
+    """The correction by all pairs; none for fewer than six, or if one half's does not improve the other."""
     accepted = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
     return DepthCalibration(_solved(sums)) if accepted else NO_CALIBRATION
 
@@ -125,7 +127,7 @@ def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[Float64, Float64]]
 
 
 def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
-    """Weighted products (k + 1, k + 1) of a pair's coefficients and residual (last), in two versions.
+    """Weighted products (k + 1, k + 1) of the derivatives by k coefficients and the residual (last), twice.
 
     In the first, the pair's motion is fixed; in the second, it is eliminated. None if the frames overlap too
     little.

@@ -53,7 +53,7 @@ class Disagreement:
     Attributes:
         registration: registration of the frame to the first of the others, started at its given pose.
         shift_m: median displacement of the frame's points, metres.
-        certain_shift_m: the part of the shift that exceeds the registration's uncertainty, metres.
+        certain_shift_m: the part of the shift beyond three standard deviations of the registration, metres.
         turn_rad: rotation of the camera, radians.
     """
 
@@ -71,10 +71,12 @@ def check_pose(
     every: int,
     recheck_above_m: float = 0.0,
 ) -> Disagreement | None:
-    """Register a frame to others, starting at its given pose; None if they overlap too little.
+    """Register a frame to others, starting at its given pose; or None.
 
-    If the frame moves far but fits as well at its given pose, it has only slid along a surface: the result
-    then is no shift and no turn.
+    None: the overlap is below 5 %, or fewer than 100 points agree.
+
+    If the frame moves by more than `recheck_above_m` but fits as well at its given pose, it has only slid
+    along a surface: the result then is no shift and no turn.
 
     Args:
         source: the frame.
@@ -82,7 +84,7 @@ def check_pose(
         T_targets_source: (4, 4) for each target, by the given poses.
         coarsest: level to start at. Level 0 finds less than half of a shift of 100 mm, level 2 all of it.
         every: stride of the points used.
-        recheck_above_m: above this shift the fit at the given pose is measured as well.
+        recheck_above_m: above this shift, metres, the fit at the given pose is measured as well.
     """
     registration = register(source, targets, T_targets_source, coarsest, PLACED, every)
     if registration.overlap < MIN_OVERLAP or registration.signal_to_noise == 0:
@@ -96,9 +98,10 @@ def check_pose(
 
 
 def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
-    """Whether a frame fits others at its given pose as well as at the registered one.
+    """Whether a frame fits others at its given pose nearly as well as at the registered one.
 
-    The overlaps are not compared: frames from two sides of an object overlap little and still fit.
+    The overlaps are not compared: frames from two sides of an object overlap little and still fit. At the
+    given pose the overlap must be at least 5 %, and the inlier ratio 90 %.
 
     Args:
         as_given: the figures at the given pose.
@@ -135,7 +138,9 @@ def disagreement(source: FrameMaps, T_target_source: Float64, registration: Regi
 
 
 def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, every: int) -> Float64:
-    """Point-to-plane distances (m,), metres, of all points within 0.1 m of their measurement in the target.
+    """Point-to-plane distances (m,) >= 0, metres, of points that meet the same surface in the target.
+
+    That is, the target's depth at their pixel is within 0.1 m, and its normal within 60 degrees.
 
     Unlike a registration's residuals they are not truncated at the noise, so they measure a pose error.
 
@@ -155,17 +160,18 @@ def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, ever
 def distant_constraints(
     maps: MapCache, T_given: Float64, frames: NDArray[np.int64], every: int
 ) -> tuple[tuple[Constraint, ...], Float64, float]:
-    """Register distant frames that see the same place under the given poses.
+    """Register frames, a sixth of the recording or more apart, that see the same place under the given poses.
 
     Args:
         maps: maps of the recording, n frames.
         T_given: (n, 4, 4), NaN where a frame has no given pose.
-        frames: (k,) frames with a pose, ascending.
+        frames: (k,) indices of the frames to pair, ascending; all have poses.
         every: stride of the points used.
 
     Returns:
-        The accepted registrations, as loop constraints; the displacement (m,) of frame b's points by each,
-        from the given pose, metres; and the ratio of the tried pairs that do not fit, NaN for few pairs.
+        The accepted registrations, as loop constraints; the median displacement (m,) of frame b's points by
+        each, from the given pose, metres; and the ratio of the tried pairs that neither register nor fit at
+        the given poses, NaN for fewer than eight pairs.
     """
     apart = MIN_APART * len(T_given)
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_given[frames])
@@ -200,7 +206,9 @@ def _fits(as_given: Registration) -> bool:
 def distant_residual_m(
     maps: MapCache, constraints: tuple[Constraint, ...], every: int, T_world_camera: Float64 | None = None
 ) -> float:
-    """Median over the constraints of the median absolute residual from b to a, metres; NaN if unknown.
+    """Median over the constraints of the median absolute residual from b to a, metres.
+
+    Constraints with fewer than 100 residuals, or without poses, are left out; NaN if none is left.
 
     Args:
         maps: maps of the recording, n frames.

@@ -57,7 +57,7 @@ class Features:
 
 
 class FeatureCache(OrderedDict[int, Features]):
-    """Features of frames, computed on demand; the last 1000 are kept."""
+    """Features of frames, by index, computed on demand; those of the 1000 frames computed last are kept."""
 
     def __init__(self, maps: MapCache) -> None:
         super().__init__()
@@ -121,7 +121,9 @@ def match(source: Features, target: Features) -> NDArray[np.int64]:
 
 
 def pose_from_features(source: Features, target: Features, camera: Camera) -> tuple[Float64, int] | None:
-    """Estimate T_target_source (4, 4) by PnP; return it and the number of inliers, None if too few match.
+    """Estimate T_target_source (4, 4) by PnP; return it and the number of inliers, or None.
+
+    None: fewer than 12 features match, or fewer than 10 matches are inliers.
 
     Args:
         source: features whose pixels are the observations.
@@ -150,7 +152,7 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
 
 
 def similarity(features: Sequence[Features]) -> NDArray[np.float64]:
-    """Cosine similarity (k, k) of the keyframes' tf-idf weighted word counts; the diagonal is 0."""
+    """Cosine similarity (k, k) of k frames' tf-idf weighted counts of ORB words; the diagonal is 0."""
     import cv2
 
     k = len(features)

@@ -46,16 +46,16 @@ class FrameCheck:
     """How well a recording's frames agree under given poses; NaN if unknown.
 
     Attributes:
-        compared: (k,) the reference frames, with which all frames were compared.
-        shift_m: (n,) displacement of each frame's points until it agrees with others, metres.
+        compared: (k,) indices of the reference frames; each frame was compared with the most similar of them.
+        shift_m: (n,) median displacement of each frame's points until it agrees with others, metres.
         turn_rad: (n,) rotation of the camera until the frame agrees, radians.
         residual_m: (n,) median absolute point-to-plane residual at the given pose, metres.
         noise_m: (n,) the residual expected from a Kinect's depth noise at the median depth, metres.
         inlier_share: (n,) inlier ratio of the frame's points after registration.
         degenerate: (n,) bool, the depth has an unobservable direction of motion.
-        disagrees: (n,) bool, the shift or the turn exceeds its limit.
+        disagrees: (n,) bool, the certain shift exceeds its limit, or fewer than 65 % of the points fit.
         outlier: (n,) bool, within the limits, but far worse than nearly all frames.
-        blind: (n,) bool, the frame has no depth to compare.
+        blind: (n,) bool, the frame has a given pose, but no depth to compare.
         jumps: jumps of the trajectory: the frame after the jump, and its size, metres.
     """
 
@@ -85,8 +85,8 @@ def check_frames(
     Args:
         maps: maps of the recording, n frames.
         T_given: (n, 4, 4), NaN where a frame has no given pose.
-        settings: number of points and neighbours, and limits for disagreement.
-        progress: called with (done, total).
+        settings: stride of the points, number of similar views, and the limit for disagreement.
+        progress: called with (frames compared, frames with a pose).
     """
     posed = np.flatnonzero(has_pose(T_given))
     compared = evenly_spread(posed)
@@ -102,7 +102,7 @@ def check_frames(
 
 
 def evenly_spread(frames: Int64) -> Int64:
-    """Choose evenly, from frames (k,), the reference frames with which all frames are compared."""
+    """Choose at most 60 of the frames (k,), evenly spread, as reference frames to compare all frames with."""
     return frames[evenly(len(frames), COMPARED_FRAMES)]
 
 
@@ -138,7 +138,7 @@ class _Checker:
             self.step_m[frame] = checked.certain_shift_m
 
     def recheck(self, posed: Int64) -> None:
-        """Check again the frames that disagree, agree less well than is typical, or were not compared."""
+        """Check again the frames that move far, agree less well than is typical, or were not compared."""
         # The first check runs at the finest level, which recovers only part of a large shift.
         median_m = np.median([checked.shift_m for checked in self.found.values()] or [0.0])
         recheck_above_m = max(self.max_shift_m / 2, RECHECK_TIMES * median_m)
@@ -177,7 +177,7 @@ class _Checker:
         return float(np.median(residuals)) if len(residuals) else np.nan
 
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
-        """The nearest agreeing frames before and after a frame, a list each; unordered: the most similar."""
+        """Up to three agreeing reference frames before a frame, and after it; unordered: the most similar."""
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
         if not self.ordered:
             sides = [nearest_views(self.T, frame, sound)[:NEXT_IN_TIME]]
@@ -191,8 +191,9 @@ class _Checker:
     def outlier(self, disagrees: Bools) -> Bools:
         """Which frames (n,) are within the limits, but agree far worse than nearly all others.
 
-        Candidates are measured again against the frames before and after them, and the better side counts: a
-        wrong frame makes its correct neighbours look worse, and next to a jump only one side agrees.
+        Candidates are measured again against the frames before and after them, and the better side counts,
+        also in `residual_m`: a wrong frame makes its correct neighbours look worse, and next to a jump only
+        one side agrees.
         """
         odd = find_outliers(self.residual_m / self.noise_m, ~disagrees)
         sound = np.setdiff1d(self.compared, np.flatnonzero(odd | disagrees))
@@ -203,7 +204,7 @@ class _Checker:
         return odd & find_outliers(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
-        """Search around the given pose and the nearest frame's; a clearly better result replaces `best`."""
+        """Search around the given pose and, if ordered, the nearest frame's; `best` if nothing is better."""
         others = sound[sound != frame]
         if self.ordered:
             near = int(others[np.argmin(np.abs(others - frame))])
@@ -291,7 +292,7 @@ class _Checker:
 
 @dataclass(frozen=True)
 class _TypicalQuality:
-    """The quality that nearly all registrations of the recording reach."""
+    """The inlier ratio and intensity correlation that nearly all of the recording's registrations reach."""
 
     inlier_share: float
     correlation: float
@@ -315,7 +316,7 @@ class _TypicalQuality:
 
 
 def nearest_views(T: Float64, frame: int, among: Int64) -> Int64:
-    """Other frames sorted by similarity of view: 1 m of distance counts as much as 1 rad of rotation."""
+    """The other frames of `among`, the most similar view first: 1 m apart counts as 1 rad between axes."""
     others = among[among != frame]
     apart_m = np.linalg.norm(T[others, :3, 3] - T[frame, :3, 3], axis=1)
     cosine = T[others, :3, 2] @ T[frame, :3, 2]

@@ -67,7 +67,7 @@ class ReducedFrame:
 
     Attributes:
         depth: (height, width) uint16, 0.1 mm, 0 = none.
-        gray: (height, width) uint8; (0, 0) where colour is not registered to depth.
+        gray: (height, width) uint8; (0, 0) where colour is missing or not registered to depth.
     """
 
     depth: NDArray[np.uint16]
@@ -82,7 +82,7 @@ class Level:
         camera: intrinsics at this resolution.
         depth_m: (height, width) float32, 0 = none.
         normals: (height, width, 3) float32, camera frame, towards the camera; 0 = none.
-        intensity: (height, width) float32, 0 to 255; (0, 0) where colour is not registered to depth.
+        intensity: (height, width) float32, 0 to 255; (0, 0) where colour is missing or not registered.
         points: (m, 8) float32: position (metres, camera frame), normal, sigma (metres), intensity.
         normal_noise: standard deviation of the normals along either tangent (radians), divided by sigma /
             depth and by the cosine of the slant.
@@ -123,7 +123,7 @@ class FrameMaps:
         return self._inputs[0][2].size > 0
 
     def reduced(self, enough_px: int, *, with_intensity: bool) -> "FrameMaps":
-        """The same frame at half the resolution, if it is then still `enough_px` wide; else unchanged."""
+        """The same frame, at half the resolution if that is `enough_px` wide; intensity only on request."""
         camera, depth_m, intensity = self._inputs[0]
         if camera.width >= 2 * enough_px:
             camera, depth_m, intensity = _halved_inputs(camera, depth_m, intensity)
@@ -132,10 +132,11 @@ class FrameMaps:
 
 @dataclass
 class MapCache:
-    """The maps of a sequence's frames, computed on demand; the last 150 are kept to bound memory.
+    """The maps of a sequence's frames, computed on demand; the 150 used last are kept to bound memory.
 
-    The reduced images of the first 2000 frames stay in memory, because reading is slow. Threads may share the
-    cache as long as `improve` and `calibrate` are not called: at worst two of them compute the same maps.
+    The reduced images of the first 2000 frames read stay in memory, because reading is slow. Threads may
+    share the cache as long as `improve`, `calibrate` and `undo_shutter` are not called: at worst two of them
+    compute the same maps.
 
     Attributes:
         sequence: the recording.
@@ -158,12 +159,12 @@ class MapCache:
         return {**vars(self), "_kept": OrderedDict()}
 
     def copied(self) -> "MapCache":
-        """A copy for another thread; changes of either do not affect the other."""
+        """A copy for another thread, without maps and sharpness; neither sees changes of the other."""
         read = {**self._read}
         return replace(self, averaged={**self.averaged}, sharpness={}, _kept=OrderedDict(), _read=read)
 
     def forget(self, index: int) -> None:
-        """Drop everything about a frame that is not needed any more."""
+        """Drop the images and the maps of a frame that is not needed any more."""
         self._read.pop(index, None)
         self._kept.pop(index, None)
 
@@ -231,7 +232,7 @@ class MapCache:
         self._kept.clear()
 
     def calibrate(self, calibration: DepthCalibration) -> None:
-        """Correct the depth of all frames from now on."""
+        """Correct the depth of all frames from now on, by this calibration alone."""
         camera = reduced_camera(self.sequence.camera, _reduction(self.sequence.camera))
         none = calibration.is_none
         self.correction_per_m = None if none else calibration.correction_per_m(camera.width, camera.height)
@@ -239,7 +240,7 @@ class MapCache:
 
 
 def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
-    """Read the colour of a frame as grey at working resolution; None if missing or of another shape."""
+    """Read a frame's colour as grey, working resolution; None if missing, damaged or not of depth's shape."""
     import cv2
 
     gray, camera = gray_frame(sequence, index, cv2.IMREAD_GRAYSCALE), sequence.camera
@@ -318,7 +319,7 @@ class DepthAverage:
         self._frames = 0
 
     def add(self, frame: Level, T_keyframe_frame: NDArray[np.float64]) -> None:
-        """Add a frame, with the relative pose T_keyframe_frame (4, 4)."""
+        """Add a frame, with the relative pose T_keyframe_frame (4, 4); at most 16 frames are added."""
         if self._frames >= MAX_FRAMES:
             return
         self._frames += 1

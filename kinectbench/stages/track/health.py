@@ -176,7 +176,7 @@ class _Case:
 
     @cached_property
     def held_out(self) -> Bools:
-        """Posed frames (n,) without keyframes, of which the model is made; all if none has a residual."""
+        """Whether each frame (n,) has a pose and is no keyframe; if no such frame has a residual, `posed`."""
         others = self.posed.copy()
         others[self.tracked.keyframes] = False
         return others if np.isfinite(self.residual_m[others]).any() else self.posed
@@ -225,7 +225,7 @@ def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
 
 
 def _steps(case: _Case) -> tuple[Float64, Bools]:
-    """Length of each step between poses, metres, and whether an accepted loop spans the step.
+    """Length of each step from one pose to the next, (m,) metres, and whether an accepted loop spans it.
 
     A spanning loop constrains the poses before the step relative to those after it.
     """
@@ -257,14 +257,14 @@ def _open_gap_s(case: _Case, closed: Bools) -> float | None:
 
 
 def _arc_rad(case: _Case) -> float | None:
-    """The arc, radians, of the directions from which the posed frames see their common focus."""
+    """The arc, radians, from which the posed frames see their common focus; None if most look elsewhere."""
     frames = np.flatnonzero(case.posed)
     depth_m = median_middle_depth_m(case.sequence, frames)
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)
 
 
 def _loop_correction_m(loops: Iterable[ConstraintCorrection]) -> float | None:
-    """Rms correction of the accepted loops, metres; None without loops.
+    """Rms correction of the accepted loops, metres; None if none is left.
 
     A loop between views that hardly overlap may itself be wrong by decimetres. The largest corrections, of up
     to one loop in twenty, are therefore left out where they are within the expected error of the loop itself.

@@ -1,7 +1,7 @@
 """Figures of health.json about constraints and frames.
 
 For constraints: their disagreement with the final poses, from which the uncertainty of poses follows. For
-frames: state, residual, motion and blur; and where the camera was lost.
+frames: median depth, motion, jumps and sharpness; and where the camera was lost.
 """
 
 from collections import Counter
@@ -50,18 +50,18 @@ class ConstraintCorrection:
 
     @property
     def accepted(self) -> bool:
-        """Whether the pose graph accepted the constraint."""
+        """Whether the pose graph gave the constraint a weight of at least 0.5."""
         return self.constraint.weight >= ACCEPTED_WEIGHT
 
 
 def median(values: Float64) -> float:
-    """The median of the known values of (n,); NaN if none is known."""
+    """The median of the finite values of an array (n,); NaN if there are none."""
     of = values[np.isfinite(values)]
     return float(np.median(of)) if len(of) else np.nan
 
 
 def median_depths_m(sequence: Sequence, frames: Iterable[int]) -> dict[int, float]:
-    """Median depth of each frame, metres; 1.5 m for frames without depth."""
+    """{frame: median depth}, metres; 1.5 m for frames without depth."""
     medians = {}
     for frame in sorted(set(frames)):
         depth_m = sequence.depth_m(frame)[::4, ::4]
@@ -101,7 +101,7 @@ def pose_sigma_m(
     constraint may cause the correction. A frame's keyframe is the nearest one in time.
 
     Returns:
-        (n,) metres; NaN for frames without pose or without constraint.
+        (n,) metres; NaN for frames without pose, or whose keyframe's weights sum to less than 0.1.
     """
     n = len(sequence)
     if not len(tracked.keyframes):
@@ -147,7 +147,7 @@ def motion(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> tuple[Float
 
 
 def jumps(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> Iterator[Jump]:
-    """Yield steps between consecutive poses that are long, and far faster than 95 % of the steps.
+    """Yield steps between consecutive poses, longer than 0.5 m and more than twice as fast as 95 % of them.
 
     Args:
         T_world_camera: (n, 4, 4), NaN where a frame has no pose.

@@ -1,6 +1,6 @@
-"""Connect keyframes by constraints between covisible keyframes, loop closures, and lost segments.
+"""Connect keyframes by constraints: between covisible keyframes, at loop closures, and between segments.
 
-A constraint is a registration that is accepted in both directions. Tries per keyframe are limited.
+A new constraint is a registration accepted in both directions. Tries per keyframe are limited.
 """
 
 from collections import defaultdict
@@ -53,7 +53,7 @@ class KeyframeGraph:
         keyframes: (k,) frame indices of the keyframes.
         T_world: (k, 4, 4), NaN where a keyframe's segment could not be joined.
         constraints: the accepted constraints, with their weights.
-        refused: constraints that were tried and rejected, or switched off by the optimisation.
+        refused: constraints that were rejected, switched off by the optimisation, or lie outside the world.
         joined: indices of the segments that were joined into the world.
         thumbnails: (k,) thumbnails of the keyframes.
         calibration: the depth calibration of the constraints.
@@ -74,7 +74,7 @@ def build_graph(
     """Find constraints between keyframes, join segments, and optimise the poses, in several rounds.
 
     Args:
-        maps: maps of the frames.
+        maps: maps of the frames; get the depth calibration.
         features: features of the frames.
         odometry: keyframes, and constraints between consecutive keyframes.
         T_given: (n, 4, 4) given poses of all frames, used as a weak prior; or None.
@@ -120,13 +120,13 @@ class _Builder:
         self.weights = np.ones(len(self.constraints))
 
     def _again(self, each: Constraint) -> Constraint:
-        """Repeat the registration of a constraint with the averaged depth of the keyframes."""
+        """Repeat a constraint's registration with averaged depth; return the old constraint if that fails."""
         source, target = self.maps[each.b], self.maps[each.a]
         registration = register(source, [target], [each.T_a_b], 0, PLACED, point_stride(source))
         return Constraint(each.a, each.b, registration, each.kind) if is_accepted(registration) else each
 
     def add_loop_candidates(self) -> None:
-        """Register keyframes that look similar but are not near in time, and those at segment borders."""
+        """Register similar keyframes more than three apart in order, and the two at each segment border."""
         similar = similarity(list(ahead(self.features.__getitem__, self.keyframes)))
         order = np.arange(len(self.keyframes))
         similar[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
@@ -176,7 +176,7 @@ class _Builder:
                 (self.constraints if made.weight else self.refused).append(made)
 
     def _constraint(self, pair: tuple[int, int, Float64 | None]) -> Constraint | None:
-        """Register keyframe b to a: a constraint, of weight 0 if rejected; None without an initial pose."""
+        """Register keyframe b to a: a constraint, of weight 0 if rejected; None without initial pose."""
         a, b, T_a_b = pair
         frames = self.keyframes[a], self.keyframes[b]
         near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]

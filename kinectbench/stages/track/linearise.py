@@ -48,14 +48,14 @@ class LinearTerms:
         geometric: (6, 6) normal matrix of the point-to-plane residuals.
         photometric: (6, 6) normal matrix of photometry, with gain and offset of intensity eliminated.
         gradient: (6,) of geometry and photometry together.
-        inliers: number of points that agree within three standard deviations.
-        violations: number of points where the target sees through the point or sees another surface.
-        residual_m: root mean square of the inliers' residuals.
-        noise_m: the residual expected from the depth noise alone.
+        inliers: number of points with a residual within three standard deviations plus 3 mm.
+        violations: number of other points: the target sees through them or sees another surface.
+        residual_m: root mean square of the inliers' residuals, metres.
+        noise_m: the same as expected from the depth noise alone, metres.
         normal_information: (6, 6) sum of J J^T of the inliers, each multiplied by (depth / (sigma *
             cosine))^2: divided by the squared noise of its normal, up to a common factor.
         moments: (4, 4) sum of p p^T of the inliers, p = (x, y, z, 1).
-        intensity_correlation: weighted, -1 to 1; NaN without intensity.
+        intensity_correlation: weighted, -1 to 1; NaN if fewer than 100 intensities were compared.
         exposure: (2,) gain and offset before the step.
         exposure_step: (2, 7), F: a step x (6,) adds F[:, 6] - F[:, :6] @ x to gain and offset.
     """

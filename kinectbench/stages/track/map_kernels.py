@@ -1,6 +1,7 @@
 """Pixel kernels of `frame_maps`: reduced depth, normals, and points with evenly spread normals.
 
-Images are (height, width), depth in metres along z, 0 = none; intrinsics are fx, fy, cx, cy in pixels.
+Images are (height, width), depth along z, in metres unless it is native, 0 = none; intrinsics are fx, fy,
+cx, cy in pixels.
 """
 
 import numba
@@ -27,7 +28,10 @@ POINT_COLUMNS = 8
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no-untyped-def]
-    """Reduce depth by blocks of pixels: the mean of each block's nearest surface keeps edges sharp."""
+    """Reduce native depth by blocks of pixels to uint16; the mean of the nearest surface keeps edges sharp.
+
+    Only depth between 0.3 and 4.5 m counts.
+    """
     height, width = native.shape[0] // factor, native.shape[1] // factor
     out = np.zeros((height, width), np.uint16)
     low, high = MIN_DEPTH_M * depth_scale, MAX_DEPTH_M * depth_scale
@@ -103,7 +107,7 @@ def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
-    """Normals by central differences over two pixels each way, if all these pixels lie on one surface."""
+    """Normals (height, width, 3) from the pixels two to each side; 0 where these are not one surface."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     over_fx, over_fy = 1 / fx, 1 / fy
@@ -149,7 +153,9 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: ignore[no-untyped-def]
-    """Sample points evenly over their normals (normal-space sampling: Rusinkiewicz & Levoy 2001).
+    """Sample about `n_points` points evenly over their normals: (m, 8), as in `Level.points`.
+
+    Normal-space sampling: Rusinkiewicz & Levoy 2001.
 
     A floor fills most of the image but does not constrain motion along it. With uniform sampling, the noise
     of its normals would outweigh the few points that constrain that motion, such as those on table legs.

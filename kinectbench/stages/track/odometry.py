@@ -59,7 +59,8 @@ class Followed:
         segment: index of the frame's segment.
         keyframe: frame index of the keyframe it was registered to; a keyframe has its own index.
         T_segment_camera: (4, 4), pose in the segment's world.
-        registration: registration to the keyframe; None for the first frame of a segment.
+        registration: registration to its keyframe, of a keyframe to the previous one; None for the first
+            frame of a segment.
     """
 
     segment: int
@@ -73,7 +74,7 @@ class Odometry:
     """The odometry of all frames.
 
     Attributes:
-        frames: for each frame; None: it has too little depth to register.
+        frames: for each frame; None: its depth cannot be registered.
         reasons: why a frame has no odometry, by frame.
         keyframes: frame indices of the keyframes, ascending.
         constraints: constraints between consecutive keyframes of a segment.
@@ -87,7 +88,7 @@ class Odometry:
 
 @dataclass(frozen=True)
 class ReferenceQuality:
-    """Running means of the quality of this recording's registrations."""
+    """Running means of inlier ratio and intensity correlation of this recording's registrations."""
 
     inlier_share: float
     correlation: float
@@ -102,12 +103,12 @@ class ReferenceQuality:
         )
 
     def is_possible(self, registration: Registration) -> bool:
-        """Whether a registration is accepted and not much below the reference quality."""
+        """Whether a registration is accepted, and is not much below the reference or overlaps by 70 %."""
         reference = registration.inlier_share >= self.inlier_share - MUCH_FEWER_INLIERS
         return (reference or registration.overlap >= SAME_VIEW) and is_accepted(registration)
 
     def meets_reference(self, registration: Registration) -> bool:
-        """Whether a registration reaches the reference quality, within small margins."""
+        """Whether a registration reaches the reference quality, with small margins, and overlaps by 40 %."""
         return (
             registration.inlier_share >= self.inlier_share - INLIER_SLACK
             and registration.overlap >= REFERENCE_OVERLAP
@@ -120,7 +121,7 @@ INITIAL_QUALITY = ReferenceQuality(0.99, 0.99)
 
 
 def median_quality(registrations: Sequence[Registration]) -> ReferenceQuality:
-    """The median quality of accepted registrations."""
+    """The median quality of accepted registrations; `INITIAL_QUALITY` without any."""
     correlations = [r.intensity_correlation for r in registrations if np.isfinite(r.intensity_correlation)]
     if not registrations:
         return INITIAL_QUALITY
@@ -131,7 +132,7 @@ def median_quality(registrations: Sequence[Registration]) -> ReferenceQuality:
 
 
 def follow(maps: MapCache, features: FeatureCache, T_given: Float64 | None = None) -> Odometry:
-    """Register every frame of a sequence to previous keyframes.
+    """Register every frame of a sequence to the previous keyframe, else to other recent frames.
 
     Args:
         maps: maps of the frames.
@@ -161,7 +162,7 @@ class Follower:
         self.average: DepthAverage | None = None
 
     def take(self, index: int) -> None:
-        """Register the next frame."""
+        """Register the next frame, whose index is the number of frames taken so far."""
         reason = _too_little(self.maps[index])
         if reason is not None:
             self.reasons[index] = reason
@@ -316,7 +317,7 @@ def is_accepted(registration: Registration) -> bool:
 
 
 def is_keyframe(registration: Registration, maps: FrameMaps) -> bool:
-    """Whether a frame has moved far enough from its keyframe to become the next one."""
+    """Whether a frame becomes the next keyframe: it moved far from its keyframe, or overlaps it little."""
     T = registration.T_target_source
     depth_m = float(np.median(maps[0].points[:, 2]))
     return bool(

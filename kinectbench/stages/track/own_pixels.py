@@ -30,8 +30,8 @@ def track_own_pixels(
     Args:
         sequence: the recording, unmasked.
         masks: index -> (height, width) bool, the object; None for a frame without mask.
-        mode: use of a given trajectory, as for `track`; it fits only if the object was at rest.
-        settings: the limits for disagreement.
+        mode: use of a given trajectory, as for `track`; its poses fit only if the object was at rest.
+        settings: of the check of given poses.
         progress: called with (done, total).
 
     Raises:

@@ -53,7 +53,7 @@ def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
         stamps_ns: (n,) stamps of the sequence, n > 0.
 
     Returns:
-        (n,) seconds since the first frame; or frame indices if the recording has no stamps.
+        (n,) seconds since the first frame, or frame indices if the recording has no times; and the label.
     """
     if counts_frames(stamps_ns):
         return np.arange(len(stamps_ns), dtype=np.float64), FRAME

@@ -175,7 +175,7 @@ class _Graph:
 
 
 def _errors(poses: Float64, measured: Float64, ends: NDArray[np.int64]) -> Float64:
-    """Twists (m, 6) of the errors measured^-1 T_a^-1 T_b.
+    """Errors measured^-1 T_a^-1 T_b (m, 6): rotation vector, radians, and translation, metres.
 
     To first order, a twist of T_b adds to the error, and a twist of T_a adds -Ad(measured^-1) times itself.
     """
@@ -185,7 +185,7 @@ def _errors(poses: Float64, measured: Float64, ends: NDArray[np.int64]) -> Float
 
 
 def adjoint(T: Float64) -> Float64:
-    """Adjoint (m, 6, 6) of T (m, 4, 4): maps twists (rotation, translation) from one frame to the other."""
+    """Adjoint (m, 6, 6) of T_a_b (m, 4, 4): maps twists (rotation, translation) from frame b to frame a."""
     rotation, t = T[:, :3, :3], T[:, :3, 3]
     cross = np.zeros_like(rotation)
     cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -t[:, 2], t[:, 1], -t[:, 0]

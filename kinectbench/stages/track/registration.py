@@ -64,15 +64,16 @@ class Registration:
     Attributes:
         T_target_source: (4, 4) relative pose.
         information: (6, 6) inverse covariance of the twist, without the false information of noisy normals.
-        overlap: ratio of the source's points that project onto measurements of the target.
-        inlier_share: inlier ratio of these points, without occluded ones.
+        overlap: ratio of the source's points that project onto the target's depth and are not occluded by it;
+            the mean over several targets.
+        inlier_share: inlier ratio of these points.
         residual_m: root mean square of the inliers' point-to-plane residuals, metres.
         noise_m: the residual expected from a Kinect's depth noise alone, metres.
         signal_to_noise: information of the normals along the least constrained direction, divided by that of
             their noise alone; about 1 for one plane, 0 for too few points.
         sigma_m: standard deviation along the least constrained direction, as root-mean-square motion of the
             points; infinite where that direction is unobservable.
-        intensity_correlation: correlation of the inliers' intensities, -1 to 1; NaN without intensity.
+        intensity_correlation: correlation of the intensities, -1 to 1; NaN if a frame has too few.
     """
 
     T_target_source: Float64
@@ -106,11 +107,12 @@ def register(
         targets: one or more other frames.
         T_targets_source: (4, 4) for each target, the initial poses.
         coarsest: level to start at, 0 the finest.
-        prior: (6, 6) information of the initial pose, in the same units as the measurements'.
+        prior: (6, 6) information of the initial pose, times `CORRELATED_POINTS`, as points count in full.
         every: stride of the points used at the finest level.
 
     Returns:
-        The registration to the first target.
+        The registration to the first target. If a frame has no intensity, motion in unobservable directions
+            is undone.
     """
     starts = [np.asarray(T) for T in T_targets_source]
     moving: Moving = np.eye(4), [NO_EXPOSURE_CHANGE] * len(starts), []

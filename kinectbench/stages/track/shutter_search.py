@@ -93,7 +93,7 @@ def flow_rad_per_s(rates: Float64, depth_m: float) -> Float64:
 
 
 def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> list[_Pair]:
-    """Pairs of a frame and its keyframe with different motions: the half that differs most; [] if too few."""
+    """At most 12 pairs of a frame and its keyframe, of the half whose motions differ most; [] if too few."""
     frames = odometry.frames
     homes = np.array([index if frame is None else frame.keyframe for index, frame in enumerate(frames)])
     chosen_frames = evenly(len(frames), DEPTH_FRAMES).tolist()
@@ -123,7 +123,7 @@ class _Search:
         self.found: dict[float, list[Registration]] = {}
 
     def misfit(self, readout_s: float) -> float:
-        """Mean squared ratio of depth residual to noise, at each pair's best pose."""
+        """Mean squared ratio of depth residual to noise, 9 for an outlier, at each pair's best pose."""
         fits = self._registered(readout_s)
         squares = [
             r.inlier_share * (r.residual_m / r.noise_m) ** 2 + OUTLIER * (1 - r.inlier_share) for r in fits

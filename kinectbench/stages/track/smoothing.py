@@ -40,7 +40,7 @@ def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information:
         information: (n, 6, 6) inverse covariance of each pose's twist (rotation, translation).
 
     Returns:
-        (n, 4, 4) smoothed poses.
+        (n, 4, 4) smoothed poses; fewer than five are returned unchanged.
     """
     if len(T_world_camera) < MIN_FRAMES:
         return T_world_camera

@@ -46,12 +46,13 @@ def track(
     Args:
         sequence: the recording.
         mode: use of a given trajectory: trust it (frames that disagree lose their pose), refine it, or ignore
-            it. None: trust it if there is one and the depth agrees with part of it.
-        settings: the limits for disagreement.
+            it. None: trust it if there is one; the depth must then agree with at least three of its poses.
+        settings: of the check of given poses.
         progress: called with (done, total).
 
     Raises:
-        TrackingError: the given trajectory does not fit the frames, or too few frames have a pose.
+        TrackingError: the given trajectory is needed but missing or unusable, or does not fit the frames; or
+            fewer than three frames have a pose.
     """
     given = sequence.given_trajectory
     if sequence.trajectory_error and mode != "ignore":
@@ -119,7 +120,7 @@ def _finished(
 
 
 def _refuse_far(T_given: Float64) -> None:
-    """Refuse given poses (n, 4, 4) farther from the world's origin than the scene's volume reaches."""
+    """Raise TrackingError for given poses (n, 4, 4) more than 1000 m from the world's origin on an axis."""
     off_m = np.nan_to_num(np.abs(T_given[:, :3, 3]).max(axis=1))
     frame = int(np.argmax(off_m))
     if off_m[frame] > WORLD_REACH_M:

@@ -20,8 +20,8 @@ class Constraint:
     """A constraint of the pose graph: two keyframes registered to each other.
 
     Attributes:
-        a: index of the first frame in the sequence.
-        b: index of the second frame.
+        a: index of the earlier frame in the sequence.
+        b: index of the later frame.
         registration: registration of b to a.
         kind: odometry: consecutive keyframes; covisible: near in time; loop: a place seen again.
         weight: 0 to 1, the weight that the robust kernel of the pose graph assigned.
@@ -46,11 +46,12 @@ class Tracked:
     Attributes:
         T_world_camera: (n, 4, 4), NaN where lost.
         states: (n,) tracked: followed from the previous frame; relocalised: joined again after a gap; lost.
-        reasons: why a frame is lost, by frame.
+        reasons: why a frame is lost, by frame; not for given poses that disagree.
         keyframes: (k,) int64 frame indices of the keyframes, ascending.
         constraints: the accepted constraints.
-        refused: constraints that were tried and rejected, with a weight of 0.
-        residual_m: (n,) rms point-to-plane residual of each frame to other keyframes; NaN where unknown.
+        refused: constraints that were rejected, switched off, or lie outside the world.
+        residual_m: (n,) point-to-plane residual of each frame to keyframes, rms, or median absolute for given
+            poses; NaN where unknown.
         noise_m: (n,) the residual expected from a Kinect's depth noise alone; NaN where unknown.
         inlier_share: (n,) inlier ratio of the frame's points; NaN where unknown.
         degenerate: (n,) bool, the frame's depth has an unobservable direction (as with one plane in view).

@@ -58,9 +58,9 @@ def track_frames(
 
     Args:
         sequence: the recording.
-        T_given: (n, 4, 4) initial poses and weak priors, NaN where unknown. None: the first tracked camera
-            defines the world.
-        progress: called with (done, total).
+        T_given: (n, 4, 4) initial poses and weak priors, NaN where unknown. None: the first camera of a
+            segment, mostly of the largest, defines the world.
+        progress: called with (done, total); each frame counts twice.
     """
     n = len(sequence)
     report = progress or (lambda done, total: None)
@@ -119,7 +119,7 @@ def _place(
 
 @dataclass(frozen=True)
 class _Placed:
-    """A frame's pose, or the reason for none; and its registration to nearby keyframes."""
+    """A frame's pose, which does not count if there is a reason; and its registration to nearby keyframes."""
 
     state: State
     reason: str | None = None
@@ -138,7 +138,7 @@ class _FirstTry:
 
 
 def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed:
-    """A placed frame; its pose is removed if its keyframe could not be placed."""
+    """A placed frame; with a reason against its pose if its keyframe could not be placed."""
     frame, each = odometry.frames[index], placed[index]
     if frame is None or each.reason is not None or placed[frame.keyframe].reason is None:
         return each
@@ -195,7 +195,7 @@ class _Placer:
         return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
 
     def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
-        """The frame's own keyframe, and those of its neighbours that share most of the frame's view."""
+        """At most two rows: the frame's own keyframe, and its neighbours that share most of the view."""
         home = self.row[frame.keyframe]
         view = keyframe_thumbnail(self.maps[index])
         shared = [

@@ -73,10 +73,10 @@ def recommend(given: GivenFigures, checked_share: float, rejected_share: float) 
     """Recommend how to use a given trajectory.
 
     Ignore it if most frames disagree, or most cannot be compared. Refine it if near frames disagree by more
-    than 10 mm, if a tenth of the frames disagrees, if it jumps, if it drifts, if many distant frames do not
-    fit, or if refinement moves it far. It drifts if distant frames disagree by more than twice as much as
-    near frames plus 5 mm. If the distant disagreement is unknown, it drifts if near frames disagree by more
-    than 5 mm.
+    than 10 mm, if more than a tenth of the frames disagrees, if it jumps, if it drifts, if many distant
+    frames do not fit, or if refinement moves it by more than 25 mm. It drifts if distant frames disagree by
+    more than twice as much as near frames plus 5 mm. If the distant disagreement is unknown, it drifts if
+    near frames disagree by more than 5 mm. Otherwise trust it.
 
     Args:
         given: figures of the given trajectory.
@@ -195,7 +195,7 @@ def _torn(health: TrajectoryHealth) -> Iterator[LoopClosure]:
 
 
 def _degenerate(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
-    """The ratio of posed frames whose depth has an unobservable direction, if there are any."""
+    """Yield level and text of the share of frames whose depth has an unobservable direction, if any."""
     if degenerate := len(set(health.degenerate) - set(health.lost)):
         share = f"{_percent(degenerate, health.tracked)} of the frames"
         yield _at_most(degenerate / health.tracked, DEGENERATE_SHARE), share
