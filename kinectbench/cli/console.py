@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -55,7 +55,11 @@ TEXTS = ("recording", "status", "state", "next", "error")
 
 
 class SafeConsole(Console):
-    """A rich console that replaces control characters as `one_line` does: untrusted text is harmless."""
+    """A rich console for untrusted text: control characters become those of `one_line`, markup is text."""
+
+    def __init__(self, **options: Any) -> None:
+        """Make a rich console that reads no markup or emoji codes: a category may be called `[/x]`."""
+        super().__init__(**options, markup=False, emoji=False)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render with rich; lines with control characters become those that `one_line` returns."""

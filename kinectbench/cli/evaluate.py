@@ -24,7 +24,7 @@ def evaluate_command(
     """Measure the build of a simulated recording against its truth: a table, JSON, pictures, a page."""
     from kinectbench.cli import console
     from kinectbench.lab.evaluate.evaluation import evaluation_json
-    from kinectbench.lab.evaluate.run import evaluate_recording, find_built
+    from kinectbench.lab.evaluate.run import evaluate_recording, find_built, folder_beside
     from kinectbench.lab.evaluate.table import evaluation_table
 
     build = find_built(recording, truth, common.config, common.overrides or ())
@@ -32,7 +32,7 @@ def evaluate_command(
     status = exit_status(rows)
     if status and not (build.build / "sequence").is_dir():
         return status
-    target = out or build.build.parent.parent / "evaluation" / build.build.name
+    target = out or folder_beside(build.build)
     with console.progress_bar("evaluate") as progress:
         result = evaluate_recording(build.build, build.truth, target, align=align, progress=progress)
     if common.as_json:

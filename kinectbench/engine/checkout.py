@@ -246,11 +246,29 @@ def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
     """The name of the file in the store with the hashes of a recording's files.
 
     It changes if a listed file's name, size or ETag (without ETags, its time) changes, and with the version
-    of `ingest`, which may read other files. For an absolute path no file is listed.
+    of `ingest`, which may read other files. For an absolute path it changes with the names, sizes and times
+    of the files there.
+
+    Raises:
+        RecordingError: nothing is at the absolute path, or what is there cannot be listed.
     """
-    rows = [[each.name, each.size, each.e_tag or each.modified_s] for each in listed]
+    rows: list[object] = [[each.name, each.size, each.e_tag or each.modified_s] for each in listed]
+    if Path(job.recording.path).is_absolute():
+        rows = _local_rows(job)
     listing = sha256_text(canonical_json([VERSIONS["ingest"], job.recording.path, rows]))
     return f"build/{job.recording.id}/{SOURCES}/{listing}.json"
+
+
+def _local_rows(job: Job) -> list[object]:
+    """The names, sizes and times (nanoseconds) of the files of a recording outside the store."""
+    from kinectbench.stages.ingest.readers import source_files
+    from kinectbench.stages.ingest.sources import check_there
+
+    check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
+    with storage_errors(job.source):
+        files = source_files(job.source, follow_links=job.recording.follow_links)
+        found = [(str(file), file.stat()) for file in files]
+    return [[name, of.st_size, of.st_mtime_ns] for name, of in found]
 
 
 def _hidden(name: str) -> bool:

@@ -289,7 +289,8 @@ class DrawnMasks:
             (self.folder / file).rename(self.folder / file.join(CARRIED))
         for file, new in moves.items():
             (self.folder / file.join(CARRIED)).rename(self.folder / new)
-        self._write({moves.get(file, file): on for file, on in self.entries.items()}, moves)
+        if moves or self.entries:
+            self._write({moves.get(file, file): on for file, on in self.entries.items()}, moves)
 
     def _is(self, file: str, sequence: Sequence, frame: int) -> bool:
         on = self.entries.get(file)

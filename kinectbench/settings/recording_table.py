@@ -104,7 +104,12 @@ def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[
         names = [str(name) for name in file.schema_arrow.names]
         # Parquet stores repeated text once; its size in all rows is checked before the values are read.
         schema = file.schema_arrow
-        texts = [name for name, kind in zip(names, schema.types, strict=True) if arrow.types.is_string(kind)]
+        is_text = (arrow.types.is_string, arrow.types.is_large_string)
+        texts = [
+            name
+            for name, kind in zip(names, schema.types, strict=True)
+            if any(is_it(kind) for is_it in is_text)
+        ]
         file = parquet.ParquetFile(io.BytesIO(content), read_dictionary=texts)
         columns = [_cells(column, source) for column in file.read(use_threads=False).columns]
     except (arrow.ArrowException, OSError, ValueError) as error:
@@ -123,9 +128,10 @@ def _check_parquet(file: "ParquetFile", source: str) -> None:
             f"{source}: {metadata.num_rows} rows; at most {MOST_ROWS} may be there", what="too-large"
         )
     for name, kind in zip(schema.names, schema.types, strict=True):
-        inner = kind.value_type if types.is_list(kind) or types.is_large_list(kind) else kind
-        inner = inner.value_type if types.is_dictionary(inner) else inner
-        if not any(is_it(inner) for is_it in (types.is_string, types.is_large_string, *_numbers(types))):
+        is_list = types.is_list(kind) or types.is_large_list(kind)
+        inner = kind.value_type if is_list or types.is_dictionary(kind) else kind
+        texts = () if is_list else (types.is_string, types.is_large_string)
+        if not any(is_it(inner) for is_it in (*texts, *_numbers(types))):
             raise SettingsError(
                 f"{source}: the column '{name}' holds {printable(str(kind))}; wanted text, numbers, truth "
                 "values or lists of numbers"

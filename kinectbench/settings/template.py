@@ -151,7 +151,7 @@ def _picked(recording: Path) -> list[str]:
     """The line `pick:` with the point clicked while recording; a comment if it is unreadable, else empty."""
     try:
         picked = PickSettings.model_validate_json(read_plain_text(recording / PICK_FILE, PICK_BYTES))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):  # the latter where the recording is one file
         return []
     except (OSError, ValueError):
         return [f"    # {PICK_FILE} beside it holds no click that can be read: it is not used"]

@@ -289,8 +289,9 @@ def scalar(text: str, mark: yaml.Mark) -> yaml.ScalarNode:
 
 
 def items(node: yaml.Node | None) -> dict[str, yaml.Node]:
-    """The values of a mapping node by key; empty for any other node."""
-    return {key.value: child for key, child in node.value} if isinstance(node, yaml.MappingNode) else {}
+    """The values of a mapping node by scalar key; empty for any other node. Other keys are left out."""
+    pairs = node.value if isinstance(node, yaml.MappingNode) else []
+    return {key.value: child for key, child in pairs if isinstance(key, yaml.ScalarNode)}
 
 
 # For mappings searched so far, by identity: key -> the nodes of the key and of its value.
@@ -319,7 +320,8 @@ def find(
             continue
         if id(value) not in known:
             pairs = value.value if isinstance(value, yaml.MappingNode) else []
-            known[id(value)] = {key.value: (key, child) for key, child in pairs}
+            of_scalars = ((key, child) for key, child in pairs if isinstance(key, yaml.ScalarNode))
+            known[id(value)] = {key.value: (key, child) for key, child in of_scalars}
         if part not in known[id(value)]:
             return anchor, None
         anchor, value = known[id(value)][str(part)]
@@ -336,7 +338,7 @@ def replaced(node: yaml.Node | None, path: tuple[str | int, ...], value: yaml.No
         entries = [replaced(child, tail, value) if i == head else child for i, child in enumerate(node.value)]
         return yaml.SequenceNode(node.tag, entries, node.start_mark, node.end_mark)
     pairs = list(node.value) if isinstance(node, yaml.MappingNode) else []
-    old = {key.value: (key, child) for key, child in pairs}
+    old = {key.value: (key, child) for key, child in pairs if isinstance(key, yaml.ScalarNode)}
     new_key = yaml.ScalarNode(STR_TAG, head, value.start_mark, value.end_mark)
     key, child = old.get(head, (new_key, None))
     new_pair = (key if tail and head in old else new_key, replaced(child, tail, value))

@@ -13,6 +13,7 @@ from small_benchmark import Run
 
 from kinectbench.cli import console
 from kinectbench.cli.common import Common
+from kinectbench.cli.wide_table import WideTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Release
 
@@ -119,6 +120,17 @@ def test_no_table_shortens_an_id_or_a_number(width: int, name: str) -> None:
         assert all(f" {value:.3f} " in text for key, value in numbers.items() if key != "estimated_iou")
         assert " 0.82 (0.59 to 0.95) " in text
         assert len(name) > 47 or f" {name} " in text
+
+
+def test_no_cell_title_or_caption_is_read_as_markup() -> None:
+    """Categories of somebody's scores.json are headings: `[/x]` would end the command, `[red]` vanish."""
+    made = console.SafeConsole(width=160, record=True, file=io.StringIO())
+    table = WideTable(title="[/title]", caption=":smile:")
+    table.add_column("[/x]")
+    table.add_row("[red]")
+    made.print(table)
+    text = made.export_text()
+    assert all(each in text for each in ("[/title]", ":smile:", "[/x]", "[red]"))
 
 
 def test_colours_and_progress_of_ours_are_left(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from small_benchmark import hashes
 from stored_benchmark import jobs_of, know_sources, put_benchmark
 from stores import s3, s3_server
 
-from kinectbench.core.errors import SettingsError, StorageError
+from kinectbench.core.errors import RecordingError, SettingsError, StorageError
 from kinectbench.core.store.packed import pack_files
 from kinectbench.core.store.store import Store
 from kinectbench.engine.artefact import Artefact
@@ -154,3 +154,17 @@ def test_an_artefact_beside_its_manifest_is_read(small: Path, tmp_path: Path, s3
     with raises(StorageError, "storage.damaged", match=r"manifest\.json"):
         fetch_stage(store, "chair", replace(artefact, folder=tmp_path / "cut"))
     assert not replace(artefact, folder=tmp_path / "cut").is_current()
+
+
+def test_a_changed_recording_outside_the_store_is_noticed(small: Path, tmp_path: Path, s3: str) -> None:
+    put_benchmark(small, s3)
+    shutil.copytree(small / "recordings/chair", outside := tmp_path / "chair")
+    job = replace(jobs_of(small)[0], root=Path(s3))
+    job = replace(job, recording=job.recording.model_copy(update={"path": str(outside)}))
+    assert checkout(job, tmp_path / "a").current == STAGE_NAMES
+    file = next(outside.glob("*.txt"))
+    file.write_text(file.read_text() + "# changed\n")
+    assert checkout(job, tmp_path / "b").current == ()
+    shutil.rmtree(outside)
+    with raises(RecordingError, "recording.not-found"):
+        checkout(job, tmp_path / "c")

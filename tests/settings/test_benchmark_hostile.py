@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from raising import raises
-from test_benchmark_file import complaint
+from test_benchmark_file import GOOD, complaint
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import name_problem
@@ -176,3 +176,11 @@ def test_a_date_is_a_day_of_the_calendar_in_plain_digits(day: str, tmp_path: Pat
     assert "date_released" in complaint(
         tmp_path, f'name: a\nrecordings: []\npublish: {{citation: {{date_released: "{day}"}}}}\n'
     )
+
+
+@pytest.mark.parametrize(
+    ("first", "then"),
+    [("fusion={[1]: 2}", "fusion.voxel_size_m=0.01"), ("recordings=[{[1]: 2}]", "recordings.a.split=test")],
+)
+def test_a_key_that_is_a_list_is_a_line(first: str, then: str, tmp_path: Path) -> None:
+    assert complaint(tmp_path, GOOD, first, then)

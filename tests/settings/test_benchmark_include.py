@@ -226,8 +226,17 @@ def test_a_parquet_file_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> N
     rows = pyarrow.table({"id": ["a"] * (recording_table.MOST_ROWS + 1)})
     parquet.write_table(rows, tmp_path / "t.parquet")
     assert complaint(tmp_path, main("[t.parquet]")) == "t.parquet: 100001 rows; at most 100000 may be there"
-    parquet.write_table(pyarrow.table({"id": [{"a": 1}]}), tmp_path / "t.parquet")
-    assert complaint(tmp_path, main("[t.parquet]")).startswith("t.parquet: the column 'id' holds struct<")
+    for value, kind in ({"a": 1}, "struct<"), (["x"], "list<"):
+        parquet.write_table(pyarrow.table({"id": [value]}), tmp_path / "t.parquet")
+        assert complaint(tmp_path, main("[t.parquet]")).startswith(f"t.parquet: the column 'id' holds {kind}")
+
+
+def test_repeated_long_text_of_a_parquet_file_is_counted_before_it_is_expanded(tmp_path: Path) -> None:
+    of_one = pyarrow.array(["a" * 100_000] * 2_000, pyarrow.large_string())
+    parquet.write_table(pyarrow.table({"id": of_one}), tmp_path / "t.parquet", compression="zstd")
+    before = pyarrow.default_memory_pool().max_memory()
+    assert complaint(tmp_path, main("[t.parquet]")) == "t.parquet: a column of more than 16777216 characters"
+    assert pyarrow.default_memory_pool().max_memory() - before < 100e6
 
 
 def test_what_is_included_stands_in_the_file_alone(tmp_path: Path) -> None:

@@ -76,6 +76,15 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
     return build
 
 
+def folder_beside(build: Path) -> Path:
+    """Return `evaluation/<recording>/` beside the `build/` that holds a build's folder.
+
+    The folder may be relative, such as `.` or `chair`.
+    """
+    whole = build.absolute()
+    return whole.parent.parent / "evaluation" / whole.name
+
+
 def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[str]) -> FoundRecording:
     settings = load_benchmark(config, overrides) if config.is_file() else None
     jobs = [Job(settings, each, config.parent) for each in settings.recordings] if settings else []

@@ -77,12 +77,13 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
 def evaluation_table(evaluation: Evaluation) -> "Table":
     """Return the evaluation as a table for the terminal, with columns figure, value and unit."""
     from rich.table import Table
+    from rich.text import Text
 
     table = Table("figure", title=f"{evaluation.subject}: built against the truth", title_justify="left")
     table.add_column("value", justify="right")
     table.add_column("unit")
     for section in sections(evaluation):
-        table.add_row(f"[bold]{section.title}[/]", "" if section.rows else NOT_BUILT, "")
+        table.add_row(Text(section.title, style="bold"), "" if section.rows else NOT_BUILT, "")
         for row in section.rows:
             table.add_row(f"  {row.figure}", row.value, row.unit)
         table.add_section()

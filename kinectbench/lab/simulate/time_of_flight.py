@@ -253,7 +253,9 @@ def multipath_m(rendering: Rendering, camera: Camera, sensor: TimeOfFlight) -> F
     from the camera. Indirect light seems (d_q + r - d_p) / 2 farther away. The sensor reports the
     light-weighted mean of distances, as for mixed pixels, with only its `multipath` share of indirect light.
     """
-    fine, coarse = (max(1, round(step * camera.fx / STEPS_FOCAL_PX)) for step in (RECEIVER_PX, SENDER_PX))
+    wanted = (max(1, round(step * camera.fx / STEPS_FOCAL_PX)) for step in (RECEIVER_PX, SENDER_PX))
+    # Of an image lower than a step, at least one row of patches is taken.
+    fine, coarse = (min(step, *rendering.depth_m.shape) for step in wanted)
     receivers = _patches(rendering.depth_m, rendering.albedo, camera, fine)
     senders = _patches(rendering.depth_m, rendering.albedo, camera, coarse)
     late_m = _indirect(receivers[0], senders[0][senders[0][:, 6] > 0], np.float32(sensor.multipath))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from kinectbench.core.errors import KinectBenchError
-from kinectbench.lab.evaluate.run import find_built
+from kinectbench.lab.evaluate.run import find_built, folder_beside
 
 YAML = "name: b\nrecordings:\n  - {id: chair, path: recordings/chair.bag, category: chair}\n"
 
@@ -44,6 +44,15 @@ def test_by_id_by_build_folder_and_by_path(root: Path, monkeypatch: pytest.Monke
     assert find_built("chair", Path("recordings/other.truth"), config, []).truth == Path(
         "recordings/other.truth"
     )
+
+
+def test_an_evaluation_lies_beside_build_from_wherever_it_is_called(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = root / "evaluation/chair"
+    for here, name in ("", "build/chair"), ("build", "chair"), ("build/chair", "."):
+        monkeypatch.chdir(root / here)
+        assert folder_beside(Path(name)) == wanted
 
 
 @pytest.mark.parametrize(

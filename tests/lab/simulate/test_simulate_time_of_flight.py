@@ -201,6 +201,11 @@ def test_a_plane_and_a_convex_corner_have_no_multipath() -> None:
     assert not multipath_m(rendering(0.0, AZURE), AZURE, AZURE_KINECT).any()
 
 
+def test_an_image_lower_than_a_step_of_patches_has_no_multipath_on_a_plane() -> None:
+    low = Camera(2600, 16, 2600.0, 2600.0, 1300.0, 8.0)
+    assert np.abs(multipath_m(rendering(1.0, low), low, AZURE_KINECT)).max() < 1e-6
+
+
 def test_noise_comes_from_the_frame_and_the_systematic_error_from_the_device() -> None:
     exact = rendering(1.5, AZURE)
     first, again, other = (measured(exact, distortion=1.0, seed=seed) for seed in (0, 0, 1))

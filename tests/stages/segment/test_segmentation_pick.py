@@ -1,6 +1,7 @@
 """A pixel that a person picked says what the object is, where the cameras look at something else."""
 
 import os
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -117,6 +118,16 @@ def pick_of(sequence: Sequence, trajectory: Trajectory, point: tuple[float, ...]
             if np.allclose(picked.point_world, point, rtol=0, atol=0.02):
                 return picked
     raise AssertionError(f"no frame shows {point}")
+
+
+def test_init_asks_no_recording_of_one_file_for_a_click(command: Callable[..., Run], tmp_path: Path) -> None:
+    (tmp_path / "recordings").mkdir()
+    with zipfile.ZipFile(tmp_path / "recordings/scan.zip", "w") as packed:
+        packed.writestr("depth/0000001-000000000000.png", b"")
+        packed.writestr("rgb/0000001-000000000000.jpg", b"")
+    assert command(tmp_path, "init", "recordings").status == 0
+    written = (tmp_path / "recordings/benchmark.yaml").read_text()
+    assert "scan.zip" in written and "pick.json" not in written
 
 
 def test_init_writes_what_was_clicked(command: Callable[..., Run], tmp_path: Path) -> None:
