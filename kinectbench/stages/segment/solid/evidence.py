@@ -41,7 +41,7 @@ class FloorLayers:
     Attributes:
         below: number of layers below the floor.
         contact: number of layers above it in which the floor and the object look the same.
-        low: number of layers above those. A surface there belongs to the object only if it continues above them.
+        low: number of layers above those. A surface there is the object's only if it continues above them.
     """
 
     below: int
