@@ -112,7 +112,7 @@ def box_picture(number: int, shown: ShownBox, sequence: Sequence, trajectory: Tr
 
 
 def best_frame(shown: ShownBox, sequence: Sequence, trajectory: Trajectory) -> int:
-    """Return the index of the frame, out of 60 evenly spread ones, that shows a box best.
+    """Return the index of the frame, out of up to 60 evenly spread ones, that shows a box best.
 
     The score counts how much of the box is in the image, how many surface points are visible, and how near
     the box is. Of frames with similar scores, the sharpest one wins.

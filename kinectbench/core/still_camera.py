@@ -49,9 +49,9 @@ class Watched:
         moving: (height, width) bool, pixels in which something moves.
         moving_share: ratio of the image that moves and also differs between quarters of the recording, which
             excludes unstable edges.
-        still_share: ratio of pixels with constant depth, away from moving pixels.
+        still_share: of the pixels with depth away from moving ones, the ratio with constant depth.
         still_gray_share: ratio of the static pixels whose grey is constant too; None with too little colour.
-        around_share: ratio of the image with constant depth.
+        around_share: ratio of the image with constant depth, away from moving pixels.
         empty_share: ratio of the image that hardly ever has depth.
     """
 

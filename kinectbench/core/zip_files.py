@@ -44,6 +44,7 @@ def open_zip(
     Raises:
         ValueError: the zip exceeds a limit; the message says which.
         zipfile.BadZipFile: the file is not a zip, or its directory is damaged.
+        NotImplementedError: an entry needs a newer version of the format.
     """
     count, directory_bytes = _listed(file)
     if count > most_files:

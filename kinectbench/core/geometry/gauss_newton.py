@@ -124,7 +124,10 @@ def symmetric_matrix(lower):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def projective_residuals(points, normals, depth, facing, intrinsics, T, gate_m, min_facing):  # type: ignore[no-untyped-def]
-    """Point-to-plane residuals n . (q - T p), (m,) metres; q is the depth measured at the pixel of T p.
+    """Point-to-plane residuals n . (q - T p), (m,) metres; q is the point measured at the pixel of T p.
+
+    n is turned into the frame of depth's camera. A residual is NaN also where T p is less than 0.1 m ahead,
+    outside the image, or on a pixel without depth.
 
     Args:
         points: (m, 3 or more), metres; the first three columns are p.

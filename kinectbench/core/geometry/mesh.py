@@ -101,7 +101,7 @@ def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
 
 
 def box_mesh(box: OrientedBox) -> TriangleMesh:
-    """The closed mesh of a box, in the frame of the box's centre (z up), metres."""
+    """The closed mesh of a box, in the frame `floor` of the box (z up), metres."""
     return TriangleMesh(box.corners_floor(), BOX_FACES)
 
 

@@ -31,6 +31,8 @@ def ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, in
 def refine(points: Float64, plane: Float64, reach_m: float, inlier_m: float) -> Float64:
     """Fit a plane (4,) to its inliers by least squares, eight times; inliers are chosen again each time.
 
+    With fewer than ten inliers, the plane stays as it is.
+
     Args:
         points: (n, 3), metres.
         plane: (4,) the initial plane.

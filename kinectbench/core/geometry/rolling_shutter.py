@@ -104,7 +104,8 @@ def upright_mask(
 def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Float64:
     """The camera's motion at each frame, (n, 12) as in `RollingShutter.motion`.
 
-    Rates come from neighbouring poses, and are interpolated where a frame has no neighbour with a pose.
+    Rates come from neighbouring poses, from first to last at most 0.2 s apart, and are interpolated where a
+    frame has no such neighbour. All are 0 if fewer than two frames have one.
 
     Args:
         T_segment_camera: (n, 4, 4), NaN where unknown.

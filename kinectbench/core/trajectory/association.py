@@ -109,7 +109,8 @@ def poses_at(given: GivenTrajectory, stamps_ns: Int64, max_gap_s: float) -> Floa
         max_gap_s: largest time between two poses to interpolate, seconds.
 
     Returns:
-        (n, 4, 4) float64; NaN where the gap is larger. A pose at exactly the stamp is used as it is.
+        (n, 4, 4) float64; NaN where the gap is larger, before the first pose and after the last. A pose at
+            exactly the stamp is used as it is.
     """
     poses = np.full((len(stamps_ns), 4, 4), np.nan)
     known_ns = given.stamps_ns

@@ -70,7 +70,7 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
     """Pair stamps one to one: first equal ones, then the closest within half a frame.
 
     Half a frame is half the smaller of the two median intervals, so that no stamp is paired with the
-    neighbour of its own frame. The number of pairs is as large as possible, as in `association.associate`.
+    neighbour of its own frame. Of unequal stamps, as many are paired as possible (`association.associate`).
 
     Args:
         estimate_ns: (k,) int64, any order.

@@ -63,7 +63,7 @@ def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
         where: file, for the message.
 
     Returns:
-        A warning if the stamps may be in milliseconds, or in seconds of a slow series.
+        One warning if the stamps may be in milliseconds, or in seconds of a slow series; else none.
 
     Raises:
         RecordingError: the stamps are micro- or nanoseconds.

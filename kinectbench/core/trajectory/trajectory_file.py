@@ -60,8 +60,9 @@ def read_trajectory_file(path: Path, frames: int | None = None) -> tuple[GivenTr
         The trajectory and warnings.
 
     Raises:
-        RecordingError: a row is not eight finite numbers, a quaternion has length zero, or the file has no
-            row or not as many rows as frames.
+        RecordingError: the file cannot be read, is too large or has no row, a row is not a stamp in seconds
+            and seven finite numbers, a position is beyond 10^7 m, a quaternion has length zero, or there are
+            not as many rows as frames.
     """
     rows = []
     for where, row in text_rows(path):

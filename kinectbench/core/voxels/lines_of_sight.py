@@ -40,8 +40,9 @@ class Space:
     Attributes:
         state: (nx, ny, nz) uint8, its last axis up: PASSABLE, PLACE (passable, and a camera can be there) or
             BLOCKED.
-        heights_m: (nz,) float32, of the layers' middles above the floor; infinite without one.
-        voxel_size_m: edge of a voxel.
+        heights_m: (nz,) float32, heights of the layers' middles above the floor, metres; infinite without
+            one.
+        voxel_size_m: edge of a voxel, metres.
         near_m: the camera's minimum range, metres.
         least_height_m: least height of a camera beyond the grid above the floor, metres.
     """

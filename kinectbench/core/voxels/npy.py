@@ -67,7 +67,7 @@ def read_npy(
 
     Raises:
         NpyError: not an npy stream, pickled objects, cut short, longer than it claims, or texts with
-            invalid characters.
+            invalid characters; other ValueErrors: an empty array of more or larger axes than numpy can have.
         OSError, EOFError, zlib.error, zipfile.BadZipFile: from the stream's own reader.
     """
     header = read_npy_header(file)

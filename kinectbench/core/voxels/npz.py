@@ -100,11 +100,11 @@ def load_arrays(path: Path, most_bytes: int = BUILD_BYTES) -> Arrays:
 
     Args:
         path: the file.
-        most_bytes: the most bytes that its arrays may take together, unpacked; a larger file is not read
-            either.
+        most_bytes: the most bytes that its arrays may take together, unpacked.
 
     Raises:
-        UNREADABLE: one of these exceptions, if the file is missing, damaged, no npz, or larger.
+        UNREADABLE: one of these exceptions, if the file is missing, damaged, no npz, or claims to unpack to
+            more.
     """
     with open_plain(path) as file:
         return arrays_of(file, most_bytes)

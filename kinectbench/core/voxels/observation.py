@@ -37,7 +37,8 @@ class Observation:
         tsdf: float32, metres, positive in front of the surface; 0 where weight is 0.
         weight: float32, 1/mm^2, without the decay behind surfaces (`evident_weight`); 0 = never observed.
         free: uint16, frames that saw through; 65,535 stands for as many or more.
-        surface: uint16, frames that measured a surface there, or behind it by less than the truncation.
+        surface: uint16, frames that measured a surface at the voxel, or in front of it by less than the
+            truncation; 65,535 as for `free`.
     """
 
     grid: Grid
@@ -73,7 +74,7 @@ def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float
     Args:
         tsdf: fused signed distances, metres.
         weight: of the same shape, the weights that they were averaged with, 1/mm^2.
-        voxel_size_m: edge of a voxel.
+        voxel_size_m: edge of a voxel, metres.
     """
     return np.asarray(weight / _heard_share(tsdf, voxel_size_m), np.float32)
 
@@ -138,7 +139,7 @@ def without_fringe(
         tsdf: signed distances, metres, positive in front of the surface.
         free: votes for `free`, of the same shape.
         surface: votes for `surface`, of the same shape.
-        voxel_size_m: edge of a voxel.
+        voxel_size_m: edge of a voxel, metres.
         trust: share of the votes that counts, from `trust_in_votes`.
     """
     share = seen_through_share(free, surface)

@@ -60,8 +60,9 @@ def seen_from_outside(
 
     Args:
         obstacle: bool (nx, ny, nz), what lines and cameras do not cross; its last axis points up.
-        heights_m: (nz,) float32, of the layers' middles above the plane it stands on; None: no plane.
-        voxel_size_m: edge of a voxel.
+        heights_m: (nz,) float32, heights of the layers' middles above the plane that it stands on, metres;
+            None: no plane.
+        voxel_size_m: edge of a voxel, metres.
         limits: of the sensor.
         seen: the result for wider lines, if known: narrower lines reach those voxels, too.
 
@@ -119,7 +120,7 @@ def swept_from_outside(
         obstacle: bool (nx, ny, nz), as for `seen_from_outside`.
         empty: bool (nx, ny, nz), seen to be empty; the rest counts as unseen.
         heights_m: as for `seen_from_outside`.
-        voxel_size_m: edge of a voxel.
+        voxel_size_m: edge of a voxel, metres.
         limits: of the sensor.
         to_camera: (n, 3) unit vectors, from a point to a camera.
     """
@@ -278,7 +279,7 @@ class SeeableSolid:
 
     Attributes:
         limits: by which it was found.
-        grid: upright; its lowest layer stands on the plane.
+        grid: upright; its lowest layer stands on the plane, if there is one.
         exact_m3: volume of the exact solid.
         solid: bool, the voxel's centre lies in the exact solid.
         closed: bool, it does not, but no camera could see the voxel: object by definition.

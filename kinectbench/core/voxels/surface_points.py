@@ -16,7 +16,8 @@ JUDGED_FACES = 20_000
 def spacing_m(mesh: TriangleMesh) -> float:
     """The distance between a mesh's neighbouring vertices, metres: 95 % of its edges are shorter.
 
-    With smaller cells, neighbouring vertices of a continuous surface might not lie in touching cells.
+    With smaller cells, neighbouring vertices of a continuous surface might not lie in touching cells. A
+    mesh without faces has spacing 0.
     """
     corners = mesh.vertices[mesh.faces[:: max(1, len(mesh.faces) // JUDGED_FACES)]]
     edges_m = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1)

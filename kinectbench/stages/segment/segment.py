@@ -105,7 +105,8 @@ def segment(
         progress: called with (done, total) of each half of the frames.
 
     Raises:
-        SegmentationError: no floor, no object, a box with nothing in it, or a point beside the object.
+        SegmentationError: no floor, no object, a box that is empty or of another floor frame, a plane above
+            the cameras, a point beside the object, or an object too large for its voxels.
         ShapeError: no solid can be made.
     """
     found = _find(sequence, trajectory, scene, segmentation, fusion, given)

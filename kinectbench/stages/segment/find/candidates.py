@@ -74,7 +74,8 @@ def find_candidates(
     counts once.
 
     Raises:
-        SegmentationError: nothing that stands on the floor is large enough.
+        SegmentationError: the scene is empty, a given plane lies above the cameras, or nothing that stands on
+            the floor is large enough.
     """
     scene = find_scene(mesh, trajectory, settings, floor_may_lack=True, hint=hint)
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)

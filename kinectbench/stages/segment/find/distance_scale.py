@@ -20,7 +20,7 @@ SPACINGS = 1.5
 
 
 def distance_scale(T_world_camera: Float64, focus_world: Float64) -> float:
-    """Factor of all lengths, 0.3 to 1: the median distance of cameras (n, 4, 4) from the focus, metres."""
+    """Factor of all lengths, 0.3 to 1: the median distance, metres, of cameras (n, 4, 4) from the focus."""
     distance_m = float(np.median(np.linalg.norm(T_world_camera[:, :3, 3] - focus_world, axis=1)))
     return float(np.clip(distance_m, NEAREST_DISTANCE_M, REFERENCE_DISTANCE_M) / REFERENCE_DISTANCE_M)
 

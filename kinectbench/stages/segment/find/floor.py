@@ -108,7 +108,7 @@ class Floor:
 
     @contextmanager
     def explained_in_errors(self) -> Iterator[None]:
-        """Within the block, a `SegmentationError` also states objections to a given plane."""
+        """Within the block, a `SegmentationError` also states the first line of `against`, if any."""
         try:
             yield
         except SegmentationError as error:

@@ -80,10 +80,10 @@ class PlaneCandidate:
         plane: (4,), its unit normal up.
         points: number of points of the surface on it.
         inlier_share: share of the surface on it.
-        above_share: share of the cameras that look down on it.
+        above_share: share of the cameras that lie more than 0.1 m above it.
         below_share: share of the surface that lies lower.
         under_share: points right below the plane's own area, divided by the points on it.
-        tilt_rad: between its normal and up by gravity, or else as the cameras were held.
+        tilt_rad: angle between its normal and up, radians: by gravity, or else as the cameras were held.
         way: index of the way of holding the cameras (`facings`) by which its normal is up; 0: the usual one.
         reason: why it was not chosen as the floor; "": it was.
     """

@@ -66,7 +66,7 @@ class KnowsUp(Protocol):
 
     @property
     def given_trajectory(self) -> GivenTrajectory | None:
-        """The trajectory that came with it."""
+        """The trajectory that came with it; None without one."""
 
     @property
     def up_world(self) -> Float64 | tuple[float, float, float] | None:

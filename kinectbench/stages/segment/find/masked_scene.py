@@ -40,7 +40,7 @@ def segment_masked_scene(
     z = 0; else z = 0 lies below the measured surface.
 
     Raises:
-        SegmentationError: nothing was fused, or the box holds nothing of it.
+        SegmentationError: nothing was fused, or the box holds nothing of it or is of another floor frame.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     near = distance_scale(T_world_camera, looked_at(T_world_camera, hint.middle_depth_m))

@@ -75,7 +75,8 @@ def find_scene(
     (`level_floor`).
 
     Raises:
-        SegmentationError: the scene is empty, or has no floor and must have one.
+        SegmentationError: the scene is empty, has no floor and must have one, or a given plane lies above the
+            cameras.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     focus_world = hint.focus_world(T_world_camera)
@@ -115,7 +116,7 @@ def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> N
 
 
 def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
-    """Which points (n, 3) above the floor cut belong to pieces that hardly rise above it: (n,) bool."""
+    """Which points (n, 3) above the floor cut belong to pieces no higher than 6 cm: (n,) bool."""
     if not len(points_floor):
         return np.zeros(0, dtype=bool)
     label = label_pieces(points_floor, cell_m)
@@ -271,8 +272,8 @@ def find_floor_and_object(
         hint: known facts about the floor.
 
     Raises:
-        SegmentationError: no floor (without a box), no object where the cameras look, nothing in the box, or
-            it was chosen in another floor frame.
+        SegmentationError: an empty scene, no floor (without a box), a given plane above the cameras, no
+            object where they look, or a box that holds nothing or was chosen in another floor frame.
     """
     scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
     with scene.floor.explained_in_errors():

@@ -85,7 +85,7 @@ def floor_frame(plane_world: Float64) -> Float64:
 
 
 def is_below(lower: Float64, upper: Float64, surface: SceneSurface) -> bool:
-    """Whether a plane (4,) is parallel to another, and lies well below it."""
+    """Whether the plane `lower` (4,) is parallel to `upper`, and over 0.2 m below it at the focus."""
     parallel = lower[:3] @ upper[:3] > PARALLEL_COSINE
     return bool(parallel and surface.focus_above_m(lower) > surface.focus_above_m(upper) + LOWER_M)
 

@@ -33,7 +33,7 @@ OTHER_FLOOR = (
 
 
 def oriented(depth_m: Float32, camera: Camera) -> tuple[Float64, Float64]:
-    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, on every fourth pixel.
+    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, of every fourth row and column.
 
     Args:
         depth_m: (height, width) metres, 0 = none.

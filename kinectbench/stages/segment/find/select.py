@@ -42,7 +42,7 @@ def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = Fal
     """Label each point with the connected piece of surface that it belongs to.
 
     A piece in the air, such as a table top whose underside is unseen, belongs to the nearest one that stands
-    on the floor.
+    on the floor, if that is within 0.3 m; else, and if it has fewer than ten points, it stays by itself.
 
     Args:
         points_floor: (n, 3) points above the floor, at least one per cell, floor frame, metres; n > 0.
@@ -56,7 +56,7 @@ def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = Fal
 
 
 def standing(label: Int32, points_floor: Float64) -> Bools:
-    """Whether the points of each label reach down to the floor: (largest label + 1,) bool."""
+    """Whether the points of each label reach down to 0.12 m above the floor: (largest label + 1,) bool."""
     lowest_m = np.full(int(label.max()) + 1, np.inf)
     np.minimum.at(lowest_m, label, points_floor[:, 2])
     return np.asarray(lowest_m <= GROUNDED_M)
@@ -152,7 +152,7 @@ def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:
 
     Args:
         points_floor: (n, 3) evenly spread points above the floor, floor frame, metres.
-        in_box: (n,) bool, at least one.
+        in_box: (n,) bool, which of them the box holds; at least one.
     """
     which, pairs = touching_cells(points_floor, CELL_M)
     inside, outside = np.zeros((2, int(which.max()) + 1), dtype=bool)

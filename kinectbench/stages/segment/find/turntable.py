@@ -81,7 +81,8 @@ def turntable_masks(sequence: Sequence) -> Masks:
     """Masks of the turning object: a function from a frame's index to (height, width) bool.
 
     Raises:
-        SegmentationError: the camera does not stand still, or nothing turns before it.
+        SegmentationError: the camera does not stand still, nothing turns before it, or what turns stands on
+            no plane in view.
     """
     turntable = find_turntable(sequence)
     return lambda index: turntable.mask(sequence.depth_m(index), sequence.camera)

@@ -60,7 +60,7 @@ class IouEstimate:
     Attributes:
         value: the estimate.
         low: lower end of the interval; the guesses behind openings that no frame saw into may be wrong.
-        high: upper end; all these guesses are right.
+        high: upper end; at most the IoU if all these guesses are right.
         measured_low: lower end by the error of the surface alone, if all guesses are right.
         known: the IoU over known voxels alone, which only the error of the surface lowers.
         known_low: lower end of its interval.

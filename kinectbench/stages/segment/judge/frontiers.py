@@ -79,7 +79,7 @@ class Frontier:
         )
 
     def advice(self, first_rad: float) -> str:
-        """One line of advice: what no frame saw, and where to stand."""
+        """One line of advice: what no frame saw, and where to stand; `first_rad` as in `turn_in_words`."""
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
         where = f"record {where_to_stand(self.look_from, self.center_m[2], first_rad)}"
         where = f"{MOVE_AWAY} {where}" if self.obstructed else where
@@ -125,10 +125,10 @@ def find_frontiers(
 ) -> tuple[Frontier, ...]:
     """Find every frontier above a minimum area, the one with the largest volume behind it first.
 
-    A frontier is the boundary of a piece of unknown voxels (26 neighbours) with free space. Of the directions
-    that show most of the piece or nearly so, it is looked into along the one most like hand-held cameras'.
-    Unknown layers thinner than a line of sight have no frontier, except undersides. `T_floor_grid` (4, 4)
-    maps the solid's grid to the floor frame.
+    A frontier is the boundary with free space of a piece of unknown voxels (26 neighbours) that has at least
+    a small share of the solid's volume. Of the directions that show most of the piece or nearly so, it is
+    looked into along the one most like hand-held cameras'. Unknown layers thinner than a line of sight have
+    no frontier, except undersides. `T_floor_grid` (4, 4) maps the solid's grid to the floor frame.
     """
     from scipy import ndimage
 

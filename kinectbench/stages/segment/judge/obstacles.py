@@ -54,7 +54,7 @@ def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64, lim
 
 
 def _way_out_m(box: OrientedBox, point_floor: Float64, look: Float64) -> float:
-    """Distance of a point (3,) to the outside of an upright box along a unit vector; 0 if outside."""
+    """Distance, along a unit vector, of a point (3,) in an upright box to the outside; 0 if past the box."""
     T_box_floor = invert_rigid(box.T_floor_box)
     point, along = transform_points(T_box_floor, point_floor), T_box_floor[:3, :3] @ look
     half = np.array(box.size_m) / 2

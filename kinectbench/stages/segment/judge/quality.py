@@ -154,7 +154,10 @@ def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
 
 
 def solid_box(shape: SolidShape, floor: Floor, yaw_rad: float | None = None) -> OrientedBox:
-    """The upright box around a solid, floor frame; without a yaw, the one of least ground area."""
+    """The upright box around a solid, but for 0.5 % of its vertices on each side, floor frame.
+
+    Without a yaw, it is the one of least ground area.
+    """
     points_floor = transform_points(floor.T_floor_world, shape.mesh.vertices)
     return fit_box(points_floor, yaw_rad, BOX_LEFT_OUT)
 
@@ -261,7 +264,7 @@ def detached_pieces(labels: Int32, small: Int64, sizes: Int64, voxel_size_m: flo
         labels: piece of each voxel, 0: none.
         small: (k,) labels of the small pieces.
         sizes: voxels of each piece, from label 1 on.
-        voxel_size_m: edge of a voxel.
+        voxel_size_m: edge of a voxel, metres.
     """
     from scipy import ndimage
     from scipy.spatial import cKDTree

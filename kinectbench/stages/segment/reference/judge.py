@@ -73,11 +73,12 @@ class RegisteredReference:
     Attributes:
         ours: samples of the object.
         theirs: samples of the reference, in its own frame.
-        refused: why the mesh is not the object's, in a line with the figure; None: it is.
-        pose: the best pose; None if it was refused before the search.
-        scale: the factor by which the reference would fit best.
-        mirrored_m: residual of its mirror image, metres; None if it was refused before.
-        runner_up: the second-best pose; None: no other has less than three times the residual.
+        refused: why the mesh is not taken for the object's, in one line; None: it is.
+        pose: the best pose; None if the mesh was refused before the search.
+        scale: the factor by which the reference would fit best; it and the next three are None if the mesh
+            was refused by the best pose's residual, or before the search.
+        mirrored_m: residual of its mirror image, metres.
+        runner_up: the second-best pose; None if the search ended in one pose.
         symmetric_axis_floor: (3,) unit, floor frame: the axis of its rotational symmetry; None without one.
         mirror_as_well: whether its mirror image, if that is another shape, fits as well.
     """

@@ -24,7 +24,7 @@ class Reference:
 
     Attributes:
         mesh: in a frame of its own, metres.
-        closed: whether every edge has two faces.
+        closed: whether every edge has two faces, which run along it in opposite directions.
         sha256: of the file's bytes.
     """
 
@@ -37,7 +37,8 @@ def read_reference(path: Path) -> Reference:
     """Read a mesh in metres.
 
     Raises:
-        RecordingError: it cannot be read, or has no faces.
+        RecordingError: it is no readable .ply, .obj or .glb, or has no face with an area, or a vertex that is
+            not finite or beyond 10^6 m.
     """
     where = printable(str(path), 300)
     if path.suffix not in SUFFIXES:

@@ -70,7 +70,7 @@ class Sampled:
         mesh: the surface.
         points: (n, 3).
         normals: (n, 3) unit.
-        counted: (n,) whether a sample may be matched: of the object whether it was measured.
+        counted: (n,) whether a sample may be matched; a sample of the object: whether it was measured.
         flat: (n,) weight of a sample for a pose: 1 on a plane, nearly 0 at an edge.
     """
 
@@ -123,8 +123,9 @@ def sampled(mesh: TriangleMesh) -> Sampled:
 def sampled_object(model: ObjectModel) -> Sampled:
     """The samples of a built object, in its world; those that were measured count.
 
-    A measured sample has surface below and air above: if one side of a thin wall was measured, its other side
-    does not count.
+    A measured sample has a SURFACE voxel below it, and none above it that is UNKNOWN or OTHER: if one side of
+    a thin wall was measured, its other side does not count. If the object is itself a reference mesh, the
+    voxel above does not matter.
     """
     shape, rng = model.shape, np.random.default_rng(OBJECT_SEED)
     points, normals = sample_surface(shape.mesh.vertices, shape.mesh.faces, SAMPLES, rng)

@@ -50,7 +50,7 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
     Raises:
         RecordingError: the mesh cannot be read.
         ShapeError: it is open, or cannot be voxelised.
-        SegmentationError: it is that of another object.
+        SegmentationError: it does not fit the object, or is too large for voxels of the object's size.
     """
     reference = read_reference(path)
     if not reference.closed:

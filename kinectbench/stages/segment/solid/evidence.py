@@ -40,8 +40,8 @@ class FloorLayers:
 
     Attributes:
         below: number of layers below the floor.
-        contact: layers above it in which the floor and the object look the same.
-        low: layers above those. A surface there belongs to the object only if it continues above them.
+        contact: number of layers above it in which the floor and the object look the same.
+        low: number of layers above those. A surface there is the object's only if it continues above them.
     """
 
     below: int
@@ -50,12 +50,12 @@ class FloorLayers:
 
     @property
     def first(self) -> int:
-        """The first layer with surface that may be the object's."""
+        """Index of the lowest layer whose surface may be the object's."""
         return self.below + self.contact
 
     @property
     def cut(self) -> int:
-        """The first layer with no surface of the floor."""
+        """Index of the lowest layer without surface of the floor."""
         return self.first + self.low
 
 
@@ -94,16 +94,16 @@ class VoxelEvidence:
         signed_m: float32, signed distance of the surface, corrected by the frames that saw through.
         observed: bool, a surface is near.
         free: bool, seen to be empty.
-        near_surface: bool, behind a surface by at most `SHELL_M`: part of the object.
+        near_surface: bool, behind a surface by at most `SHELL_M`, or 1.5 voxels if more: part of the object.
         excluded: bool, cannot be the object.
-        unseen: bool, none of `free`, `near_surface` and `excluded`.
+        unseen: bool, above the floor and none of `free`, `near_surface` and `excluded`.
         sight: uint8, how a camera could see the voxel past the measured surfaces
             (`core.voxels.lines_of_sight`).
         closed: bool, unseen and part of the object: no camera could see it, or it is seen only from below and
             a person says that the underside is closed.
         underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`),
-            whatever a person says.
-        contact: the layers right above the floor.
+            whatever a person says; in the layers `contact`, the voxels down to the floor below such ones.
+        contact: slice of the layers right above the floor, whose classes follow the layer above them.
         space: where lines of sight pass and cameras can be.
         lower: the same without cameras that rose through unseen space below an object.
     """

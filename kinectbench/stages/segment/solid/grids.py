@@ -97,7 +97,7 @@ def grid_ray_width_m(camera: Camera, trajectory: Trajectory, grid: Grid) -> floa
 def surround_grid(grid: Grid, floor: Floor) -> Grid:
     """A coarse grid that holds the cube of any pair in framing `object`, in any orientation.
 
-    Its cells are four voxels wide, and wider around very large objects.
+    Its cells are as wide as four voxels of `grid`, and wider around very large objects.
     """
     radius_m = 0.5 * float(np.linalg.norm(grid.size_m))
     half_m = SURROUND_RADII * np.sqrt(3.0) * radius_m
@@ -111,7 +111,11 @@ def surround_grid(grid: Grid, floor: Floor) -> Grid:
 
 
 def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint8]:
-    """Labels of the coarse grid: FREE if seen through, OTHER at surfaces or below a floor, else UNKNOWN."""
+    """Labels of the coarse grid.
+
+    OTHER below a floor; else FREE in front of a surface, or where two frames or more saw through; else OTHER
+    behind a surface; else UNKNOWN.
+    """
     labels = np.full(around.grid.shape, Label.UNKNOWN, np.uint8)
     labels[(around.weight > 0) & (around.tsdf <= 0)] = Label.OTHER
     labels[((around.weight > 0) & (around.tsdf > 0)) | (around.free >= 2)] = Label.FREE

@@ -20,7 +20,7 @@ def voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: i
     Args:
         evidence: what is known of each voxel.
         solid: (i, j, k) bool, the voxels of the object.
-        voxel_m: edge of a voxel.
+        voxel_m: edge of a voxel, metres.
         below: number of layers below the floor.
     """
     near = np.abs(evidence.signed_m) <= MEASURED_VOXELS * voxel_m

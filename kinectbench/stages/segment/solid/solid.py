@@ -99,10 +99,10 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     """Decide for every voxel whether it is occupied, and label how that is known.
 
     A free voxel is empty. A voxel right behind a measured surface is occupied, and so is one that no camera
-    could see. An unknown voxel is occupied if that is the more probable (`guess`). Near the floor, the lowest
-    occupied layer is extruded down to the floor. Legs whose upper end was hidden are extended up to the
-    object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks are dropped, and
-    voids are filled.
+    could see. An unknown voxel is occupied if that is the more probable (`guess`). Near the floor nothing is
+    measured: the layer above `contact` is extruded down to the floor. Legs whose upper end was hidden are
+    extended up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks
+    are dropped, and voids are filled.
 
     Args:
         observation: TSDF and votes on an upright grid.
