@@ -27,10 +27,11 @@ MOST_OPEN = 2
 
 
 def release_text(path: Path) -> str:
-    """Read a UTF-8 text file of a release or a build.
+    """Read a UTF-8 text file of a release or a build, from a folder, an archive or a URL.
 
     Raises:
         ReleaseError: the file cannot be read.
+        StorageError: the store at the URL fails.
     """
     try:
         return decoded(_read(path, MAX_READ_BYTES), MAX_READ_BYTES, shown(path))
@@ -51,6 +52,7 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
 
     Raises:
         ReleaseError: the file is missing, too large for its kind, unreadable, or not the published one.
+        StorageError: the store at the URL fails.
     """
     try:
         content = _read(path, most_bytes(str(path)))
