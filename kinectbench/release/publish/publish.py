@@ -107,10 +107,10 @@ def publish(
 
     Raises:
         ReleaseError: a built file is missing, a pair has another framing or partial rule than the benchmark,
-            no recording passes the gate, one is in two splits, there is no pair at all or none to hold back,
-            a file is larger than `verify` accepts, or a folder holds something else.
+            no recording passes the gate, the same frames are in two splits, there is no pair at all or none
+            to hold back, a file is larger than `verify` accepts, or a folder holds something else.
         SettingsError: views are isolated, but the framing is `object`.
-        StorageError: the disk is full or read-only.
+        StorageError: a built file is damaged, or the disk is full or read-only.
     """
     if options.isolate:
         refuse_framing(settings)

@@ -104,7 +104,9 @@ def write_small_files(
     warnings: Sequence[str],
     scenes: Path | None = None,
 ) -> str:
-    """Write the small files of an otherwise complete release folder; return its benchmark_sha256.
+    """Write the small files, and the objects' GLBs, of an otherwise complete release folder.
+
+    Return the release's benchmark_sha256.
 
     Args:
         head: facts about the release as a whole.
