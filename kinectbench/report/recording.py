@@ -166,7 +166,7 @@ def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
 
 
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:
-    """Return positions (k, 3) of rejected frames, interpolated between their neighbours in the trajectory.
+    """Return camera positions (k, 3), floor frame, metres, of rejected frames, interpolated between others.
 
     The result is empty unless the trajectory has a row for each frame, or for each frame that was kept.
     """

@@ -195,6 +195,8 @@ def page_of_benchmark(
 
     Raises:
         SettingsError: a listed score file is missing, or of another release or version.
+        ReleaseError: the release is damaged.
+        StorageError, PairError: as in `write_report`, or a score file or gallery is damaged.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
     tables, beside, warnings = _scores(scores, release, baselines)
@@ -237,7 +239,7 @@ def write_galleries(
     Args:
         release: the release that was predicted.
         predictions: the folder of the scored predictions; None: baselines, which are predicted again.
-        tables: the score tables.
+        tables: the score tables; of predictions, in the order of `split_methods`.
         out: the folder in which the scores are.
         upsampling: the upsampling convention used for scoring.
         jobs: number of processes for baselines.

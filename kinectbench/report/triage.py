@@ -44,7 +44,7 @@ def write_triage_page(
         progress: called with (recordings drawn, recordings in all).
 
     Raises:
-        StorageError: the page cannot be written.
+        StorageError: the page cannot be written, or quality.json of a built recording is damaged.
     """
     cards = []
     for number, row in enumerate(triage.rows, start=1):
@@ -74,7 +74,7 @@ def _card(row: TriageRow, folder: Path) -> Card:
 
 
 def _figures(row: TriageRow, quality: QualityFile | None) -> str:
-    """Return one line: the estimated IoUs unless a reason states them, the underside, and who stated it."""
+    """Return one line: the estimated IoUs, without one that a reason states, and underside with its source."""
     high = quality.estimated_iou_high if quality else None
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []
@@ -90,7 +90,10 @@ def _figures(row: TriageRow, quality: QualityFile | None) -> str:
 
 
 def _pictures(folder: Path) -> list[str]:
-    """Return pictures (`data:` URLs) of views with the object's mask, or else of the middle frame."""
+    """Return pictures (`data:` URLs) of views with the object's mask, or else of the middle frame.
+
+    Without views and a sequence, there are none.
+    """
     views = ViewsFile.read_if_there(folder / "views")
     if views is not None and views.views:
         return [frame.masked for frame in frame_pictures(folder / "views", views, VIEWS)]
