@@ -123,7 +123,9 @@ def _read(path: Path, limit: int) -> bytes:
 
 
 def _store_of(url: str) -> tuple[Store, str]:
-    """Split a URL: return the store of its bucket or host, which all its files share, and the name in it.
+    """Split a file's URL: return the store of its bucket or host, and the file's name in that store.
+
+    So all files of a bucket share one open store.
 
     Raises:
         ReleaseError: as in `release_store`.

@@ -287,7 +287,7 @@ def opened_recipe(
         folder: the folder that holds sources.yaml.
         out: the benchmark's folder; default: `folder`.
         waiting: called once before waiting, with the name of the other process that downloads there.
-        is_read: see `Recipe`.
+        is_read: function that returns whether a reader of recordings opens a file as it is.
 
     Raises:
         SettingsError: sources.yaml or sources.lock is wrong, there is no benchmark.yaml, or `out` is a file.

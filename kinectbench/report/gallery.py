@@ -80,7 +80,7 @@ def gallery_cells(
         predictions: the method's folder. A pair without a file gets an empty grid; one that could not be
             scored is left out.
         table: the method's scores.
-        upsampling: see `upsampled_planes`.
+        upsampling: convention for grids of fewer or more than 256 cells, "half-pixel" or "corner-aligned".
         progress: called with (pairs done, pairs in all).
 
     Raises:
@@ -130,7 +130,7 @@ def baseline_cells(
     Args:
         release: the release that was predicted.
         tables: the baselines' scores.
-        upsampling: see `upsampled_planes`.
+        upsampling: as in `gallery_cells`.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -219,7 +219,7 @@ def read_pair_truth(release: Release, target: Target) -> PairTruth:
     Of an open mesh, `full` has the cells with points of its surface, and all cells count as known.
 
     Raises:
-        ReleaseError: the pair file is missing, or not the published one.
+        ReleaseError: the pair file is missing, damaged or not the published one.
     """
     path = release.pair_path(target)
     if target.split in release.metadata.surface_truth:

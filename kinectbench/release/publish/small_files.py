@@ -114,7 +114,7 @@ def write_small_files(
         targets: every pair, sorted.
         infos: {recording: its entry in benchmark.json}.
         warnings: the release's warnings, one line each, for the card.
-        scenes: see `write_glbs`.
+        scenes: `build/`, where scene meshes give the GLBs' colours; None if no colour is published.
     """
     infos = {name: _with_origin(info, head) for name, info in infos.items()}
     info = _info(head, infos)
