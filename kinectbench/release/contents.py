@@ -61,7 +61,7 @@ DAMAGED = (*DAMAGED_ZIP, tarfile.TarError)
 
 
 def surface_name(recording: str) -> str:
-    """Return the file name of the open mesh of a recording that has an open mesh as its truth."""
+    """Return `surfaces/<recording>.ply`, the file of the open mesh that is a recording's truth."""
     return f"{SURFACES}/{recording}.ply"
 
 

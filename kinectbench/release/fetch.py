@@ -60,7 +60,7 @@ class Fetched:
         benchmark_sha256: the hash that identifies the release.
         pairs: number of pairs in the requested part.
         fetched: number of the part's files, without SHA256SUMS, that were downloaded now.
-        kept: number of those that were already here.
+        kept: number of the part's files, without SHA256SUMS, that were already here.
     """
 
     folder: Path

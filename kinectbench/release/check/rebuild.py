@@ -107,8 +107,8 @@ def rebuild_plan(
     Raises:
         ReleaseError: the release was not made from recordings, or by a version with other settings; or all
             its truth is held back, or all its views are isolated.
-        SettingsError: recordings are missing, all of which the message names; or the mesh of a recording
-            whose truth is a reference mesh.
+        SettingsError: recordings are missing (the message names all), or the reference mesh that is the
+            truth of one.
     """
     metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
     targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)

@@ -48,7 +48,7 @@ def reasons_against_distribution(
 
 
 def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> str:
-    """Return the licence that all recordings share, or `otherwise` if their licences differ or are none."""
+    """Return the licence that all recordings share, or `otherwise` if there is not exactly one."""
     licenses = {info.license for info in recordings.values()}
     return licenses.pop() if len(licenses) == 1 else otherwise
 
