@@ -54,7 +54,7 @@ def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
     """Return the sorted names of the pairs that a page shows of a method: best, worst, and some of all.
 
     Args:
-        rising: the method's pairs, sorted by increasing IoU.
+        rising: the method's pairs, from the worst to the best.
         every: all pairs of the test split, in the same order for every method.
     """
     spread = {every[i] for i in evenly(len(every), SHARED)}
@@ -62,7 +62,7 @@ def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
 
 
 def reduced_packed(packed: Packed) -> Packed:
-    """Reduce a packed grid (256, 256, 32) to (64, 64, 8): a cell is set if a quarter of its voxels are."""
+    """Reduce packed (256, 256, 32) to (64, 64, 8): a cell is set if at least a quarter of its voxels is."""
     return pack(block_density(packed) >= np.float32(DRAWN_SHARE))
 
 
@@ -85,7 +85,8 @@ def gallery_cells(
 
     Raises:
         PredictionError: a file cannot be read as a prediction; whether it is the scored one is not checked.
-        ReleaseError: a pair is missing or not the published one, of which a mesh needs the cell size.
+        ReleaseError: the pair of a predicted mesh, whose cell size is needed, is missing or not the published
+            one.
     """
     files = find_predictions(predictions, release.split("test")).files
 

@@ -35,7 +35,10 @@ File = TypeVar("File", bound=Stored)
 
 @dataclass(frozen=True)
 class Tile:
-    """A pair on the page: a picture of partial and full as a `data:` URL, and figures as text."""
+    """A pair on the page: view and frame; a picture of partial and full as a `data:` URL; figures as text.
+
+    `unknown` is the share of the true shape that is not known.
+    """
 
     view: str
     frame: str
@@ -62,9 +65,9 @@ class RecordingPart:
             for which view is "".
         containment: median containment over the pairs, as text.
         residual: median residual over the pairs, as text.
-        missing: stages that are not built yet.
-        outdated: results that are not shown, because they were made with another version, other settings or
-            other inputs.
+        missing: results that are not built yet, of "trajectory", "floor", "object", "views" and "pairs".
+        outdated: those of the five that are not shown, because they were made with another version, other
+            settings or other inputs.
         failed: the stage at which the last build failed, and why, one line; or "".
     """
 

@@ -22,7 +22,15 @@ KNOWN_IOU = "IoU on known voxels"
 
 @dataclass(frozen=True)
 class Card:
-    """What the page shows of one recording; pictures are `data:` URLs."""
+    """What the page shows of one recording.
+
+    Attributes:
+        row: its row of the triage.
+        tone: the class that colours the decision: "good", "warn" or "bad".
+        figures: estimated IoUs and underside in one line.
+        incomplete: its large unseen parts, one line each, unless a reason states them.
+        pictures: pictures of views as `data:` URLs.
+    """
 
     row: TriageRow
     tone: str
