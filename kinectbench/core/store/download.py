@@ -190,7 +190,7 @@ class _Download:
         return at
 
     def _copy(self, answer: http.client.HTTPResponse, part: Path, at: int, size: int) -> None:
-        """Append the bytes of a response to a partial file, from offset `at` up to the expected size."""
+        """Write the bytes of a response to a partial file, from offset `at` (0: a new file) up to `size`."""
         with storage_errors(self.path), part.open("ab" if at else "wb") as out:
             since, then = time.monotonic(), at
             while at < size:
