@@ -103,8 +103,7 @@ def publish(
         out: the release's folder; with `hold_back` its public part, and `<out>-private` is written, too.
         recordings: ids of built recordings. A recording that has no pair, or that the gate refuses, is left
             out with a warning.
-        options: thresholds, held-back splits, whether one view of each held-back object is published
-            (isolated), and whether poor recordings pass the gate.
+        options: thresholds, held-back splits and their isolation, whether poor recordings pass the gate.
 
     Raises:
         ReleaseError: a built file is missing, a pair has another framing or partial rule than the benchmark,
