@@ -61,7 +61,7 @@ DAMAGED = (*DAMAGED_ZIP, tarfile.TarError)
 
 
 def surface_name(recording: str) -> str:
-    """Return the file name of the open mesh of a recording that has an open mesh as its truth."""
+    """Return `surfaces/<recording>.ply`, the file of the open mesh that is a recording's truth."""
     return f"{SURFACES}/{recording}.ply"
 
 
@@ -74,7 +74,8 @@ def refuse_large(folder: Path) -> None:
     """Raise an error if a release has a file that `verify` would find too large.
 
     Raises:
-        ReleaseError: a file is too large; the message names it.
+        ReleaseError: a file is too large, or a volume.npz is damaged or unpacks to too much; the message
+            names it. Or as in `release_files`.
     """
     for path in release_files(folder):
         name = path.relative_to(folder).as_posix()
@@ -94,6 +95,8 @@ def refuse_large(folder: Path) -> None:
 
 def release_files(folder: Path, *, with_empty: bool = False) -> Iterator[Path]:
     """Yield every file and link below a release except SHA256SUMS, sorted; links are not followed.
+
+    A missing folder has none.
 
     Args:
         folder: the release's folder.
@@ -136,7 +139,8 @@ class Contents:
 
     Attributes:
         entries: {path relative to the release: file}, with "/" between parts; an empty folder ends with "/".
-        problems: a message for each invalid name, such as a path that leads out of the release.
+        problems: a message for each name in an archive that is invalid, such as a path that leads out of the
+            release, or that lies beside the release's folder.
     """
 
     entries: Mapping[str, Entry]
@@ -188,7 +192,7 @@ class Contents:
         """Return the text of a UTF-8 file.
 
         Raises:
-            ReleaseError: as in `read`, or the file is not UTF-8.
+            ReleaseError: as in `read`, or the file is not UTF-8, or takes more than `limit` bytes of memory.
         """
         try:
             return decoded(self.read(name, limit), limit, name)

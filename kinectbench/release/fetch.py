@@ -59,8 +59,8 @@ class Fetched:
         folder: the release's folder on this machine.
         benchmark_sha256: the hash that identifies the release.
         pairs: number of pairs in the requested part.
-        fetched: number of files of SHA256SUMS that were downloaded now.
-        kept: number of files of SHA256SUMS that were already here.
+        fetched: number of the part's files, without SHA256SUMS, that were downloaded now.
+        kept: number of the part's files, without SHA256SUMS, that were already here.
     """
 
     folder: Path
@@ -76,7 +76,7 @@ def release_url(name: str | Path) -> str:
     A name is appended to the URL in the environment variable KINECTBENCH_RELEASES.
 
     Raises:
-        SettingsError: the URL is unusable, or a name is given and the variable is not set.
+        SettingsError: the URL is unusable; or `name` is no folder, and has a "/" or the variable is not set.
     """
     if problem := unusable(str(name)):
         raise SettingsError(printable(problem, 300), what="bad-url")
@@ -114,7 +114,7 @@ def fetch_release(
         ReleaseError: there is no release, it is damaged, a file is not the published one, or the folder
             holds something else.
         SettingsError: the part has no pair, or a requested category has none.
-        StorageError: the store fails.
+        StorageError: the store fails or lacks a file, or the disk cannot be written.
     """
     store = release_store(url)
     text, info = _head(store)
@@ -184,7 +184,8 @@ def stored_hashes(
     `SHA256SUMS` and `benchmark.json` stay in the folder `out`.
 
     Returns:
-        {name: hash, or None if missing} in the order of SHA256SUMS, and the names of `mirror_release`.
+        {name: hash, or None if missing} in the order of SHA256SUMS, and the names that `mirror_release`
+        returns.
 
     Raises:
         ReleaseError: as in `mirror_release`.
@@ -213,7 +214,7 @@ def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Targ
 
 
 def wanted_names(names: Collection[str], targets: Collection[Target], part: ReleasePart | None) -> list[str]:
-    """Return those of the release's file names that a part needs; None: all.
+    """Return those of the release's file names that a part needs; all if `part` is None.
 
     A part has the files of the targets' recordings and views, and all files that belong to no recording.
     """

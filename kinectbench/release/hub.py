@@ -40,16 +40,18 @@ def hub_name(url: str) -> str:
 
 
 def put_on_hub(folder: Path, name: str) -> PutSummary:
-    """Make a dataset of the hub equal to a release: upload its files, delete those of an earlier release.
+    """Make a dataset of the hub equal to a release: upload the folder, delete files of an earlier release.
 
     The dataset is created if missing. The hub itself skips the upload of files that it already has.
+    Files in the folder that SHA256SUMS does not list are uploaded, too.
 
     Args:
         folder: the release's folder on this machine.
         name: the dataset, user/name.
 
     Raises:
-        ReleaseError: the dataset holds files that belong to no release.
+        ReleaseError: the dataset holds files that belong to no release, or SHA256SUMS or benchmark.json in
+            the folder is missing or damaged.
         StorageError: the hub does not answer, or refuses.
     """
     from huggingface_hub import HfApi

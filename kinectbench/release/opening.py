@@ -57,6 +57,8 @@ def open_contents(path: Path) -> Iterator[Contents]:
     Raises:
         ReleaseError: there is no release, the archive is cut off, or its stated content is far larger than
             the archive (a decompression bomb).
+        SettingsError: the path is a URL of a scheme that is not supported.
+        StorageError: there is no room for the unpacked .tar.gz.
     """
     if path.is_file():
         with _open_archive(path) as contents:
@@ -73,7 +75,8 @@ def open_contents(path: Path) -> Iterator[Contents]:
 def _folder(path: Path) -> Contents:
     """Return the files of a folder; links to files are followed, links to folders are not.
 
-    Download caches consist of links to files. They are safe, because each file is checked by its SHA-256.
+    Download caches consist of links to files. Following links is safe, because each file is checked by its
+    SHA-256.
     """
     entries: dict[str, Entry] = {}
     for file in release_files(path, with_empty=True):
@@ -99,10 +102,12 @@ def _entry(file: Path) -> Entry:
 
 
 def _rooted(contents: Contents, path: Path) -> Contents:
-    """Return the files of the release at the top of an archive or in its only folder, by name in it.
+    """Return the files of the release at the top of an archive or in one folder, by path in the release.
+
+    Files beside that folder become problems of the result.
 
     Raises:
-        ReleaseError: there is no release, or there are several.
+        ReleaseError: there is no release, or several folders hold one.
     """
     known = (BENCHMARK_JSON, SHA256SUMS)
     if any(name in contents.entries for name in known):
@@ -129,7 +134,8 @@ def _open_archive(path: Path) -> Iterator[Contents]:
     files cannot be reached otherwise.
 
     Raises:
-        ReleaseError: the file is no such archive, is cut off, or states a content of over 100 times its size.
+        ReleaseError: the file is no such archive, is cut off, or states a content beyond `unpacked_bound`
+            (64 MiB, and 100 times its size).
         StorageError: there is no room for the temporary file.
     """
     with ExitStack() as stack:
@@ -291,7 +297,8 @@ class _Slice(io.RawIOBase):
 def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: int) -> Contents:
     """Return an archive's files, and its empty folders, by name.
 
-    Names that lead out of the release become problems of the result; a duplicate is a problem of its entry.
+    Names that lead out of the archive, or that no file should have (control characters, backslash, colon),
+    become problems of the result; a duplicate is a problem of its entry.
     """
     entries: dict[str, Entry] = {}
     folders: dict[str, Entry] = {}

@@ -25,14 +25,15 @@ def is_ours(name: str) -> bool:
 
 
 def remains(folder: Path) -> list[Path]:
-    """Return the lock and the unfinished downloads in a folder; links are not followed."""
+    """Return the lock and the unfinished downloads in a folder and below it; links are not followed."""
     return [Path(place, name) for place, _, names in os.walk(folder) for name in names if is_ours(name)]
 
 
 def refuse_other_content(out: Path) -> None:
     """Raise an error unless a folder may be replaced: it is missing, empty, or holds only a release.
 
-    A release with a damaged SHA256SUMS may be replaced, too.
+    A folder that holds benchmark.json, and whose SHA256SUMS is missing or damaged, may be replaced whatever
+    else it holds. Hidden files are ignored.
 
     Raises:
         ReleaseError: the folder holds something else; the message names a file.

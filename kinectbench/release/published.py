@@ -27,10 +27,11 @@ MOST_OPEN = 2
 
 
 def release_text(path: Path) -> str:
-    """Read a UTF-8 text file of a release or a build.
+    """Read a UTF-8 text file of a release or a build, from a folder, an archive or a URL.
 
     Raises:
         ReleaseError: the file cannot be read.
+        StorageError: the store at the URL fails.
     """
     try:
         return decoded(_read(path, MAX_READ_BYTES), MAX_READ_BYTES, shown(path))
@@ -51,6 +52,7 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
 
     Raises:
         ReleaseError: the file is missing, too large for its kind, unreadable, or not the published one.
+        StorageError: the store at the URL fails.
     """
     try:
         content = _read(path, most_bytes(str(path)))
@@ -121,7 +123,9 @@ def _read(path: Path, limit: int) -> bytes:
 
 
 def _store_of(url: str) -> tuple[Store, str]:
-    """Split a URL: return the store of its bucket or host, which all its files share, and the name in it.
+    """Split a file's URL: return the store of its bucket or host, and the file's name in that store.
+
+    So all files of a bucket share one open store.
 
     Raises:
         ReleaseError: as in `release_store`.

@@ -56,7 +56,7 @@ class _Place:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the store holds a complete release."""
+        """Whether benchmark.json and SHA256SUMS match, as in a complete release; no other file is checked."""
         stated = self.info
         return stated is not None and stated.benchmark_sha256 == benchmark_sha256(self.text, self.stated)
 
@@ -78,11 +78,11 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
     Args:
         folder: the release's folder on this machine.
         store: the place to upload to. Files of an earlier release that are not in this one are removed.
-        progress: called with (files uploaded, files in all).
+        progress: called with (files uploaded, files to upload).
 
     Raises:
-        ReleaseError: the store holds files that belong to neither a release nor a stopped upload, or its URL
-            has a query.
+        ReleaseError: the store holds files that belong to neither a release nor a stopped upload, its URL has
+            a query, or the folder's SHA256SUMS is missing or damaged.
         StorageError: the store fails.
     """
     release_store(store.url)
@@ -127,8 +127,8 @@ def _put(folder: Path, store: Store, names: list[str], progress: Progress | None
 def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
     """Delete files that do not belong to the new release, so that a stopped upload can still be resumed.
 
-    Files that the store's SHA256SUMS lacks are deleted first, while benchmark.json is there. Files in it are
-    deleted after benchmark.json, so that nobody sees an incomplete release.
+    Files that the store's SHA256SUMS lacks are deleted first, while benchmark.json is there. Of a complete
+    release, files in that list are deleted after benchmark.json, so that nobody sees it incomplete.
 
     Args:
         store: the store.
@@ -167,7 +167,10 @@ def _look(store: Store) -> _Place:
 
 
 def _refuse_other(store: Store, place: _Place, sums: Mapping[str, str]) -> None:
-    """Raise an error if a store has a file that belongs to no release: `sums` is of the new release."""
+    """Raise an error if a store has a file that belongs to no release.
+
+    Files of its SHA256SUMS belong to one; with a valid benchmark.json, also those of `sums`, the new release.
+    """
     known = {BENCHMARK_JSON, SHA256SUMS, *place.sums} if place.text else set(place.sums)
     if place.info is not None:  # whose list may be damaged
         known |= {BENCHMARK_JSON, SHA256SUMS, *sums}

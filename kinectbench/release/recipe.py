@@ -89,6 +89,8 @@ class Recipe:
     def chosen(self, categories: tuple[str, ...] = (), limit: int | None = None) -> list[Scan]:
         """Return the scans of some categories, at most `limit` of each; first download the index if missing.
 
+        Without categories, scans of all categories are returned.
+
         Raises:
             SettingsError: there are no such scans, or the index of scans is invalid.
             StorageError: the index cannot be downloaded.
@@ -171,7 +173,10 @@ class Recipe:
         most_bytes: int = MOST_FILE_BYTES,
         room: Callable[[int], object] | None = None,
     ) -> bool:
-        """Download a file if missing; check it, and lock its hash; return whether it was downloaded now."""
+        """Download a file if missing, check it, and record its hash in sources.lock.
+
+        Return whether it was downloaded now.
+        """
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(
@@ -219,7 +224,9 @@ class Recipe:
         """Add scans to recordings.yaml, which the recipe's benchmark.yaml includes; existing entries stay.
 
         Raises:
-            SettingsError: benchmark.yaml is wrong, or does not include recordings.yaml.
+            SettingsError: benchmark.yaml is wrong, or does not include recordings.yaml; or recordings.yaml is
+                unreadable, or written so that no entry can be added at its end.
+            StorageError: a file cannot be written.
         """
         if not scans:
             return
@@ -280,10 +287,10 @@ def opened_recipe(
         folder: the folder that holds sources.yaml.
         out: the benchmark's folder; default: `folder`.
         waiting: called once before waiting, with the name of the other process that downloads there.
-        is_read: see `Recipe`.
+        is_read: function that returns whether a reader of recordings opens a file as it is.
 
     Raises:
-        SettingsError: sources.yaml or sources.lock is wrong.
+        SettingsError: sources.yaml or sources.lock is wrong, there is no benchmark.yaml, or `out` is a file.
         StorageError: the folder cannot be written.
     """
     sources = read_sources(folder)
@@ -315,7 +322,7 @@ def _other_file(path: Path) -> StorageError:
 
 
 def _check_zip(path: Path) -> None:
-    """Raise an error if a file is not a complete zip archive."""
+    """Raise an error if a file has no end record of a zip archive, as when it is cut off."""
     with open_plain(path) as file:
         if not zipfile.is_zipfile(file):
             raise StorageError(f"{path}: sends no whole zip archive", what="not-fetched")

@@ -135,6 +135,8 @@ class Release:
     def floor(self, recording: str) -> FloorFile | None:
         """Read a recording's floor.json; None if there is none, as for synthetic objects.
 
+        Its hash is not checked.
+
         Raises:
             ReleaseError: the floor's file is damaged.
         """
@@ -164,14 +166,18 @@ class Release:
 
 
 def open_release(path: Path) -> Release:
-    """Open a release, and check the hashes of its small files; pairs are checked when they are read.
+    """Open a release, and check the hashes of benchmark.json, splits.json and targets.csv.
+
+    Other files are checked when they are read.
 
     Args:
         path: the release's folder or URL, or a .zip, .tar or .tar.gz of it, which is read in place.
 
     Raises:
-        ReleaseError: there is no release, it has another format version, targets or benchmark.json were
-            changed, an object is in two splits, a path leaves the release, or files contradict each other.
+        ReleaseError: there is no release, it has another format version, one of the three files was changed,
+            an object is in two splits, a path leaves the release, or files contradict each other.
+        SettingsError: the URL's scheme is not supported.
+        StorageError: the store at the URL fails.
     """
     if not is_there(path / BENCHMARK_JSON):
         if refusal := other_scheme(path):

@@ -58,8 +58,8 @@ class _Member(tarfile.TarInfo):
 def unpack_archive(archive: Path, folder: Path) -> None:
     """Unpack a .tar, .tgz or .zip, recognised by its content, into `folder`.
 
-    If the archive holds a single folder, only its content is kept. `folder` appears whole or not at all.
-    Links, devices and hidden files are skipped.
+    If the archive holds a single folder, only its content is kept, also if that is a single folder again.
+    `folder` appears whole or not at all. Links, devices and hidden files are skipped.
 
     Raises:
         StorageError: the archive is damaged, leads out of the folder or unpacks to too much; or the disk is

@@ -21,7 +21,8 @@ class Kind(NamedTuple):
     Attributes:
         suffix: the end of the file name, after the view's name.
         words: name of the kind in messages.
-        format: suffix, bits per channel and colour type that the file's header must state.
+        format: suffix, bits per channel and colour type (PNG's number: 0 grey, 2 RGB) that the file's header
+            must state.
     """
 
     suffix: str

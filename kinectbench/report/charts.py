@@ -37,7 +37,10 @@ class Bar:
 
 
 def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]]:
-    """Return {category: a bar per method} of mean IoU and its interval; one group is over all categories."""
+    """Return {category: a bar per method} of mean IoU and its interval.
+
+    If there are several categories, the group `OVERALL` comes first.
+    """
     scores = {table.method: table.averages(protocol) for table in tables}
     names = sorted({c for of in scores.values() for c in of} - {OVERALL})
     values = [s.iou for of in scores.values() for s in of.values() if s.iou is not None]
@@ -120,7 +123,7 @@ def _chart(
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Return four to six values at which an axis from `low` to `high` gets ticks."""
+    """Return three to six values at which an axis from `low` to `high` gets ticks."""
     step = next((s for s in TICKS if (high - low) / s <= 5), TICKS[-1])
     first = int(np.ceil(round(low / step, 6)))
     return [k * step for k in range(first, int(np.floor(round(high / step, 6))) + 1)]
@@ -132,7 +135,10 @@ def series_class(index: int) -> str:
 
 
 def threshold_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """Draw IoU against threshold in a chart for each category; a dot marks the threshold used for scores."""
+    """Draw IoU against threshold in a chart for each category; a dot marks the threshold used for scores.
+
+    There is no dot if the threshold used is none of `THRESHOLDS`.
+    """
     curves = [_curves_of(table, protocol) for table in tables]
     categories = sorted({category for of in curves for category in of})
     charts = []
@@ -172,7 +178,11 @@ def visible_shares(table: ScoreTable) -> dict[str, float]:
 
 
 def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """Draw each pair's IoU against its `visible_shares`, in a chart for each category."""
+    """Draw pairs' IoU against their `visible_shares` in a chart for each category.
+
+    At most `MOST_DOTS` pairs of a method are drawn, evenly spread. Pairs for which one of both is not known
+    are left out, and so are categories without a pair.
+    """
     shares: dict[str, float] = {}
     for table in tables:
         shares |= visible_shares(table)

@@ -34,7 +34,7 @@ class StageFigures:
         tone: the class that colours the verdict: "good", "warn", "bad" or "plain".
         grade: the grade of a trajectory, such as "fair"; "" for an object.
         warnings: the stage's warnings.
-        rows: (name, value) of every other figure.
+        rows: (name, value) of the other figures, as texts; lists of objects are left out.
         estimate: the estimated IoU with its interval, or "".
         reasons: what widens the interval, one line each.
         advice: what to record again, one line for each unobserved opening.
@@ -53,7 +53,10 @@ class StageFigures:
 
 
 def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None) -> StageFigures:
-    """Return a trajectory's figures, coloured by its grade; the first row is the number of damaged frames."""
+    """Return a trajectory's figures, coloured by its grade: "good", "warn" if it has warnings, or "bad".
+
+    With `sequence`, the first row is the number of damaged frames.
+    """
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
         tone = "warn"
@@ -63,7 +66,7 @@ def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None)
 
 
 def quality_figures(quality: QualityFile) -> StageFigures:
-    """Return an object's figures, coloured "good" if it has no warnings and "warn" if it has some."""
+    """Return an object's figures, coloured "good" without warnings, "warn" with some, "plain" if unstated."""
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
     return StageFigures(
         quality.verdict or "",

@@ -54,7 +54,7 @@ def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
     """Return the sorted names of the pairs that a page shows of a method: best, worst, and some of all.
 
     Args:
-        rising: the method's pairs, sorted by increasing IoU.
+        rising: the method's pairs, from the worst to the best.
         every: all pairs of the test split, in the same order for every method.
     """
     spread = {every[i] for i in evenly(len(every), SHARED)}
@@ -62,7 +62,7 @@ def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
 
 
 def reduced_packed(packed: Packed) -> Packed:
-    """Reduce packed (256, 256, 32) to packed (64, 64, 8): set cells with at least a quarter of voxels set."""
+    """Reduce packed (256, 256, 32) to (64, 64, 8): a cell is set if at least a quarter of its voxels is."""
     return pack(block_density(packed) >= np.float32(DRAWN_SHARE))
 
 
@@ -77,13 +77,16 @@ def gallery_cells(
 
     Args:
         release: the release that was predicted.
-        predictions: the method's folder; a prediction that could not be scored is left out.
+        predictions: the method's folder. A pair without a file gets an empty grid; one that could not be
+            scored is left out.
         table: the method's scores.
-        upsampling: see `upsampled_planes`.
+        upsampling: convention for grids of fewer or more than 256 cells, "half-pixel" or "corner-aligned".
         progress: called with (pairs done, pairs in all).
 
     Raises:
-        PredictionError: a scored file is missing or was changed.
+        PredictionError: a file cannot be read as a prediction; whether it is the scored one is not checked.
+        ReleaseError: the pair of a predicted mesh, whose cell size is needed, is missing or not the published
+            one.
     """
     files = find_predictions(predictions, release.split("test")).files
 
@@ -123,12 +126,12 @@ def baseline_cells(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[dict[str, Packed]]:
-    """Return for each baseline {shown pair: its prediction, packed cells}; the pairs are predicted again.
+    """Return for each baseline {shown pair: its prediction, (64, 64, 8) uint8, packed}, predicted again.
 
     Args:
         release: the release that was predicted.
         tables: the baselines' scores.
-        upsampling: see `upsampled_planes`.
+        upsampling: as in `gallery_cells`.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -214,8 +217,10 @@ class PairTruth:
 def read_pair_truth(release: Release, target: Target) -> PairTruth:
     """Read the parts of a release's pair that the page shows.
 
+    Of an open mesh, `full` has the cells with points of its surface, and all cells count as known.
+
     Raises:
-        ReleaseError: the pair file is missing, or not the published one.
+        ReleaseError: the pair file is missing, damaged or not the published one.
     """
     path = release.pair_path(target)
     if target.split in release.metadata.surface_truth:
@@ -246,7 +251,7 @@ def surface_cells(truth: SpaceTruth, surface: Surface) -> Packed:
 def _picture(release: Release, target: Target) -> str:
     """Return a picture of the view as a `data:` URL: depth with the mask's outline, and colour to its right.
 
-    The result is "" if the release has no images, or if they cannot be decoded here.
+    The result is "" if the release has no valid depth or mask of the view, or if this machine has no decoder.
     """
     if find_spec("cv2") is None:  # without a decoder the page has no pictures
         return ""
@@ -264,7 +269,10 @@ def _picture(release: Release, target: Target) -> str:
 
 
 def _unseen(full: Packed, known: Packed) -> Packed:
-    """Return packed (64, 64, 8), the cells in which at least half of the voxels of `full` are not known."""
+    """Return packed (64, 64, 8), the cells in which at least half of the voxels of `full` are not known.
+
+    Cells without a voxel of `full` are among them.
+    """
     share_unknown = block_density(full & ~known)
     return pack(share_unknown >= block_density(full) / np.float32(2))
 

@@ -94,7 +94,13 @@ class FramePicture:
 
 
 def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> tuple[FramePicture, ...]:
-    """Draw at most `most` of the views, evenly spread; `folder` holds their images."""
+    """Draw at most `most` of the views, evenly spread; `folder` holds their images.
+
+    Views without images are left out.
+
+    Raises:
+        StorageError: an image is damaged, or a mask has another size than its view.
+    """
     rows = views.views
     chosen = evenly(len(rows), most)
     shown = [_frame(folder, rows[i], views.color_registered is not False) for i in chosen]
@@ -102,7 +108,7 @@ def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> 
 
 
 def _frame(folder: Path, row: ViewRow, registered: bool) -> FramePicture | None:
-    """Draw one view; return None if its depth and colour images are missing."""
+    """Draw one view on its colour image if `registered`, else on its depth; return None without either."""
     paths = {kind: folder / f"{row.view}.{kind}" for kind in ("color.jpg", "depth.png", "mask.png")}
     color_path = paths["color.jpg"] if paths["color.jpg"].exists() else None
     color = images.read_color(color_path) if color_path else None

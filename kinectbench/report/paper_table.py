@@ -60,7 +60,7 @@ class PaperTable:
     Attributes:
         title: states the scored pairs, such as those of one set of viewing angles.
         categories: categories with pairs: first the paper's in its order, then others by name.
-        pairs: number of pairs that each method was scored on.
+        pairs: number of pairs that the first method was scored on; the same for each, if all have one truth.
         rows: the methods, highest mean IoU over the categories first; then the published methods.
     """
 

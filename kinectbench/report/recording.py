@@ -35,7 +35,10 @@ File = TypeVar("File", bound=Stored)
 
 @dataclass(frozen=True)
 class Tile:
-    """A pair on the page: a picture of partial and full as a `data:` URL, and figures as text."""
+    """A pair on the page: view and frame; a picture of partial and full as a `data:` URL; figures as text.
+
+    `unknown` is the share of the true shape that is not known.
+    """
 
     view: str
     frame: str
@@ -62,9 +65,9 @@ class RecordingPart:
             for which view is "".
         containment: median containment over the pairs, as text.
         residual: median residual over the pairs, as text.
-        missing: stages that are not built yet.
-        outdated: results that are not shown, because they were made with another version, other settings or
-            other inputs.
+        missing: results that are not built yet, of "trajectory", "floor", "object", "views" and "pairs".
+        outdated: those of the five that are not shown, because they were made with another version, other
+            settings or other inputs.
         failed: the stage at which the last build failed, and why, one line; or "".
     """
 
@@ -166,7 +169,7 @@ def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
 
 
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:
-    """Return positions (k, 3) of rejected frames, interpolated between their neighbours in the trajectory.
+    """Return camera positions (k, 3), floor frame, metres, of rejected frames, interpolated between others.
 
     The result is empty unless the trajectory has a row for each frame, or for each frame that was kept.
     """

@@ -186,7 +186,7 @@ def page_of_benchmark(
         settings: the benchmark's settings.
         root: the benchmark's folder.
         scores: a folder (scores of another release or version are left out), or a list of files and folders.
-        progress: see `write_report`.
+        progress: called with (recording, done, total) before each recording, and finally ("", total, total).
         out: the page's file; default: index.html in the folder of scores.
         baselines: whether baselines kept beside the scores are shown, too.
 
@@ -195,6 +195,8 @@ def page_of_benchmark(
 
     Raises:
         SettingsError: a listed score file is missing, or of another release or version.
+        ReleaseError: the release is damaged.
+        StorageError, PairError: as in `write_report`, or a score file or gallery is damaged.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
     tables, beside, warnings = _scores(scores, release, baselines)
@@ -237,9 +239,9 @@ def write_galleries(
     Args:
         release: the release that was predicted.
         predictions: the folder of the scored predictions; None: baselines, which are predicted again.
-        tables: the score tables.
+        tables: the score tables; of predictions, in the order of `split_methods`.
         out: the folder in which the scores are.
-        upsampling: the upsampling convention used for scoring.
+        upsampling: the convention used for scoring, "half-pixel" or "corner-aligned".
         jobs: number of processes for baselines.
         progress: called with (pairs done, pairs in all); with `predictions`, for each method in turn.
     """

@@ -44,8 +44,9 @@ class SpaceTable:
 
     Attributes:
         columns: headings of the figures.
-        groups: {heading: lines (method's name, one text per column)}; the best method is first. The last line
-            may be the ceiling: what the truth's own uncertainty leaves to a perfect prediction.
+        groups: {heading: lines (method's name, one text per column)}; the method with the lowest Chamfer L1
+            distance is first. The last line may be the ceiling: what the truth's own uncertainty leaves to a
+            perfect prediction.
         notes: lines below the table.
     """
 
@@ -55,7 +56,7 @@ class SpaceTable:
 
 
 def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = None) -> SpaceTable:
-    """Return the table: under each heading, a line for each method that was scored, the best first.
+    """Return the table: under each heading, a line for each method scored, lowest Chamfer L1 distance first.
 
     A heading states protocol, registration, part of the shape and number of hypotheses.
 

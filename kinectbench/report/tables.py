@@ -313,7 +313,11 @@ ObjectTruth = tuple[str, str, int, str, int]
 
 
 def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
-    """Return the unknown share of each object's truth, largest first; all tables have the same truth."""
+    """Return a row on the truth of each object, that with the largest unknown share first.
+
+    A row is (object, category, number of pairs, unknown share as text, number of pairs left out). All tables
+    have the same truth.
+    """
     most: dict[str, tuple[ScoreTable, list[ScoreRow]]] = {}
     for table in tables:
         for name, rows in _by_object(table.pairs(protocol)).items():

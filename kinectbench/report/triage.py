@@ -22,7 +22,15 @@ KNOWN_IOU = "IoU on known voxels"
 
 @dataclass(frozen=True)
 class Card:
-    """What the page shows of one recording; pictures are `data:` URLs."""
+    """What the page shows of one recording.
+
+    Attributes:
+        row: its row of the triage.
+        tone: the class that colours the decision: "good", "warn" or "bad".
+        figures: estimated IoUs and underside in one line.
+        incomplete: its large unseen parts, one line each, unless a reason states them.
+        pictures: pictures of views as `data:` URLs.
+    """
 
     row: TriageRow
     tone: str
@@ -44,7 +52,7 @@ def write_triage_page(
         progress: called with (recordings drawn, recordings in all).
 
     Raises:
-        StorageError: the page cannot be written.
+        StorageError: the page cannot be written, or quality.json of a built recording is damaged.
     """
     cards = []
     for number, row in enumerate(triage.rows, start=1):
@@ -74,7 +82,7 @@ def _card(row: TriageRow, folder: Path) -> Card:
 
 
 def _figures(row: TriageRow, quality: QualityFile | None) -> str:
-    """Return one line: the estimated IoUs unless a reason states them, the underside, and who stated it."""
+    """Return one line: the estimated IoUs, without one that a reason states; underside, and who said it."""
     high = quality.estimated_iou_high if quality else None
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []
@@ -90,7 +98,10 @@ def _figures(row: TriageRow, quality: QualityFile | None) -> str:
 
 
 def _pictures(folder: Path) -> list[str]:
-    """Return pictures (`data:` URLs) of views with the object's mask, or else of the middle frame."""
+    """Return pictures (`data:` URLs) of views with the object's mask, or else of the middle frame.
+
+    Without views and a sequence, there are none.
+    """
     views = ViewsFile.read_if_there(folder / "views")
     if views is not None and views.views:
         return [frame.masked for frame in frame_pictures(folder / "views", views, VIEWS)]

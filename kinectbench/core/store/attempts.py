@@ -158,7 +158,10 @@ def patiently(
         MissingObjectError: nothing is at that place.
         StoreGoneError: the store does not answer any more.
         StorageError: the call failed for good, or for too long.
-        OSError: an error of the local disk.
+        StoppedError: the event of `wait_until` was set during a pause.
+        SettingsError: as in `patience_s`.
+        Exception: an error of `call` that is neither of obstore nor a ValueError, such as an OSError of the
+            local disk.
     """
     since, wait_s, so_far, most_s = time.monotonic(), FIRST_WAIT_S, progress(), patience_s()
     host = _host(place)

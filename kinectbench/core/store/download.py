@@ -76,15 +76,16 @@ def download(
 ) -> Content:
     """Download a file; it appears at `path` when it is complete and verified.
 
-    A partial download lies beside `path`, and the next call resumes it. The addresses are tried in turn, over
-    and over until `attempts.patience_s` has passed without progress.
+    A partial download lies beside `path`, and the next call resumes it if the server states an ETag or a
+    date. The addresses are tried in turn, over and over until `attempts.patience_s` has passed without
+    progress, or all refuse.
 
     Args:
         urls: addresses of the same file.
         path: place of the file; its folder is created.
         sha256: expected SHA-256; None: any content is accepted.
         size: expected bytes; None: unknown.
-        check: called with the complete file; if it raises, the next address is tried.
+        check: called with the complete file; if it raises a KinectBenchError, the next address is tried.
         most_bytes: a larger file is refused.
         room: called before the download with the number of bytes to come; may raise to refuse it.
 
@@ -189,7 +190,7 @@ class _Download:
         return at
 
     def _copy(self, answer: http.client.HTTPResponse, part: Path, at: int, size: int) -> None:
-        """Append the bytes of a response to a partial file, from offset `at` up to the expected size."""
+        """Write the bytes of a response to a partial file, from offset `at` (0: a new file) up to `size`."""
         with storage_errors(self.path), part.open("ab" if at else "wb") as out:
             since, then = time.monotonic(), at
             while at < size:
@@ -206,7 +207,12 @@ class _Download:
                     since, then = time.monotonic(), at
 
     def _taken(self, part: Path, size: int) -> Content:
-        """Move a download to its place if its content is as expected; else delete it."""
+        """Move a download to its place if its content is as expected; else delete it.
+
+        Raises:
+            _RefusedError: the content is not as expected.
+            KinectBenchError: of `check`, because the disk is full; the download stays.
+        """
         with storage_errors(self.path):
             content = Content(size, sha256_file(part))
             problem = ""
@@ -249,7 +255,10 @@ def _read(answer: http.client.HTTPResponse, most: int) -> bytes:
 
 @contextlib.contextmanager
 def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[http.client.HTTPResponse]:
-    """Open a URL from byte `at` on, if the server supports it; follow redirects to web servers only."""
+    """Open a URL from byte `at` on, if the server supports it; follow redirects to web servers only.
+
+    A redirect from https to http is refused.
+    """
     headers = {"User-Agent": f"kinectbench/{__version__}", "Accept-Encoding": "identity"}
     if at:
         headers |= {"Range": f"bytes={at}-", "If-Range": mark}

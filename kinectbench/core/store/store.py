@@ -81,7 +81,7 @@ class Store:
         return not is_web(self.url)
 
     def place(self, name: str = "") -> str:
-        """A file's URL, for messages."""
+        """The URL of a file, or without a name of the store, shortened and without secrets, for messages."""
         return printable(shown(joined(self.url, name) if name else self.url), 200)
 
     def read(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes:
@@ -146,7 +146,7 @@ class Store:
         return self._try(name, lambda: self._put_new(name, content, same))
 
     def objects(self, below: str = "", most: int = MOST_OBJECTS) -> list[StoredObject]:
-        """List every file below a folder, sorted by name.
+        """List every file below a folder ("": all of the store), sorted by name; none if it is missing.
 
         Raises:
             StorageError: there are more than `most` files, or they cannot be listed.
@@ -170,7 +170,12 @@ class Store:
             return None
 
     def delete(self, names: Iterable[str]) -> None:
-        """Delete files; missing ones are ignored."""
+        """Delete files, in any order.
+
+        Raises:
+            MissingObjectError: a file is missing, and the store says so (s3:// and memory:// do not).
+            StorageError: a file cannot be deleted.
+        """
         found = list(names)
         if found:
             self._try("", lambda: _obstore().delete(self._opened(), found))
@@ -189,7 +194,7 @@ class Store:
         return next(self._chunks(None, None, 1), None)
 
     def _chunks(self, below: str | None, after: str | None, at_once: int) -> Iterator[Sequence["ObjectMeta"]]:
-        """Yield the listing of a folder in batches; each request has a time limit.
+        """Yield the listing of a folder in batches of `at_once` entries; each request has a time limit.
 
         Raises:
             StorageError: the next batch does not arrive in time.
@@ -295,11 +300,11 @@ class Store:
 def in_parallel(
     calls: Iterable[Callable[[], T]], done: Callable[[int], None] = lambda count: None, at_once: int = AT_ONCE
 ) -> list[T]:
-    """Run calls in parallel and return their results in order; the first error cancels waiting calls.
+    """Run calls in threads and return their results in order; an error, seen in order, cancels waiting calls.
 
     Args:
-        calls: methods of `Store` with arguments, by `functools.partial`.
-        done: called in this thread with the number of finished calls.
+        calls: functions without arguments, such as methods of `Store` by `functools.partial`.
+        done: called in this thread with the number of finished calls, without those after an unfinished one.
         at_once: number of calls that run at a time.
     """
     stop = threading.Event()

@@ -346,7 +346,10 @@ def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
-    """Yield a message if views.json lists other views than targets.csv, or reveals held-back truth."""
+    """Yield a message if views.json has other views than targets.csv, or more than may be published.
+
+    Another message is on a number of refused frames and views that is not that of benchmark.json.
+    """
     views = ViewsFile.parse(text, ViewsFile.FILE)
     rows = views.views
     if stated.says_twice and not stated.metadata.hides(recording):

@@ -21,7 +21,10 @@ OF_PAIRS = ("framing", "partial_rule")
 
 
 def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each fact that benchmark.json states twice with different values."""
+    """Yield a message for each fact that benchmark.json states twice with different values.
+
+    The quality of a recording whose truth is held back gives a message, too.
+    """
     of_pairs = metadata.settings.pairs
     for key in OF_PAIRS:
         value, stated = getattr(of_pairs, key), getattr(metadata, key)
@@ -43,6 +46,8 @@ def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
 
 def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a message for each recording that benchmark.json wrongly states as poor, accepted or left out.
+
+    Another message is on wrong counts in `flow`.
 
     The expected state is computed from the recording's quality and `settings.publish.gate`. Limits on
     trajectory grades and camera warnings are not checked, because a release does not contain these.

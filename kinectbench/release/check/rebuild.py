@@ -70,7 +70,7 @@ def find_sources(path: Path) -> dict[str, LocalRecording]:
         path: a benchmark.yaml, a folder with one, or a folder of recordings (`<id>/`, `<id>.bag`, ...).
 
     Raises:
-        SettingsError: the folder does not exist.
+        SettingsError: the folder does not exist, or benchmark.yaml is wrong.
     """
     config = path / "benchmark.yaml" if path.is_dir() else path
     if config.is_file():
@@ -105,8 +105,10 @@ def rebuild_plan(
         objects: number of objects to rebuild, drawn by the release's hash; None: all objects.
 
     Raises:
-        ReleaseError: the release was not made from recordings, or by a version with other settings.
-        SettingsError: recordings are missing; the message names all of them.
+        ReleaseError: the release was not made from recordings, or by a version with other settings; or all
+            its truth is held back, or all its views are isolated.
+        SettingsError: recordings are missing (the message names all), or the reference mesh that is the
+            truth of one.
     """
     metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
     targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)

@@ -64,6 +64,7 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
 
     Raises:
         ReleaseError: there is no release at all, or its archive is cut off or cannot be trusted.
+        SettingsError, StorageError: as in `open_contents`.
     """
     with open_contents(path) as contents:
         try:
@@ -110,7 +111,7 @@ def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -
         progress: called with (files done, files in all).
 
     Raises:
-        ReleaseError: there is no release at all.
+        ReleaseError: there is no release at all, or its SHA256SUMS is damaged.
         StorageError: the store fails.
     """
     hashes, others = stored_hashes(url, folder, progress)
@@ -293,7 +294,11 @@ def _is_placed(pair: Pair | PairInput) -> bool:
 def _identity(
     contents: Contents, sums_text: str, damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, list[str]]:
-    """Return benchmark.json (None if unreadable), and a message if its hash does not match SHA256SUMS."""
+    """Return benchmark.json (None if unreadable), and a message if it is unreadable or does not match.
+
+    It matches if its benchmark_sha256 is that of SHA256SUMS and of itself. If it is in `damaged`, there is no
+    message.
+    """
     try:
         stated = contents.text(BENCHMARK_JSON)
         metadata = ReleaseInfo.parse(stated, BENCHMARK_JSON)

@@ -71,7 +71,7 @@ def view_lines(
     Args:
         contents: the release.
         name: the pair's file.
-        pair: as in `view_problems`.
+        pair: a pair with rigid matrices and a positive, finite `voxel_size_m`.
         stated: what views.json states about the view.
         whole: names of the files whose bytes are the published ones; only these are compared.
     """
@@ -101,7 +101,7 @@ def view_problems(
         pair: a pair with matrices that are rigid, and `voxel_size_m` positive and finite.
         depth: (height, width) uint16, the view's published depth, millimetres, 0 = none.
         mask: (height, width) bool, the view's published mask.
-        has_too_far: as in `StatedView`.
+        has_too_far: whether a depth of 0 may also mean a depth too large for 16 bits.
     """
     if depth.shape != mask.shape:
         yield f"its depth image has {_size(depth)} pixels, its mask {_size(mask)}"

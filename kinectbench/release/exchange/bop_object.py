@@ -72,7 +72,7 @@ def model_ply(mesh: TriangleMesh) -> bytes:
 
 
 def model_info(mesh: TriangleMesh) -> dict[str, float]:
-    """Return a mesh's row of models_info.json, in its unit: diameter (`_diameter`) and bounding box."""
+    """Return a mesh's row of models_info.json in the mesh's unit: diameter (`_diameter`) and bounding box."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     info = {"diameter": _diameter(mesh.vertices)}
     info |= {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
@@ -98,7 +98,8 @@ class ObjectInView:
         px_count_all: number of pixels of the silhouette, including those beyond the image.
         px_count_valid: number of pixels of `mask` with a measured depth.
         px_count_visib: number of pixels of `mask_visib`.
-        bbox_obj: x, y, width, height of the whole silhouette, pixels; all -1 if nothing is visible.
+        bbox_obj: x, y, width, height of the whole silhouette, pixels, from its first to its last pixel, so
+            that one pixel has width 0; all -1 if nothing is visible.
         bbox_visib: the same of `mask_visib`.
     """
 

@@ -38,6 +38,8 @@ SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
 def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
     """Yield an empty temporary folder, which replaces `out` if the `with` block succeeds.
 
+    Everything in an `out` that holds the file `known_by` is deleted.
+
     Args:
         out: a new or an empty folder, or a folder that may be replaced.
         known_by: the file that marks a folder as replaceable; default: export.json of an earlier export.
@@ -77,7 +79,7 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
     Args:
         kind: "25d" (the visible part) or "3d" (the full shape).
         category: such as "chair".
-        split: "train", "validation" or "test".
+        split: "train", "validation" (in the path: "val") or "test".
         views: number of views, as in the folder's name.
         name: `<model>_<roll>_<pitch>_<yaw>`.
     """

@@ -173,7 +173,8 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
     Raises:
         SettingsError: there are no such files, there are several numbers of views and none is chosen, or
             `out` holds something else.
-        PairError: a file is damaged, lacks its counterpart, or is a link out of the folder.
+        PairError: a file or export.json is damaged; a file has another name than the layout's, lacks its
+            counterpart, or is a link out of the folder.
         ReleaseError: names of models and categories contradict each other.
         StorageError: the disk is full or read-only.
     """
@@ -215,9 +216,12 @@ def _name(folder: Path, views: int | None) -> str:
 
 
 def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> list[FoundPair]:
-    """Return all training pairs, and the test and validation pairs of one set of views (`views` or the only).
+    """Return all training pairs, and the test and validation pairs of `views` views; all pairs if it is None.
 
     A mean score over several sets of views would be meaningless.
+
+    Raises:
+        SettingsError: no test pair has `views` views, or it is None and test pairs have several numbers.
     """
 
     def number(one: FoundPair) -> int:

@@ -96,8 +96,9 @@ def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) 
         The number of pairs.
 
     Raises:
-        SettingsError: the folder has no mask of a scan, or `out` holds something else.
+        SettingsError: the folder has no mask of any scan, or `out` holds something else.
         PairError: a file is missing or damaged, or is a link out of the folder.
+        ReleaseError: a depth image is damaged.
         StorageError: the disk is full or read-only.
     """
     there = [scan for scan in SCANS if (folder / MASK_FILE.format(scan=scan)).is_file()]
@@ -127,6 +128,7 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
 
     Raises:
         PairError: a file is missing, damaged, or a link out of the folder.
+        ReleaseError: the depth image is damaged.
     """
     of = {"scan": name, "frame": SCANS[name][1]}
     mask, T_camera_mesh, kept = (

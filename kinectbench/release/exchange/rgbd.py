@@ -90,8 +90,9 @@ class RgbdView:
 def framed(view: RgbdView, width: int, height: int) -> RgbdView:
     """Crop a view to an image of width x height pixels around the object, and adapt K.
 
-    If the object's bounding box is larger, only every second, third, ... row and column is kept. Nothing is
-    interpolated, so K is exact. Pixels beyond the view's image have depth 0 and are outside the mask.
+    A view that has this size is returned unchanged. If the object's bounding box is larger, only every
+    second, third, ... row and column is kept. Nothing is interpolated, so K is exact. Pixels beyond the
+    view's image have depth 0 and are outside the mask.
     """
     if view.depth_mm.shape == (height, width):
         return view
@@ -253,10 +254,12 @@ def _cut_lines(stated: Sequence[ViewCamera]) -> list[str]:
 
 
 def read_view(release: Release, target: Target) -> RgbdView:
-    """Read the input of a method for one view.
+    """Read the input of a method for one view; without a colour image, the result's `color` is None.
 
     Raises:
-        ReleaseError: the release has no such images, or a file is damaged or not the published one.
+        ReleaseError: the release has no depth or mask of the view, a file is damaged or not the published
+            one, or the images have different sizes.
+        StorageError: views.json is damaged.
     """
     source = f"views/{target.recording}/{target.view}"
     depth_mm = np.rint(view_images.depth_m(release, target) * MM_PER_M).astype(np.uint16)
@@ -298,7 +301,8 @@ def color_registered(release: Release, recording: str) -> bool:
     """Return whether the recording's colour images are registered to its depth.
 
     Raises:
-        ReleaseError: the release has no views of the recording.
+        ReleaseError: the release has no views of the recording, or views.json is not the published one.
+        StorageError: views.json is damaged.
     """
     name = f"views/{recording}/views.json"
     if name not in release.sums:

@@ -47,8 +47,8 @@ class About:
 def day_of(citation: CitationSettings, folder: Path) -> str:
     """Return the date of a release, year-month-day; it does not depend on the clock, so it is reproducible.
 
-    The date is `date_released` if stated, else the day of the last frame in lineage.json, or `NO_DAY` if the
-    timestamp of that frame is not a calendar time.
+    The date is `date_released` if stated, else the day (UTC) of the latest view in lineage.json, or `NO_DAY`
+    if there is none or its timestamp is not a calendar time.
 
     Args:
         citation: the citation, which may state `date_released`.

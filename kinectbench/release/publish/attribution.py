@@ -48,7 +48,7 @@ def reasons_against_distribution(
 
 
 def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> str:
-    """Return the licence that all recordings share, or `otherwise` if their licences differ."""
+    """Return the licence that all recordings share, or `otherwise` if there is not exactly one."""
     licenses = {info.license for info in recordings.values()}
     return licenses.pop() if len(licenses) == 1 else otherwise
 
@@ -96,7 +96,8 @@ def citation_text(citation: CitationSettings, name: str, license: str) -> str:
     Args:
         citation: the benchmark's citation; `name` replaces a missing title and authors.
         name: the benchmark's name.
-        license: the licence; left out unless it is an SPDX identifier, which the format requires.
+        license: the licence; left out unless it is in `HUGGING_FACE`, because the format requires an SPDX
+            identifier.
     """
     content: dict[str, object] = {
         "cff-version": "1.2.0",

@@ -33,6 +33,14 @@ def write_category_pages(
 
     Isolated recordings are listed without a picture.
 
+    Args:
+        folder: the release's folder.
+        settings: the benchmark's settings.
+        targets: every pair.
+        infos: {recording: its entry in benchmark.json}.
+        held_back: splits of which only inputs are published.
+        isolated: recordings of which a single view is published.
+
     Raises:
         PairError: a pair is damaged.
     """

@@ -36,7 +36,8 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 
     Args:
         about: the description of the release.
-        folder: the release's folder; only this file, README.md, benchmark.json and SHA256SUMS may be missing.
+        folder: the release's folder. croissant.json, README.md, benchmark.json and SHA256SUMS are written
+            later; all other files must be there.
         columns: columns of the release's targets.csv.
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
@@ -68,7 +69,7 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 
 
 def _file_objects(folder: Path) -> list[dict[str, object]]:
-    """Return Croissant's FileObject, with its SHA-256, of each file at the top of the release."""
+    """Return Croissant's FileObject, with SHA-256, of each top-level file with a suffix in `TYPES`."""
     return [
         {
             "@type": "cr:FileObject",
@@ -132,7 +133,7 @@ def _pairs() -> dict[str, object]:
 
 
 def _cameras() -> dict[str, object]:
-    """Return Croissant's RecordSet of all views.json: name and intrinsics of each view."""
+    """Return Croissant's RecordSet of all views.json: recording, name, K and image size of each view."""
     parts: dict[str, tuple[str, str, dict[str, object]]] = {
         "view": ("zero-padded index", "sc:Text", {}),
         "K": ("intrinsics, pixels", "cr:Float64", {"isArray": True, "arrayShape": "3,3"}),

@@ -38,8 +38,9 @@ def publish_if_stale(
         waiting: called before waiting, with the name of the run that has locked it.
 
     Raises:
-        ReleaseError: nothing was built, or `benchmark/` holds something else.
-        StorageError: the release cannot be written, or (without `wait`) another run has locked the build.
+        ReleaseError: nothing was built, or as in `publish`.
+        SettingsError: as in `publish`.
+        StorageError: as in `publish`, or (without `wait`) another run has locked the build.
     """
     build, out = root / "build", root / "benchmark"
     if not recordings:
@@ -77,7 +78,7 @@ def already_published(
 
 
 def scoring_folder(root: Path) -> Path:
-    """Return the release folder that has all truth: `benchmark/`, or else its `benchmark-private/`."""
+    """Return `benchmark-private/` if it is the private part of `benchmark/`, else `benchmark/`."""
     out = root / "benchmark"
     private = out.with_name(out.name + PRIVATE)
     try:

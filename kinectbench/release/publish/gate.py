@@ -58,7 +58,8 @@ class Gate:
         look: {published id: reasons for a review that is still missing}.
         not_built: number of the benchmark's recordings that are not built, or not requested.
         without_pair: ids of recordings that passed but have no pair.
-        of_one_object: ids left out by `--isolate`, because another recording shows the same object.
+        of_one_object: ids left out by `--isolate`, because the published view of their object is of another
+            recording, or they have no pair.
         twice: a line for each two published recordings with the same frames.
     """
 
@@ -116,7 +117,7 @@ class Gate:
         return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
 
     def said(self, say: Callable[[str], str]) -> "Gate":
-        """Return a copy in which `say` rewrites the reasons of failed builds and of reviews, line by line."""
+        """Return a copy in which `say` rewrites each line of `failed` and `look`."""
         failed = {name: say(why) for name, why in self.failed.items()}
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)

@@ -56,6 +56,9 @@ def own_floor(floor: FloorFile) -> FloorFile:
 
 
 def own_views(views: ViewsFile) -> ViewsFile:
-    """Return views.json with only the views that have a pair, without frames, poses and fit to the shape."""
+    """Return views.json with only `VIEW_KEYS` of the views that have a pair: no frames, poses or shares.
+
+    Refused views and warnings are left out, too.
+    """
     rows = tuple(ViewRow(**{key: getattr(row, key) for key in VIEW_KEYS}) for row in views.views if row.pair)
     return views.model_copy(update={"views": rows, "refused": (), "warnings": ()})

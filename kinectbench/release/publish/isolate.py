@@ -70,7 +70,7 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
 
 
 def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
-    """Draw one view of each object with equal probability from all views of all its recordings.
+    """Draw one view of each object with equal probability from the views with a pair of all its recordings.
 
     The draw depends only on `views.seed` and the object's name and views, not on other objects.
 

@@ -87,7 +87,7 @@ def scrubbed_file(stored: StoredFile, file: str, removals: list[Removed]) -> Sto
     """Return the content of a file without private facts; removals are appended to `removals`.
 
     Raises:
-        ReleaseError: the file is invalid without these facts.
+        KinectBenchError: `stored.ERROR`, if the file is invalid without these facts.
     """
     removed: list[str] = []
     value = _scrubbed(stored.json_value(), "", removed, stored)
@@ -192,7 +192,8 @@ def _below(value: object) -> object:
 def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
     """Remove metadata from a JPEG file: application segments, comments, and data after the picture.
 
-    The pixels are unchanged. Phones append a second picture or a film, which has metadata of its own.
+    The pixels and the segments of `KEPT_SEGMENTS` (JFIF, colour profile, Adobe) are unchanged. Phones append
+    a second picture or a film, which has metadata of its own.
 
     Args:
         data: bytes of the file.

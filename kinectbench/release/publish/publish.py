@@ -103,14 +103,14 @@ def publish(
         out: the release's folder; with `hold_back` its public part, and `<out>-private` is written, too.
         recordings: ids of built recordings. A recording that has no pair, or that the gate refuses, is left
             out with a warning.
-        options: thresholds, held-back splits, and whether poor recordings pass the gate.
+        options: thresholds, held-back splits and their isolation, whether poor recordings pass the gate.
 
     Raises:
         ReleaseError: a built file is missing, a pair has another framing or partial rule than the benchmark,
-            no recording passes the gate, one is in two splits, there is no pair at all or none to hold back,
-            a file is larger than `verify` accepts, or a folder holds something else.
+            no recording passes the gate, the same frames are in two splits, there is no pair at all or none
+            to hold back, a file is larger than `verify` accepts, or a folder holds something else.
         SettingsError: views are isolated, but the framing is `object`.
-        StorageError: the disk is full or read-only.
+        StorageError: a built file is damaged, or the disk is full or read-only.
     """
     if options.isolate:
         refuse_framing(settings)

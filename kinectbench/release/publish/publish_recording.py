@@ -71,7 +71,7 @@ class Built:
 
     @property
     def isolated(self) -> bool:
-        """Whether only one view of the recording is published."""
+        """Whether only one view of the recording is published, without its truth."""
         return self.hidden and self.only is not None
 
     def built_name(self, view: str) -> str:
@@ -80,7 +80,7 @@ class Built:
 
     @cached_property
     def pairs(self) -> PairsFile:
-        """Content of pairs.json, reduced to the only published view if the recording is isolated."""
+        """Content of pairs.json, reduced to the view `only` if it is set."""
         pairs = PairsFile.read(self.folder / "pairs")
         if self.only is None:
             return pairs
@@ -88,7 +88,7 @@ class Built:
 
     @cached_property
     def views(self) -> ViewsFile:
-        """Content of views.json, reduced to the only published view if the recording is isolated."""
+        """Content of views.json, reduced to the view `only` if it is set."""
         views = ViewsFile.read(self.folder / "views")
         if self.only is None:
             return views
@@ -125,7 +125,7 @@ class Published:
     """The published part of a recording.
 
     Attributes:
-        targets: the recording's pairs; empty: nothing was published.
+        targets: the recording's pairs, at least one.
         info: the recording's entry in benchmark.json.
         lineage: the recording's entry in lineage.json.
         has_color: whether its views have colour, published or not.
@@ -148,7 +148,9 @@ def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Pu
         removals: a list to which removed private facts are added.
 
     Raises:
-        ReleaseError: a file is missing or damaged, or a pair has another framing or rule than the benchmark.
+        ReleaseError: a pair or another file to copy is missing, a pair is damaged, or it has another framing
+            or rule than the benchmark.
+        StorageError: a JSON file or an image of the build is missing or damaged.
     """
     names = sorted(row.view for row in built.pairs.pairs)
     if not names:
@@ -259,7 +261,7 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
 
 def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> ViewsFile:
-    """Return views.json with intrinsics, existence of a pair and its unknown share added to each row."""
+    """Return views.json; each row also states intrinsics, image size, if it has a pair, its unknown share."""
     more: dict[str, object] = {"K": camera.K, "width": camera.width, "height": camera.height}
     shares = {target.view: target.unknown_share for target in targets}
     rows = []

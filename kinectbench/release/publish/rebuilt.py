@@ -43,7 +43,7 @@ class PosedView:
         depth_m: (height, width) float32, metres, 0 = none.
         mask: (height, width) bool, the object.
         camera: the depth camera.
-        T_world_camera: (4, 4).
+        T_world_camera: (4, 4), metres.
     """
 
     depth_m: Float32

@@ -93,7 +93,7 @@ def write_schemas(folder: Path, columns: Sequence[str]) -> None:
 
 
 def schema_problems(name: str, text: str) -> Iterator[str]:
-    """Yield a message for each schema violation of a JSON file of a release; nothing without a schema.
+    """Yield a message for each schema violation of a release's JSON file; nothing if it has no schema.
 
     Args:
         name: the file's name, relative to the release.

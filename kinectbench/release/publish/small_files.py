@@ -104,7 +104,9 @@ def write_small_files(
     warnings: Sequence[str],
     scenes: Path | None = None,
 ) -> str:
-    """Write the small files of an otherwise complete release folder; return its benchmark_sha256.
+    """Write the small files, and the objects' GLBs, of an otherwise complete release folder.
+
+    Return the release's benchmark_sha256.
 
     Args:
         head: facts about the release as a whole.
@@ -112,7 +114,7 @@ def write_small_files(
         targets: every pair, sorted.
         infos: {recording: its entry in benchmark.json}.
         warnings: the release's warnings, one line each, for the card.
-        scenes: see `write_glbs`.
+        scenes: `build/`, where scene meshes give the GLBs' colours; None if no colour is published.
     """
     infos = {name: _with_origin(info, head) for name, info in infos.items()}
     info = _info(head, infos)

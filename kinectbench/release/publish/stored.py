@@ -44,11 +44,11 @@ def publish_stored(
     Args:
         jobs: the built recordings, at least one.
         force: publish again in any case.
-        options: see `publish_if_stale`.
+        options: options beyond the settings; None: the options of the last publication.
         progress: called with (recordings fetched, recordings in all).
 
     Raises:
-        ReleaseError: as in `publish_if_stale`.
+        ReleaseError, SettingsError: as in `publish_if_stale`; or files of something else are in the store.
         StorageError: the store fails; the release in the store may be incomplete until the next run.
     """
     settings, place = jobs[0].settings, jobs[0].root

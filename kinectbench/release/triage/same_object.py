@@ -95,7 +95,10 @@ def shape_agreement(a: Shape, b: Shape) -> float:
 
 
 def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tuple[Float64, Float64]:
-    """Register points (n, 3) to a tree's by ICP from R: return a turn about z R (3, 3) and a shift t (3,)."""
+    """Register points (n, 3) to those of a k-d tree by ICP, starting from the rotation R and no shift.
+
+    Return R (3, 3), a rotation about z, and t (3,), metres: R p + t lies near the tree's points.
+    """
     t = np.zeros(3)
     for step in range(STEPS):
         placed = points @ R.T + t

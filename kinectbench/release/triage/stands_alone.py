@@ -46,7 +46,7 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the volume share of the smallest part that stands alone, like the rest; None without one.
+    """Return the volume share of the smallest part that stands alone if the rest does, too; else None.
 
     Args:
         solid: (nx, ny, nz) bool, z up, with at least one cell set.
@@ -81,7 +81,7 @@ def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
 def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
     """Return whether a part stands on the floor beside the rest, and both would stand without each other.
 
-    `low` is the number of layers that count as the floor.
+    `low` is the number of layers that count as the floor, from the padding below the solid on.
     """
     columns = core.any(axis=2)
     low_columns = np.asarray(cells[:, :, :low].any(axis=2))

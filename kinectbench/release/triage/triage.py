@@ -59,7 +59,10 @@ def _row(each: Judged, settings: BenchmarkSettings, quality: QualityFile | None)
 
 
 def _severity(row: TriageRow) -> tuple[int, float, int, str]:
-    """Return the sort key of a row: worst decision first, then lowest estimated IoU, then most reasons."""
+    """Return the sort key of a row: worst decision, lowest `estimated_iou_low`, most reasons, id.
+
+    Rows without an estimate come first among those of one decision.
+    """
     low = row.estimated_iou_low
     return DECISIONS.index(row.decision), -1.0 if low is None else low, -len(row.reasons), row.recording
 
