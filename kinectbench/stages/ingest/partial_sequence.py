@@ -114,7 +114,10 @@ def _is_of(partial: PartialSequence, recording: Recording) -> bool:
 
 
 def stored_by(recording: Recording) -> tuple[object, ...]:
-    """Everything besides a frame's files that determines how the frame is stored, for comparison."""
+    """What besides a frame's files determines how the frame is stored, for comparison.
+
+    Values of single formats are not included, such as the least confidence of a phone's depth.
+    """
     color = recording.color_calibration
     colors = color and (color.camera, color.distortion, color.T_color_depth.tolist())
     codes: tuple[object, ...] = ()
