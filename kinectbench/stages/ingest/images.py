@@ -66,7 +66,7 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
 
 
 def quantised(metres: NDArray[np.floating]) -> NDArray[np.uint16]:
-    """Convert depth in metres (height, width) to uint16 in 1 / FLOAT_SCALE m (5000); 0 beyond 13.1 m."""
+    """Convert depth in metres to uint16 in 1 / FLOAT_SCALE m, any shape; NaN, <= 0 and > 13.1 m become 0."""
     native = np.rint(metres.astype(np.float64) * FLOAT_SCALE)
     fits = np.isfinite(native) & (native > 0) & (native <= np.iinfo(np.uint16).max)
     return np.where(fits, native, 0).astype(np.uint16)
