@@ -242,7 +242,10 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
 
 
 def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
-    """Return (n, n) overlaps of depth i's jumps with colour j's edges, row and column means removed."""
+    """Return the overlap of depth discontinuities of frame i with colour edges of frame j: [i, j] of (n, n).
+
+    Row and column means are removed.
+    """
     jumps = np.stack([depth_jumps(frame.depth_m, EDGE_SIZE).astype(np.float32).ravel() for frame in run])
     edges = np.stack([_edges_of(frame).astype(np.float32).ravel() for frame in run])
     fits = (jumps @ edges.T).astype(np.float64)
