@@ -26,7 +26,8 @@ class PartialSequence:
 
     Attributes:
         writer: the writer that has taken these frames.
-        marks: each frame's stamp, and its files' names, sizes and times, taken before the frame was read.
+        marks: for each frame its stamp, and its files' names, sizes and times, taken before the frame was
+            read; None if a file was missing.
     """
 
     writer: SequenceWriter

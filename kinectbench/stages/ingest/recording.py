@@ -216,7 +216,7 @@ class FrameFiles:
         stamp_ns: stamp of the depth image, nanoseconds.
         depth: 16-bit PNG, or another depth file.
         color: JPEG or PNG, or None.
-        mask: PNG, nonzero on the object, or None.
+        mask: image that marks the object (PNG: nonzero there; `FileRecording.mask` reads it), or None.
     """
 
     stamp_ns: int

@@ -68,7 +68,7 @@ def depth_encoding(message: Message) -> str | None:
 
 
 def color_encoding(message: Message) -> str | None:
-    """The encoding of colour in an image message, "compressed" for PNG and JPEG; None if it has none."""
+    """The encoding of colour in an image message, "compressed" for PNG and JPEG; None without colour."""
     if not is_compressed(message):
         known = message.encoding in COLOR_CHANNELS or message.encoding.lower() in CONVERSIONS
         return message.encoding if known else None

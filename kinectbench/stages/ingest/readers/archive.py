@@ -37,7 +37,7 @@ class Archive:
         """The names of all members.
 
         Raises:
-            RecordingError: the archive is damaged, truncated, or has members that lead out of it or overlap.
+            RecordingError: the archive is damaged or truncated, or its members' names lead out of it.
         """
         return self._opened().namelist()
 

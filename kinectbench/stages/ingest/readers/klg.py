@@ -156,7 +156,7 @@ def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], lis
 
 
 def inflated(data: bytes, size: int, name: str) -> bytes:
-    """Unpack zlib data of exactly `size` bytes, without allocating more.
+    """Unpack zlib data to exactly `size` bytes, without allocating more.
 
     Raises:
         DamagedImageError: the data is damaged, or has another size.

@@ -71,7 +71,7 @@ class NerfstudioRecording(PhoneRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has a transforms.json that names depth images, or has one without depth/."""
+        """Whether the folder has a transforms.json that names depth images; or any, but no depth/."""
         if not (path / FILE).is_file():
             return False
         head = read_head(path / FILE)  # contains the first frame
