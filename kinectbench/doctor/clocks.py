@@ -30,7 +30,10 @@ SLOWER = "record again at a rate that the computer keeps up with; gaps make trac
 
 
 def check_clock(probe: Probe) -> Iterator[Finding]:
-    """Report faults of the stamps of depth and colour, too few frames, doubled frames and missing colour."""
+    """Report faults of the stamps of depth and colour, too few frames, doubled frames and missing colour.
+
+    With fewer than three frames only that is reported.
+    """
     recording = probe.recording
     if len(recording) < MIN_FRAMES:
         yield Finding(
@@ -92,7 +95,7 @@ def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator
 
 
 def _regular(periods: NDArray[np.int64]) -> int:
-    """Return after how many frames one is missing, if regularly; 0 if irregularly.
+    """Return the number of frames between missing ones if it is always about the same, else 0.
 
     Args:
         periods: (n,) steps between consecutive frames, in frame periods; 2 where one frame is missing.
@@ -139,7 +142,7 @@ def _doubled(probe: Probe) -> Iterator[Finding]:
 
 
 def check_partners(probe: Probe) -> Iterator[Finding]:
-    """Report missing colour: no colour at all, or many depth frames without a colour image near in time."""
+    """Report missing colour: none at all, or over a tenth of the depth frames have no colour near in time."""
     depth_ns, color_ns = probe.recording.recorded_stamps_ns
     without = [frame.index for frame in probe.frames if frame.gray is None]
     share = 1 - len(without) / max(len(probe.frames), 1)

@@ -46,10 +46,11 @@ class Code:
 
 
 def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
-    """Report another scale or encoding of depth with which the given poses fit, and fit clearly better.
+    """Report another scale or encoding of depth with which the given poses fit.
 
     Nothing is tried without given poses, or if `depth_code` is set. If the poses fit already, or if the files
-    have float depth, whose values the probe no longer has, only distance along the ray is tried.
+    have float depth, whose values the probe no longer has, only distance along the ray is tried; and poses
+    that fit already must then fit clearly better. In bags, only other scales are tried.
 
     Args:
         probe: the probe of the recording.
@@ -143,8 +144,9 @@ def _z_buffer(near_m: float, far_m: float) -> Callable[[UInt16, Camera], NDArray
 def _fit(probe: Probe, code: Code) -> PoseFit | None:
     """Fit the given poses to the depth decoded by this encoding.
 
-    The result is None if the decoded depth is implausible for a room, the frames differ in size, or the fit
-    does not confirm the encoding (`PoseFit.proven`).
+    The result is None if the decoded depth is implausible for a room, a frame differs in size from the
+    recording's camera, too few pairs of frames can be compared, or the fit does not confirm the encoding
+    (`PoseFit.proven`).
     """
     scale, camera = probe.recording.depth_scale, probe.small_camera
     shape = (camera.height, camera.width)

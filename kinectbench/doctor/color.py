@@ -39,11 +39,12 @@ MORE_SIMILAR, STILL_SIMILAR, FEWEST_IN_ORDER = 0.1, 0.9, 20
 class EdgeFit:
     """How well edges of colour coincide with depth discontinuities.
 
-    Scores are correlations, in standard deviations over all shifts of the image.
+    Scores are correlations less their median, in standard deviations; both are those of the shifts up to 96
+    px in images 320 wide.
 
     Attributes:
         here: the score without a shift.
-        best: the score at the best shift, `shift_px`.
+        best: the score at the best shift up to 24 px in images 320 wide, `shift_px`.
         mirrored: the best score with colour mirrored left to right.
         shift_px: (2,) best shift: how far colour lies to the right of and below depth, depth pixels.
     """
@@ -62,8 +63,8 @@ class EdgeFit:
 def fit_edges(probe: Probe) -> EdgeFit | None:
     """Correlate depth discontinuities with colour edges, summed over the probe's full-size frames.
 
-    The result is None if colour is missing or has another aspect ratio than depth, or if the images are too
-    low for the shifts that are tried.
+    Frames are left out if they have no colour, if colour has another aspect ratio than depth, or if the image
+    has too few rows for the shifts that are tried. The result is None if no frame is left.
     """
     import cv2
 
@@ -94,7 +95,10 @@ def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
-    """Report colour that is mirrored, or not registered to depth although the recording says that it is."""
+    """Report colour that is mirrored, or not registered to depth although the recording says that it is.
+
+    A note reports colour that is only for display, because it is neither registered nor calibrated.
+    """
     if fit is None:
         shapes = (_of_one_shape(frame.bgr, frame.depth) for frame in probe.whole if frame.bgr is not None)
         if probe.recording.color_registered and not all(shapes):
@@ -142,7 +146,7 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
 
 def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the gradient magnitude of a grey image resized to `size` (width, height), clipped at 4 means."""
+    """Return the gradient magnitude of a grey image resized to `size` (width, height), 1 = its mean, <= 4."""
     import cv2
 
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
@@ -159,7 +163,10 @@ def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDAr
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return scores of shifts up to REACH_PX, in standard deviations over shifts up to 4 times as far."""
+    """Return the scores of shifts up to REACH_PX (r): (2 r + 1, 2 r + 1), without a shift in the middle.
+
+    They are less their median, in standard deviations, both over the shifts up to 4 times as far.
+    """
 
     def window(reach: int) -> NDArray[np.float64]:
         rolled = np.roll(scores, (reach, reach), axis=(0, 1))
@@ -242,7 +249,11 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
 
 
 def _shuffled(probe: Probe) -> bool:
-    """Return whether frames are in random order: neighbours no more similar than frames half a run apart."""
+    """Return whether frames are in random order: neighbours hardly more similar than distant frames.
+
+    The frames of the longest run are compared, distant ones half that run apart. The result is False if it
+    has fewer than 20 frames, or if neighbours agree in 90 % of their pixels, as with a static camera.
+    """
     thumbs = [_thumb(frame) for frame in probe.longest_run()]
     if len(thumbs) < FEWEST_IN_ORDER:
         return False
@@ -260,7 +271,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
 
 
 def _match(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Return the share of the pixels measured in both depth images whose depths agree; 1 without any."""
+    """Return the share of the pixels measured in both depth images whose depths agree to 15 %; 1 if none."""
     both = (first > 0) & (second > 0)
     if not both.any():
         return 1.0

@@ -28,7 +28,7 @@ class Motion:
 
     Attributes:
         times_ns: (n,) int64, increasing: the time halfway between the two frames.
-        shift_px_s: (n, 2) float64: speed of the image in x and y, pixels per second, in images of one size.
+        shift_px_s: (n, 2) float64: speed of the image in x and y, pixels of images 80 x 60 per second.
     """
 
     times_ns: NDArray[np.int64]
@@ -37,6 +37,8 @@ class Motion:
 
 def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]) -> Motion:
     """Measure a stream's image motion by phase correlation of consecutive images (Kuglin and Hines 1975).
+
+    Pairs of images that are 2.5 median steps or more apart are left out.
 
     Args:
         stamps_ns: (n,) increasing, nanoseconds.
@@ -63,11 +65,13 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
 def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
     """Return how late the second stream's stamps are, in nanoseconds, by the motion in both streams.
 
-    Each lag up to half a second is scored by the correlation of both motion components at the samples of the
-    first stream; the second stream is interpolated. A parabola refines the best lag.
+    Each lag up to half a second either way, in steps of 2 ms, is scored by the correlation of both motion
+    components at the samples of the first stream; the second stream is interpolated. A parabola refines the
+    best lag.
 
     Returns:
-        The delay; None if the streams have too little common motion.
+        The delay, negative if the stamps are early; None if no lag has a correlation above 0.6 over at least
+            20 samples, or if the best is the first or last lag.
     """
     lags_ns = np.arange(-LONGEST_NS, LONGEST_NS + 1, STEP_NS)
     scores = np.array([_agreement(first, second, int(lag)) for lag in lags_ns])
@@ -78,7 +82,10 @@ def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
 
 
 def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
-    """Return the correlation of the first motion with the second at times later by a lag; -1 if unknown."""
+    """Return the correlation of the first motion with the second at times later by a lag.
+
+    It is -1 with fewer than 20 common samples, or without motion.
+    """
     if len(second.times_ns) < 2:
         return -1.0
     times = first.times_ns + lag_ns
@@ -104,7 +111,7 @@ PAIRED_SHARE = 0.8
 
 
 def check_color_delay(probe: Probe) -> Iterator[Finding]:
-    """Report a constant delay between colour and the depth that it is paired with."""
+    """Report a constant delay, at least 60 ms and 1.3 frames, between colour and the depth paired with it."""
     run = tuple(frame for frame in probe.longest_run() if frame.gray is not None)
     if len(run) < 3:
         return
@@ -128,7 +135,8 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
     """Report a drift between the clocks of colour and depth: a delay that grows over the recording.
 
     The delay is measured in runs of frames at the beginning, middle and end, or in the thirds of one long
-    run. The delay in the middle must lie where a linear drift puts it, which excludes chance results.
+    run. It must grow by at least 60 ms, and in the middle lie where a linear drift puts it, which excludes
+    chance results.
     """
     runs = [run for run in probe.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
     if len(runs) < 3:
@@ -172,7 +180,7 @@ def clock_ns(probe: Probe, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
 
 
 def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """Return colour's delay in nanoseconds, by motion or, if that fails, by coincident edges, or None."""
+    """Return colour's delay, ns, by motion; if that fails, by edges if colour is registered; or None."""
     delay_ns = _motion_delay_ns(run, stamps_ns)
     if delay_ns is None and probe.recording.color_registered:
         return _edge_delay_ns(run, stamps_ns)
@@ -195,9 +203,9 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
-    """Return the delay, changed if depth and colour would no longer pair up with it.
+    """Return colour's delay, changed if fewer than 80 % of the colour images would then have a depth partner.
 
-    It is then changed by the median time from colour images to their nearest depth images.
+    To it is then added the median of the times by which colour images are later than the nearest depth image.
     """
     depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):
@@ -214,7 +222,8 @@ def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
     """Return the delay of registered colour at which its edges coincide best with depth discontinuities.
 
-    The result is None if the maximum is not significant, or if either half of the run has another maximum.
+    Lags up to 12 frames either way are tried. The result is None if the maximum is not significant or at
+    either end, if a half of the run has its maximum more than a frame away, or for fewer than 26 frames.
     """
     if len(run) // 2 <= EDGE_LAGS:
         return None
@@ -233,7 +242,10 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
 
 
 def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
-    """Return (n, n) overlaps of depth i's jumps with colour j's edges, row and column means removed."""
+    """Return the overlap of depth discontinuities of frame i with colour edges of frame j: [i, j] of (n, n).
+
+    Row and column means are removed.
+    """
     jumps = np.stack([depth_jumps(frame.depth_m, EDGE_SIZE).astype(np.float32).ravel() for frame in run])
     edges = np.stack([_edges_of(frame).astype(np.float32).ravel() for frame in run])
     fits = (jumps @ edges.T).astype(np.float64)

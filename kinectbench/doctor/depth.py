@@ -142,7 +142,7 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """Return the mean difference of measured horizontal neighbours, relative to the median depth."""
+    """Return the mean absolute difference of measured horizontal neighbours / median depth; 0 without any."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
     # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)
@@ -211,7 +211,7 @@ def range_by_look(
 
     Args:
         probe: the probe of the recording.
-        T_world_camera: (n, 4, 4), poses of the frames that have one; None: only depth is used.
+        T_world_camera: (n, 4, 4), poses of the probe's frames that have one; None: only depth is used.
         fusion: the settings of benchmark.yaml; None: the defaults.
     """
     poses = np.zeros((0, 4, 4)) if T_world_camera is None else T_world_camera

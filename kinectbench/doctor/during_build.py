@@ -26,8 +26,8 @@ def refuse_hopeless(recording: Recording) -> None:
     """Refuse a recording with a fault of all frames that makes a build fail or wrong.
 
     Raises:
-        RecordingError: the depth has swapped bytes or a code for missing depth that is read as depth, or the
-            intrinsics are of another image size.
+        RecordingError: the depth has swapped bytes, over 2 % of it is a code for missing depth that is read
+            as depth, or the intrinsics are of another image size.
     """
     probe = probe_recording(recording, few=True)
     for finding in (*check_depth(probe), *check_intrinsics(probe)):
@@ -39,7 +39,9 @@ def refuse_hopeless(recording: Recording) -> None:
 
 
 def likely_cause(recording: Recording) -> str:
-    """Explain a failed build by a wrong pose convention or depth scale: one line, "" if neither is likely.
+    """Explain a failed build by faults of the poses, or of the scale or encoding of depth.
+
+    The result is one line, "" if none of these is likely.
 
     Depth that seems to have a wrong scale may also be that of a small object. So a recording is not refused
     for it beforehand.

@@ -54,10 +54,10 @@ HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 def open_anyhow(
     path: Path, settings: CameraSettings | None, *, follow_links: bool = False
 ) -> tuple[Recording | None, list[Finding]]:
-    """Open a recording; if it fails for its intrinsics, open it with those of a Kinect instead.
+    """Open a recording; if it opens only with intrinsics given, open it with those of a Kinect.
 
     Returns:
-        The recording, None if it cannot be opened; and the findings about that.
+        The recording, None if it cannot be opened; and a list of the finding about that, or empty.
     """
     try:
         return open_recording(path, settings, follow_links=follow_links), []
@@ -101,7 +101,8 @@ def inspect(
         settings: settings of its camera, as under `camera:` in benchmark.yaml.
         mode: the trajectory mode of benchmark.yaml; "ignore": the given trajectory is not used.
         fusion: settings of the depth range; None: the defaults.
-        own_pixels: whether benchmark.yaml has `segment_by`: no floor is needed, and the camera may be static.
+        own_pixels: whether benchmark.yaml has `segment_by`, so that the object is found by its own pixels: no
+            floor is needed, and the camera may be static.
         follow_links: whether symbolic links in the recording are followed, as set in benchmark.yaml.
         plane_world: (4,) the plane that the object stands on, from benchmark.yaml; None: not set.
         boxed: whether benchmark.yaml has a box around the object: no floor is needed.
@@ -159,7 +160,8 @@ def _examined(
     """Run the checks that need valid depth; return further facts, and all findings.
 
     The findings so far (`findings`) are among them. Findings that well-fitting poses exclude, or that another
-    finding explains, are left out.
+    finding explains, are left out. If depth has another scale or encoding (`check_codes`), the other checks
+    are not run, and there are no further facts.
     """
     # Poses of a static camera fit equally well in every convention, so they prove nothing.
     still = [*check_still(probe)]

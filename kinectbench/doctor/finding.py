@@ -77,7 +77,8 @@ def fact_lines(facts: Mapping[str, object]) -> list[tuple[str, str]]:
     """Return a diagnosis's facts as printable (name, value with unit), in order, without those that are None.
 
     Args:
-        facts: facts of a `Diagnosis`: {name: plain JSON value}; a name ends in the value's unit.
+        facts: facts of a `Diagnosis`: {name: plain JSON value}; the name of a value with a unit ends in it,
+            such as duration_s.
     """
     return [_in_words(name, value) for name, value in facts.items() if value is not None]
 

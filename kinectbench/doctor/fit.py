@@ -83,7 +83,10 @@ class PoseConvention:
         return ", ".join(part for part in parts if part) or "as given"
 
     def apply(self, poses: Float64) -> Float64:
-        """Convert poses (n, 4, 4) as stored to T_world_camera, optical axes and metres; NaN stays NaN."""
+        """Convert poses (n, 4, 4), read as in the stated convention, to T_world_camera; NaN stays NaN.
+
+        The result has optical axes and is in metres.
+        """
         known = np.isfinite(poses[:, 0, 0])
         T = poses[known]
         if self.wxyz:
@@ -139,10 +142,15 @@ class FramePair:
 
 
 def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
-    """Choose pairs of frames with poses (n, 4, 4), evenly over the recording, some near and some distant.
+    """Choose pairs of frames that have poses, evenly over the recording, some near and some distant.
 
-    The second frame comes a few to many frames after the first. If the poses are in no order of time, it is
-    one of those with the smallest angle between the views instead, which is the same in every convention.
+    The second frame comes 1 to 40 places after the first, or before it near the end. If the poses are in no
+    order of time, it is one of those with the smallest angle between the views instead, which is the same in
+    every convention.
+
+    Args:
+        probe: the probe of the recording.
+        poses: (n, 4, 4), poses of the probe's frames, in any convention; NaN where a frame has none.
     """
     camera, count = probe.small_camera, len(probe.frames)
     has_pose = np.isfinite(poses[:, 0, 0])
@@ -165,12 +173,15 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Return the indices of frames AHEAD of a frame, or as far before it at the end; negative: no frame."""
+    """Return the indices 1, 4, 12 and 40 after `first`, each as far before it if not below `count`.
+
+    An index may be negative: there is no such frame.
+    """
     return [first + ahead if first + ahead < count else first - ahead for ahead in AHEAD]
 
 
 def _beside(first: int, poses: Float64) -> list[int]:
-    """Return the indices of the frames whose orientation differs least from a frame's, by ranks NEAREST."""
+    """Return the indices of the 1st, 2nd, 4th and 8th nearest frame by the angle between orientations."""
     cosine = np.einsum("ij,nij->n", poses[first, :3, :3], poses[:, :3, :3])
     order = [k for k in np.argsort(-cosine, kind="stable").tolist() if k != first and np.isfinite(cosine[k])]
     return [order[rank - 1] for rank in NEAREST if rank <= len(order)]
@@ -198,7 +209,8 @@ def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float6
 
     The first frame's points are projected into the second frame by the poses. A point's error is the
     difference of its depth and the depth measured at its pixel, divided by a tenth of its depth, at most 1.
-    Points outside the image count as 1, because wrong poses often leave no overlap.
+    Points outside the image count as 1, because wrong poses often leave no overlap. Points at pixels without
+    a measurement are left out; without other points the mean is 0.
 
     Args:
         pairs: the pairs of frames to compare.
@@ -223,6 +235,8 @@ def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float6
 
 def pair_residual_m(pairs: Sequence[FramePair], T_world_camera: Float64) -> float:
     """Return the median point-to-plane distance between the frames of pairs, metres; NaN without overlap.
+
+    Points whose depth differs by a tenth or more from the depth at their pixel are left out.
 
     Args:
         pairs: the pairs of frames.

@@ -72,10 +72,10 @@ class SeenFloor:
 
     Attributes:
         heights_m: (k,) height of the camera above the floor in each frame, metres; NaN where the frame shows
-            no floor.
+            no floor; above a plane from the settings it is known in every frame.
         warnings: reasons why the floor may be wrong, one line each, as in a build.
-        why: the reason why a search in all frames together found no floor, as in a build; None: it found one,
-            or frames were searched one by one.
+        why: the reason why the search in these frames together found no floor, as in a build; None: it found
+            one, or frames were searched one by one.
     """
 
     heights_m: Points
@@ -88,14 +88,14 @@ def seen_floor(
 ) -> SeenFloor:
     """Search for the floor in some frames of the probe.
 
-    If given poses fit, one floor is searched for in all these frames together, as in a build. Otherwise each
-    frame is searched separately, as if it were a recording. A plane from the settings is used only with
-    poses, because it is in their world.
+    If given poses fit, one floor is searched for in up to 40 frames together, as in a build. Otherwise each
+    of up to six frames is searched separately, as if it were a recording. A plane from the settings is used
+    only with poses, because it is in their world.
 
     Args:
         probe: the probe of the recording.
         ground: prior knowledge of the floor.
-        poses: the fit of the given poses; None: there are none.
+        poses: the fit of the given poses; None: there are none, or they were not judged.
         max_depth_m: depth beyond this is not fused, metres.
     """
     posed = None if poses is None or poses.best > FITTING else _posed(probe, poses)
@@ -162,7 +162,15 @@ def _posed(probe: Probe, poses: PoseFit) -> tuple[list[SmallFrame], Points] | No
 def _heights_together(
     probe: Probe, frames: list[SmallFrame], T_world_camera: Points, max_depth_m: float, ground: Ground
 ) -> SeenFloor:
-    """Return the cameras' heights above the floor found in all frames together, or above a given plane."""
+    """Return the cameras' heights above the floor found in all frames together, or above a given plane.
+
+    Args:
+        probe: the probe of the recording.
+        frames: n frames of the probe, all of the size of its small images.
+        T_world_camera: (n, 4, 4), their poses.
+        max_depth_m: depth beyond this is not used, metres.
+        ground: prior knowledge of the floor.
+    """
     from kinectbench.stages.segment.find.gravity import hint_of
     from kinectbench.stages.segment.find.seen_floor import floor_of_frames
 
@@ -196,7 +204,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
     Args:
         noise_m: scatter of all frames' points about the floor, metres.
-        depths_m: (m,) depths of these points in their cameras, metres.
+        depths_m: (m,) depths of the points near the floor in their cameras, metres; if empty, nothing.
     """
     if not len(depths_m):
         return
@@ -207,7 +215,10 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
-    """Find the floor in one frame, in its camera's axes, metres; None without a floor."""
+    """Find the floor in one frame, in its camera's axes; None without a floor.
+
+    Of the result, only `plane_world` is in metres: the search is at a scale at which the median depth is 1.5.
+    """
     from kinectbench.stages.segment.find.floor import find_floor
     from kinectbench.stages.segment.find.gravity import hint_of
     from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, oriented

@@ -28,7 +28,10 @@ MOST_FRAMES = 150
 def check_grade(
     probe: Probe, tracking: TrackingSettings, mode: TrajectoryMode | None = None
 ) -> Iterator[Finding]:
-    """Grade a given trajectory by the stage `track`, on at most 150 frames; report a grade that is not good.
+    """Grade a given trajectory by the stage `track`, on at most 150 frames.
+
+    Reported are a grade that is not good, a trajectory mode other than `trust` if that is recommended, and
+    that the trajectory could not be graded.
 
     Args:
         probe: the probe of a recording whose given trajectory can be read.
@@ -92,7 +95,8 @@ def as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
         indices: indices of the frames, increasing; none is damaged or of another size.
 
     Returns:
-        A sequence of these frames; colour that is not registered to depth is left out.
+        A sequence of these frames; colour that is not registered to depth, and that no calibration can
+            register, is left out.
     """
     problem = trajectory_problem(recording)
     register = onto_depth(recording)
@@ -121,7 +125,7 @@ class _RecordedFrames:
         return self._frame(index).depth
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Return the encoded colour of a frame: (suffix, bytes); None if it is not registered to depth."""
+        """Return the encoded colour of a frame, registered to depth: (suffix, bytes); None if impossible."""
         if self._register is not None:
             return self._register(self._frame(index)).color
         return self._frame(index).color if self._recording.color_registered else None

@@ -60,7 +60,10 @@ def _pictures(probe: Probe) -> Iterator[Picture]:
 
 
 def _edges(frame: WholeFrame, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return colour, scaled to WIDTH_PX, with depth discontinuities drawn on it: (height, width, 3) RGB."""
+    """Return colour with depth discontinuities drawn on it: (height, width, 3) RGB, in depth's aspect ratio.
+
+    Its width is WIDTH_PX.
+    """
     import cv2
 
     height, width = frame.depth.shape

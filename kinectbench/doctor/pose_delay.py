@@ -50,7 +50,10 @@ def check_trajectory_delay(
 
 
 def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
-    """Return the given trajectory with its stamps on the clock of `clock_ns`, that of the probe's frames."""
+    """Return the given trajectory with its stamps as if at 30 Hz if the recording only counts frames.
+
+    `clock_ns` does the same to the stamps of frames.
+    """
     divisor = ASSUMED_HZ if probe.counts_frames else 1
     return GivenTrajectory(given.stamps_ns // divisor, given.T_world_camera)
 
@@ -60,8 +63,8 @@ def trajectory_delay_ns(
 ) -> int | None:
     """Return how late the poses' stamps are, in nanoseconds, by the best fit to depth; None if it is unclear.
 
-    Lags up to half a second are tried in steps of 50 ms, then in steps of 10 ms around the best one. Only
-    pairs with poses at all lags are used.
+    Lags up to half a second either way are tried in steps of 50 ms, then in steps of 10 ms around the best
+    one, or around 0 if none is clearly better. Only pairs with poses at all lags are used, and at least four.
     """
 
     def costs(lags_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -78,7 +81,11 @@ def trajectory_delay_ns(
 
 
 def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
-    """Return the best of LAGS_NS by costs (lags, pairs), refined by a parabola; None if it is not clear."""
+    """Return the best of LAGS_NS by costs (lags, pairs), refined by a parabola.
+
+    The result is 0 if no shift is best; None if the best is at either end or not clearly better than no
+    shift, or with fewer than four pairs.
+    """
     if costs.shape[1] < LEAST_PAIRS:
         return None
     means = costs.mean(axis=1)
@@ -131,6 +138,9 @@ def _poses(
 
 
 def longest_gap_s(given: GivenTrajectory) -> float:
-    """Return the longest gap between poses over which checks interpolate, seconds: 0.2 or 2.5 median gaps."""
+    """Return the longest gap between poses over which checks interpolate, s: the larger of 0.2 and 2.5 gaps.
+
+    The gaps are median steps between poses.
+    """
     median_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
     return max(MAX_GAP_S, 2.5 * median_s)

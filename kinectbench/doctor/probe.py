@@ -33,9 +33,9 @@ class SmallFrame:
 
     Attributes:
         index: index in the recording.
-        stamp_ns: stamp of depth.
+        stamp_ns: stamp of depth, nanoseconds.
         depth_m: (height, width) float32 metres, every n-th pixel of every n-th row; 0 = none.
-        gray: (height, width) uint8, colour as grey, at least 320 wide if it was recorded so; None without.
+        gray: (height, width) uint8, colour as grey, in another size than depth; None without colour.
         digest: hash of the full depth image, to find repeated ones.
     """
 
@@ -53,7 +53,7 @@ class WholeFrame:
     Attributes:
         index: index in the recording.
         depth: (height, width) uint16, native units, 0 = none.
-        bgr: (height, width, 3) uint8, the decoded colour; None without.
+        bgr: (height, width, 3) uint8, the decoded colour, of any size; None without.
     """
 
     index: int
@@ -67,10 +67,12 @@ class Probe:
 
     Attributes:
         recording: the opened recording.
-        frames: the sampled frames at low resolution, in order.
+        frames: the sampled frames at low resolution, in order, without the damaged and the refused ones.
         whole: some of these frames at full size, evenly spread.
-        damaged: one line for each sampled frame that cannot be decoded, with the reason.
-        refused: one line for each sampled frame of another size or kind than the others, with the reason.
+        damaged: one line for each sampled frame that is damaged, with the reason.
+        refused: one line for each sampled frame that is not damaged, but is of another size or kind than the
+            others or cannot be read, with the reason. If 5 % or more are of another size, those whose depth
+            is stay in `frames`.
         depth_step_px: the stride n of the small depth images.
     """
 
@@ -154,7 +156,10 @@ class ProbeBuilder:
 
 
 def probe_recording(recording: Recording, few: bool = False) -> Probe:
-    """Read the probe of a recording: all of up to 250 frames, else runs of frames; with `few` only eight."""
+    """Read the probe of a recording: every frame if there are at most 250, else up to 342 frames in runs.
+
+    With `few`, at most eight frames are read, evenly spread.
+    """
     count = len(recording)
     indices = evenly(count, FEW_FRAMES) if few else frames_to_read(count)
     gathering = ProbeBuilder(recording, indices)
@@ -191,7 +196,13 @@ def frames_to_read(count: int) -> NDArray[np.int64]:
 
 
 def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
-    """Return a frame's colour as grey, reduced 2, 4 or 8 times if it then is at least 320 pixels wide."""
+    """Return a frame's colour as grey, reduced 2, 4 or 8 times if it then is at least 320 pixels wide.
+
+    The result is None without colour.
+
+    Raises:
+        DamagedImageError: the colour is damaged.
+    """
     import cv2
 
     if raw.color is None:

@@ -17,7 +17,10 @@ PLAIN = "nothing but the object gives depth, so that it does not matter whether 
 
 
 def check_still(probe: Probe) -> Iterator[Finding]:
-    """Report a static camera, before a moving object or a static scene, and a background without depth."""
+    """Report a static camera, in front of a moving object or a static scene, and a background without depth.
+
+    Nothing is reported for fewer than six frames.
+    """
     frames = [probe.frames[index] for index in some_of(len(probe.frames))]
     shape = (probe.small_camera.height, probe.small_camera.width)
     frames = [frame for frame in frames if frame.depth_m.shape == shape]

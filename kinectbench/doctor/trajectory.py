@@ -64,11 +64,13 @@ class PoseFit:
         still: disagreement of a static camera.
         residual_m: median point-to-plane residual in that convention, metres.
         fits: whether the residual is within the depth noise.
-        proven: whether the poses fit unchanged, and with no other depth scale or focal lengths, which proves
-            that scale and intrinsics are right.
+        proven: whether the poses fit unchanged, clearly better than in any other unit and than a static
+            camera, and no other depth scale or focal lengths fit much better. This proves that scale and
+            intrinsics are right.
         pairs: the compared pairs of frames.
         T_world_camera: (m, 4, 4), poses of the probe's frames that have one, in that convention.
-        arc_rad: the arc around the point that the cameras look at; None if they do not look at one point.
+        arc_rad: the arc around the point that the cameras look at, radians; None if they do not look at one
+            point.
         lengths: the factors on depth and focal lengths with which the poses fit best.
     """
 
@@ -143,7 +145,10 @@ def _disagreements(
 
 
 def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
-    """Report faults of the given trajectory: unreadable, other times, a wrong convention, unit or clock."""
+    """Report faults of the given trajectory: unreadable, other times, a wrong convention, unit or clock.
+
+    Notes report that there is none, that it could not be checked, and an arc of less than 270 degrees.
+    """
     given = probe.recording.given_trajectory
     if probe.recording.trajectory_error:
         advice = "correct it, or `trajectory: ignore`"
@@ -180,7 +185,10 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
 
 
 def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> int:
-    """Return the index of the convention: 0, as given, or if others fit much better, the simplest of them."""
+    """Return the index of the convention: 0, as given, or if others fit much better, the simplest of these.
+
+    Of those, only conventions are considered whose cost is within 3 % of the lowest.
+    """
     if costs.min() > BETTER * costs[0]:
         return 0
     good = np.flatnonzero(costs * SIMPLER <= costs.min())

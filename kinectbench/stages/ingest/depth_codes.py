@@ -42,7 +42,7 @@ def read_by_code(code: DepthCode, depth: UInt16, camera: Camera) -> UInt16:
 
     Returns:
         (height, width) uint16, 0 = none, in the recording's unit; for "float16" in units of 1 / FLOAT_SCALE
-            m.
+            m. Distances along the ray in an image of another size than the camera's stay as they are.
     """
     if code == "rotated":
         return unrotated(depth)
@@ -109,7 +109,7 @@ def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
 
 
 def _sampled(images: Iterable[NDArray[np.uint16]]) -> NDArray[np.uint16]:
-    """The measured values at every third pixel of every third row, from the undamaged images."""
+    """The measured values at every third pixel of every third row; images after an error are left out."""
     samples = [np.zeros(0, np.uint16)]
     with suppress(RecordingError):
         for image in images:

@@ -58,11 +58,13 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
         channels: for a PNG with 8-bit channels: indices (B, G, R) of the high and of the low byte.
 
     Returns:
-        (height, width): uint16 in native units, or float32; 0 = none; values that are not finite stay.
+        (height, width): uint16 in native units, or float32 as stored; `is_measured` finds the pixels with a
+            depth, as floats may also be negative or not finite.
 
     Raises:
         DamagedImageError: the image is damaged.
         OddImageError: the image is intact, but not a depth image.
+        RecordingError: the image is in HDF5, and h5py is not installed.
     """
     if _is_array(data, name):
         return _as_depth(_array(data, name), name)
@@ -111,7 +113,11 @@ def is_measured(depth: UInt16 | Float32) -> Bools:
 
 
 def packed_channels(data: bytes, name: str) -> Channels | None:
-    """The two channels (of B, G, R) of a PNG that hold depth's high and low byte; None if there are none."""
+    """The two channels (of B, G, R) of a PNG that hold depth's high and low byte; None if there are none.
+
+    Raises:
+        DamagedImageError: a colour PNG with 8 bits is damaged.
+    """
     if not data.startswith(PNG_MAGIC):
         return None
     try:
@@ -258,7 +264,11 @@ def hdf5_arrays(
 
 
 def _hdf5_array(h5py: ModuleType, file: "File", key: str, most_values: int) -> NDArray[np.generic]:
-    """Read one array; ValueError if it is a link, stored elsewhere, too large or not numeric."""
+    """Read one array.
+
+    Raises:
+        ValueError: it is a link, stored in another file, too large or not numeric.
+    """
     if not isinstance(file.get(key, getlink=True), h5py.HardLink):
         raise ValueError(f"'{key}' is a link")
     entry = file[key]

@@ -116,7 +116,10 @@ def stamps_of_names(stems: Sequence[str]) -> list[int]:
 
 
 def _columns(stems: Sequence[str]) -> list[list[str]]:
-    """The numbers in the names, one list for each position in a name; empty if the names differ in form."""
+    """The numbers in the names, one list for each position in a name.
+
+    Empty if the names differ in more than numbers, or have none or more than 16.
+    """
     if not stems or len({NUMBER.sub("#", stem) for stem in stems}) > 1:
         return []
     rows = [NUMBER.findall(stem) for stem in stems]

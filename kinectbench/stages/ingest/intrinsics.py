@@ -82,7 +82,8 @@ class Intrinsics:
             beside: returns a hint, for messages, on files that may contain missing values.
 
         Raises:
-            RecordingError: a value is missing, or the intrinsics are for another image size.
+            RecordingError: a value is missing, a focal length is impossible, the principal point is outside
+                the images, or the intrinsics are for another image size.
         """
         width, height = size_px
         missing = [name for name in NEEDED if getattr(self, name) is None]
@@ -140,13 +141,14 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered.
-    Instead of fx ... cy a matrix: `intrinsic_matrix` (nine numbers by columns, as Open3D writes it), `cam_K`,
-    `camera_matrix`, `K` or `k` (by rows; or an object with these as `data`). A depth_scale beside `cam_K` is
-    BOP's, mm per unit; one below 1 is in metres per unit, as in librealsense, because no unit of depth images
-    is longer.
+    Instead of fx ... cy a matrix: `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K` or `k`: three rows, or
+    nine numbers by columns (as Open3D writes them) or by rows, which its zeros show; or an object with these
+    as `data`. A depth_scale below 100 beside `cam_K` is BOP's, mm per unit; another one below 1 is in metres
+    per unit, as in librealsense, because no unit of depth images is longer.
 
     Raises:
-        RecordingError: not JSON, a value of the wrong type, or no pinhole matrix.
+        RecordingError: not JSON, a value of the wrong type or out of range, no pinhole matrix, or values that
+            contradict each other.
     """
     raw = read_json_object(path, HELD)
     known = {SAME_AS.get(key, key): value for key, value in raw.items() if value is not None}
@@ -224,7 +226,7 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
 
 
 def json_numbers(value: object) -> Float64:
-    """The numbers of a (nested) JSON list; shape (0,) for other values."""
+    """The numbers of a (nested) JSON list, or of one number, shape (); null is NaN; else shape (0,)."""
     try:
         return np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):  # an integer may be too large
@@ -277,8 +279,8 @@ def rig_calibration(
 ) -> ColorCalibration | None:
     """Calibration of colour relative to depth, from ScanNet's poses of both cameras in their rig.
 
-    Both poses are (4, 4), camera to rig, metres. None if one of them is not rigid, or colour's intrinsics do
-    not fit the size of its images.
+    Both poses are (4, 4), camera to rig, metres. None if one of them is not rigid, there is no colour (its
+    size is 0), or colour's intrinsics do not fit the size of its images.
     """
     T_rig_color, T_rig_depth = rigid_or_none(color_to_rig), rigid_or_none(depth_to_rig)
     if T_rig_color is None or T_rig_depth is None or not all(color_px):
@@ -291,7 +293,7 @@ def rig_calibration(
 
 
 def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:
-    """Read a JSON object with a pinhole matrix by columns, and the size of its images in pixels.
+    """Read a JSON object with a pinhole matrix (by columns or rows), and the size of its images in pixels.
 
     Raises:
         RecordingError: not JSON, or a value is missing or invalid.
@@ -319,8 +321,8 @@ def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dic
 def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, object] | None:
     """Read `keys` of one frame's camera from a JSON file, and its path as "file"; None if it does not exist.
 
-    A list or an object becomes an array of numbers: as nested Python lists, the values of all frames would
-    take many times the memory of their text.
+    A list becomes an array of numbers, empty if it has others; so does an object. As nested Python lists, the
+    values of all frames would take many times the memory of their text.
 
     Raises:
         RecordingError: the file is too large, not valid JSON, or no object.
@@ -337,7 +339,7 @@ def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
     """Parse a JSON object; `where` (the file) and `what` (its expected content) are for error messages.
 
     Raises:
-        RecordingError: not valid JSON, or no object.
+        RecordingError: too large, not valid JSON, or no object.
     """
     if len(text) > JSON_BYTES:
         raise RecordingError(f"{where}: is larger than the {JSON_BYTES} bytes that it may have")

@@ -71,7 +71,7 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
         The intrinsics as far as found; and the JSON file that they are from, or None.
 
     Raises:
-        RecordingError: a file does not contain what its name says.
+        RecordingError: a file does not contain what its name says, or YAML files have different cameras.
     """
     file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
     if file is not None:
@@ -98,7 +98,7 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
     """The end of an error message with the names of files that `wanted` accepts; "" without such files.
 
     Args:
-        path: the recording's folder, searched with its subfolders; "" is returned for a file.
+        path: the recording's folder; it and its direct subfolders are searched; "" is returned for a file.
         wanted: predicate on names.
         how: words before the names.
     """
@@ -121,7 +121,11 @@ def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
 
 
 def _of_yaml(files: list[Path]) -> Intrinsics:
-    """The camera that all these YAML files agree on; only the first `MOST_YAML` files are read."""
+    """The camera of these YAML files, without values if none has one; only `MOST_YAML` files are read.
+
+    Raises:
+        RecordingError: two files have different cameras or notes.
+    """
     first: tuple[Path, Intrinsics] | None = None
     for file in files[:MOST_YAML]:
         intrinsics = _read_yaml(file)

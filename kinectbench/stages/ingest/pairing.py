@@ -26,7 +26,7 @@ class Partners:
 
 
 def pair_by_time(depth_ns: Sequence[int], color_ns: Sequence[int], *, delay_s: float, where: str) -> Partners:
-    """Pair two streams by their stamps, within half a frame (`pairing_tolerance_ns`).
+    """Pair two streams by their stamps, within about half a frame and at most 20 ms (`pairing_tolerance_ns`).
 
     Args:
         depth_ns: stamps of depth, nanoseconds, strictly increasing.
@@ -48,8 +48,8 @@ def pair_images(
     """Pair two streams of images by their names alone.
 
     They are paired by time if the names of both streams contain stamps. Otherwise they are paired by name if
-    any names agree, else by the frame numbers in the names, else by order if both streams have as many
-    images.
+    any names agree, else by the frame numbers in the names if any agree, else by order if both streams have
+    as many images.
 
     Args:
         depth: names of the depth images without suffix, in any order.

@@ -26,7 +26,8 @@ class PartialSequence:
 
     Attributes:
         writer: the writer that has taken these frames.
-        marks: each frame's stamp, and its files' names, sizes and times, taken before the frame was read.
+        marks: for each frame its stamp, and its files' names, sizes and times, taken before the frame was
+            read; None if a file was missing.
     """
 
     writer: SequenceWriter
@@ -114,7 +115,10 @@ def _is_of(partial: PartialSequence, recording: Recording) -> bool:
 
 
 def stored_by(recording: Recording) -> tuple[object, ...]:
-    """Everything besides a frame's files that determines how the frame is stored, for comparison."""
+    """What besides a frame's files determines how the frame is stored, for comparison.
+
+    Values of single formats are not included, such as the least confidence of a phone's depth.
+    """
     color = recording.color_calibration
     colors = color and (color.camera, color.distortion, color.T_color_depth.tolist())
     codes: tuple[object, ...] = ()

@@ -44,7 +44,7 @@ class FrameChecks:
         """Check one frame; return the suffix that its colour image should have, None without colour.
 
         Raises:
-            DamagedImageError: the colour image is damaged, or an image has the wrong size.
+            DamagedImageError: the colour image is damaged, or (OddImageError) an image has the wrong size.
             RecordingError: stamps do not increase.
         """
         check_size(frame, self.recording)

@@ -65,7 +65,7 @@ class RawFrame:
         name: source of the frame, for messages.
         stamp_ns: stamp of the depth image, nanoseconds.
         depth: (height, width) uint16 in native units, 0 = no measurement.
-        color: (".jpg" or ".png", the encoded image), or None.
+        color: (suffix of a JPEG or PNG, such as ".jpg", the encoded image), or None.
         mask: (height, width) bool, the object's pixels by a given mask, or None.
     """
 
@@ -202,7 +202,9 @@ class Recording(ABC):
         """Read and decode a frame.
 
         Raises:
-            DamagedImageError: the depth image is damaged.
+            DamagedImageError: an image of the frame is missing or damaged, or (OddImageError) of another kind
+                than the recording's depth.
+            RecordingError: a file cannot be read, for a reason other than its content.
         """
 
 
@@ -214,7 +216,7 @@ class FrameFiles:
         stamp_ns: stamp of the depth image, nanoseconds.
         depth: 16-bit PNG, or another depth file.
         color: JPEG or PNG, or None.
-        mask: PNG, nonzero on the object, or None.
+        mask: image that marks the object (PNG: nonzero there; `FileRecording.mask` reads it), or None.
     """
 
     stamp_ns: int
@@ -289,7 +291,7 @@ class FileRecording(Recording):
 
 
 def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A warning if only some frames have a colour image with their name."""
+    """A warning if some frames, but not all, have no colour image with their name; else empty."""
     alone = sum(frame.color is None for frame in files)
     line = f"{path}: {alone} of {len(files)} depth frames have no colour of their name"
     return (line,) if 0 < alone < len(files) else ()
@@ -299,7 +301,7 @@ def read_image_file(path: Path) -> bytes:
     """Read a whole image file.
 
     Raises:
-        DamagedImageError: the file is missing, or is no plain file.
+        DamagedImageError: the file is missing, too large, or no plain file.
         RecordingError: the machine cannot read it now; the next run may.
     """
     try:

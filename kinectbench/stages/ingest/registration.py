@@ -61,7 +61,10 @@ class ColorRegistration:
         return np.where(seen[..., None], sampled, np.uint8(0)).astype(np.uint8)
 
     def _project(self, depth_m: Float32) -> tuple[Float32, Float32, Float32]:
-        """Project each pixel's point into the colour image (pixels); also return its depth there (metres)."""
+        """Project each pixel's point into the colour image: u, v (pixels), and depth there (metres).
+
+        Each is (height, width) of the depth image.
+        """
         points = self._rays * depth_m[..., None] @ self._T[:3, :3].T + self._T[:3, 3]
         z = np.ascontiguousarray(points[..., 2], np.float32)
         near = np.maximum(z, 1e-3)

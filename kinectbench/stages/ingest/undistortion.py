@@ -29,7 +29,10 @@ class Undistortion:
         self._maps = cv2.initUndistortRectifyMap(K, D, np.eye(3), K, size, cv2.CV_32FC1)
 
     def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
-        """Undistort depth (height, width) by the nearest pixel; 0 outside the distorted image."""
+        """Undistort depth (height, width) of the camera by the nearest pixel; 0 outside the distorted image.
+
+        An image of another size is not refused: the result has the camera's size.
+        """
         import cv2
 
         return self._map(image, cv2.INTER_NEAREST)

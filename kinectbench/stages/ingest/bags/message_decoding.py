@@ -64,9 +64,9 @@ class MessagePlace:
 
     Attributes:
         stamp_ns: stamp of its header, nanoseconds; without one, the time of recording.
-        chunk: position of the chunk's record in the file; -1: the message is not in a chunk.
-        offset: byte position of the message in its unpacked chunk, or in the file without a chunk; in sqlite3
-            its row id.
+        chunk: position of the chunk's record in the file; -1: the message is not in a compressed chunk.
+        offset: byte position of the message in its unpacked chunk, or in the file if `chunk` is -1; in
+            sqlite3 its row id.
         size: size of the message, bytes.
         file: index of the file, from 0, in a bag of several files.
     """
@@ -122,6 +122,7 @@ class RosBag:
 
         Raises:
             DamagedImageError: the message does not decode as the topic's type.
+            RecordingError: the same chunks would have to be unpacked again and again (`BagReader`).
         """
         from rosbags.serde import SerdeError
 
@@ -257,7 +258,7 @@ class FoundMessages:
 
 
 def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
-    """Unpack a chunk, up to the size in its header.
+    """Unpack a chunk, up to the size in its header; fewer bytes if the data ends before.
 
     Args:
         compression: "bz2", "lz4" or "zstd".
@@ -309,7 +310,7 @@ def _start_of_packed(head: bytes) -> bytes:
 
 
 def unpacked_message(data: bytes) -> bytes:
-    """Decompress a message if it is compressed by zstd; return empty bytes if it is damaged.
+    """Decompress a message if it is compressed by zstd; return empty bytes if it is damaged or too large.
 
     `ros2 bag record --compression-mode message` compresses messages one by one with zstd.
     """

@@ -69,7 +69,7 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """Native depth units per metre: 1 / Depth Units (metres), an option of the depth sensor."""
+        """Native depth units per metre: 1 / Depth Units (metres), an option of the depth sensor; or None."""
         return depth_units_scale(bag, depth)
 
     @classmethod
@@ -182,7 +182,7 @@ def _rigid_by_columns(rotation: ArrayLike, translation_m: ArrayLike) -> Float64 
 
 
 def _old_stream_info(bag: RosBag, name: str) -> Message | None:
-    """The stream_info message of version 1 for a stream such as /camera/DEPTH/image_raw/0."""
+    """The stream_info message of version 1 for a stream such as /camera/DEPTH/image_raw/0; or None."""
     match = OLD_STREAM.fullmatch(name)
     if not match:
         return None

@@ -68,7 +68,7 @@ def depth_encoding(message: Message) -> str | None:
 
 
 def color_encoding(message: Message) -> str | None:
-    """The encoding of colour in an image message; None if the image is not colour or unreadable."""
+    """The encoding of colour in an image message, "compressed" for PNG and JPEG; None without colour."""
     if not is_compressed(message):
         known = message.encoding in COLOR_CHANNELS or message.encoding.lower() in CONVERSIONS
         return message.encoding if known else None
@@ -91,8 +91,8 @@ def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDA
             values out of range become 0).
 
     Raises:
-        DamagedImageError: the image is damaged.
-        RecordingError: the image is intact, but not 16-bit grey.
+        DamagedImageError: the image is damaged, or its encoding is not that of depth.
+        OddImageError: the image is an intact PNG, but not 16-bit grey.
     """
     if not is_compressed(message):
         if message.encoding in INTEGER_DEPTH:
@@ -129,7 +129,7 @@ def color_of(message: Message, name: str) -> tuple[str, bytes]:
     """Encoded colour of an Image or CompressedImage message: (suffix, bytes); raw pixels become PNG.
 
     Raises:
-        DamagedImageError: the image is damaged.
+        DamagedImageError: the image is damaged, or its encoding is not that of colour.
     """
     if is_compressed(message):
         data = bytes(message.data)
@@ -150,7 +150,11 @@ def color_of(message: Message, name: str) -> tuple[str, bytes]:
 
 
 def _pixels(message: Message, name: str, dtype: np.dtype[_Value], channels: int) -> NDArray[_Value]:
-    """The pixels (height, width, channels) of a raw image, of any byte order, without row padding."""
+    """The pixels (height, width, channels) of a raw image, in its byte order, without row padding.
+
+    Raises:
+        DamagedImageError: the image is too large, or has too few bytes.
+    """
     height, width, step = int(message.height), int(message.width), int(message.step)
     if is_too_large(width, height):
         raise DamagedImageError(

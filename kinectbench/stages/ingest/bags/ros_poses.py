@@ -88,7 +88,7 @@ class TransformTree:
 
 
 def read_transforms(bag: RosBag) -> TransformTree:
-    """Read every tf and tf_static message; invalid transforms are skipped."""
+    """Read every tf and tf_static message; a frame keeps its first parent; invalid transforms are skipped."""
     # For each frame: its parent, the stamps of its transforms, and seven numbers of each. A robot's bag has
     # millions of transforms: the matrices are made at once.
     parents: dict[str, str] = {}
@@ -140,7 +140,10 @@ def _moves(transforms: Float64) -> bool:
 
 
 def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
-    """Interpolate transforms of the stamps `own` at other stamps: (n, 4, 4), along the shortest rotation."""
+    """Interpolate transforms of the stamps `own` at other stamps: (n, 4, 4), along the shortest rotation.
+
+    Before the first and after the last of `own`, that transform holds.
+    """
     after = np.clip(np.searchsorted(own, stamps), 0, len(own) - 1)
     before = np.maximum(after - 1, 0)
     at_one = (own[after] == stamps) | (after == before)
@@ -153,11 +156,12 @@ def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: s
     """Read the depth camera's trajectory: (camera to world or None, warnings, why it is unusable or "").
 
     The source is the topic that the settings name ("tf" for the tree of frames); else the only topic of
-    PoseStamped or Odometry; else tf. If Odometry describes another frame than the camera's, and tf has the
-    transform between them, the poses are converted to the camera's.
+    PoseStamped or Odometry, while several are only warned of; without such a topic tf. If Odometry describes
+    another frame than the camera's, the poses are converted to the camera's by tf; if tf lacks the transform
+    between them, they are used as they are, with a warning.
 
     Raises:
-        RecordingError: the named topic holds no poses.
+        RecordingError: the named topic, or tf if it is named, holds no poses of the camera.
     """
     topics = [topic for topic in bag.topics if topic.type in (POSE, ODOMETRY)]
     if named is not None and named != "tf":

@@ -102,7 +102,7 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
     """Choose the depth topic; return it, and a warning if there was a choice.
 
     These decide, the most important first: "depth" in the name, a name that says registered, integer values,
-    no compression, and the number of images.
+    no compression, and the number of images. A topic whose name says infrared and not depth is left out.
 
     Args:
         bag: the bag to search.
@@ -216,10 +216,11 @@ def choose_camera_info(
 ) -> tuple[CameraInfo | None, str]:
     """Choose the CameraInfo message that describes the images of a topic.
 
-    A candidate has the images' frame_id, is in their namespace (as image_transport puts it), or has a name of
-    their kind. These decide, the most important first: the images' size, their namespace, their frame_id, and
-    the longest common start of the names. If the images are registered to those of `pixels_of` by name, the
-    CameraInfo of `pixels_of` takes precedence.
+    A candidate has the images' frame_id, is in their namespace (as image_transport puts it), or its name
+    starts like theirs, with a word of their kind in the common parts. These decide, the most important first:
+    the images' size, their namespace, their frame_id, and the number of common parts. The CameraInfo of
+    `pixels_of`, if of the images' size, is taken without a candidate; and instead of one with other values if
+    the images' name says registered.
 
     Args:
         image: the topic of the images.
@@ -312,7 +313,7 @@ def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tup
     """The coefficients of Brown's distortion model of images, in OpenCV's order; empty without distortion.
 
     Raises:
-        RecordingError: the distortion model is not Brown's.
+        RecordingError: the distortion model is not Brown's, or has not 4, 5 or 8 coefficients.
     """
     if info is None or _is_rectified(image) or info.distortion_model in NO_MODELS:
         return ()

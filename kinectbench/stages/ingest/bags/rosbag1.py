@@ -50,7 +50,7 @@ class Rosbag1Recording(RosRecording):
 
     @classmethod
     def walk(cls, path: Path) -> RosBag:
-        """Walk through the bag's chunks."""
+        """Walk through the bag's records and chunks, and note where the messages are."""
         reader = BagReader(path, _chunk_at)
         with open_plain(path) as file:
             found, budget = FoundMessages(cls.wanted), WalkBudget(size_of(file))
@@ -73,7 +73,16 @@ class Rosbag1Recording(RosRecording):
 
 @dataclass
 class _Walk:
-    """The state of a walk: messages found, number of complete chunks, and how many of these are damaged."""
+    """The state of a walk: messages found, number of complete chunks, and how many of these are damaged.
+
+    Attributes:
+        found: the messages.
+        own_types: types for which the bag's definition is used.
+        keep: called with the position and the bytes of each unpacked chunk.
+        budget: limits of the walk.
+        chunks: number of complete chunks.
+        damaged_chunks: number of compressed chunks with a damaged part.
+    """
 
     found: FoundMessages
     own_types: frozenset[str]
@@ -83,7 +92,9 @@ class _Walk:
     damaged_chunks: int = 0
 
     def take_all(self, file: BinaryIO, path: Path) -> bool:
-        """Walk through the file; return whether it has the expected end and an index.
+        """Walk through the file; return whether every record is whole and the file has an index.
+
+        The walk ends at the first damaged record that is not in a compressed chunk.
 
         Raises:
             RecordingError: the bag is encrypted.

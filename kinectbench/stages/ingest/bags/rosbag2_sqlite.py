@@ -37,7 +37,7 @@ LOST_TIMES = 4
 
 
 def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Find the messages of the wanted types in an sqlite3 file, in the order of recording.
+    """Find the messages of the wanted types in an sqlite3 file.
 
     Args:
         path: the file.
@@ -161,7 +161,7 @@ def _check_tables(database: sqlite3.Connection) -> None:
 
 
 def _page_bytes_if_cut_off(path: Path) -> int:
-    """The page size if the file is shorter than its header states, else 0 (SQLite's file format, 1.3)."""
+    """The page size, bytes, if the file is shorter than its header states, else 0 (SQLite's format, 1.3)."""
     with open_plain(path) as file:
         head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     if len(head) < HEAD_BYTES:

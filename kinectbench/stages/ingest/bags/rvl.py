@@ -58,7 +58,7 @@ def encode_rvl(depth: NDArray[np.uint16]) -> bytes:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _number(words: NDArray[np.uint32], nibble: int) -> tuple[int, int]:
-    """Read the number that starts at a nibble; return it (-1 if cut off) and the next nibble's position."""
+    """Read the number that starts at a nibble; return it (-1: cut off or too long) and the next position."""
     value, shift = 0, 0
     while nibble < 8 * len(words) and shift < 30:
         bits = (int(words[nibble >> 3]) >> (28 - 4 * (nibble & 7))) & 15

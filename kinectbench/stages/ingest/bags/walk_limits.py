@@ -25,7 +25,7 @@ class WalkBudget:
     """
 
     def __init__(self, bag_bytes: int) -> None:
-        """Set the limits for a bag whose files have this size in all."""
+        """Set the limits for a bag whose files have `bag_bytes` bytes in all."""
         self._records = ALWAYS_RECORDS + bag_bytes // LEAST_RECORD_BYTES
         self._steps = ALWAYS_STEPS + bag_bytes * STEPS_A_BYTE
         self.bytes_left = unpacked_bound(bag_bytes)

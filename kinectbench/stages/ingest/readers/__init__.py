@@ -75,7 +75,10 @@ def format_of(path: Path) -> str | None:
 
 
 def says_intrinsics(path: Path) -> bool:
-    """Whether a recording's format stores intrinsics; if not, its reader takes those usual for the format."""
+    """Whether a recording's format can store intrinsics; False for klg, redwood_zip and unknown formats.
+
+    Without intrinsics, the readers of these two take those of their format's usual camera.
+    """
     return format_of(path) not in (None, "klg", "redwood_zip")
 
 
@@ -162,7 +165,7 @@ def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str
     """Find every recording in a folder and below: pairs (path, format), sorted; recordings are not nested.
 
     A folder is skipped, with all below it, if it is unreadable, starts with a dot, was made by a build, or
-    contains the ground truth of a simulated recording.
+    contains the ground truth of a simulated recording. A link is looked at, but not what lies below it.
 
     Args:
         folder: the folder to search.
@@ -278,7 +281,7 @@ def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
     warning.
 
     Raises:
-        RecordingError: the settings name a code, but depth is not in PNG images.
+        RecordingError: the settings name a code, but the format has no file for each depth image.
     """
     if not isinstance(recording, FileRecording):
         if camera.depth_code is None:

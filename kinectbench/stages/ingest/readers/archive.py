@@ -37,7 +37,7 @@ class Archive:
         """The names of all members.
 
         Raises:
-            RecordingError: the archive is damaged, truncated, or has members that lead out of it or overlap.
+            RecordingError: the archive is damaged or truncated, or its members' names lead out of it.
         """
         return self._opened().namelist()
 
@@ -45,7 +45,8 @@ class Archive:
         """Read and unpack a member.
 
         Raises:
-            DamagedImageError: the member is missing, damaged, encrypted, or too large for an image.
+            DamagedImageError: the member is missing, damaged, encrypted, packed in another way than by
+                deflate, or too large for an image.
         """
         where = f"{self.path}: {name}"
         try:
@@ -83,7 +84,7 @@ class Archive:
 
 
 def _check_members(archive: zipfile.ZipFile, size: int) -> None:
-    """Refuse an archive with members that lead out of it or overlap.
+    """Refuse an archive with members whose names lead out of it, or that together are larger than it.
 
     Raises:
         ValueError: the archive has such a member; the message says which problem.

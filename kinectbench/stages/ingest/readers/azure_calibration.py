@@ -99,7 +99,11 @@ class AzureCalibration:
         return _in_pixels(camera, size_px, (0, 0)), camera.distortion
 
     def color(self, size_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-        """Calibration of colour images of this size relative to depth; None without colour camera."""
+        """Calibration of colour images of this size relative to depth; None without colour camera.
+
+        Raises:
+            RecordingError: the intrinsics do not fit images of this size.
+        """
         if self.of_color is None:
             return None
         whole = (size_px[0], size_px[0] * COLOR_HEIGHT)

@@ -175,7 +175,7 @@ class AzureKinectRecording(Recording):
             return file.read(place.length)
 
     def _color(self, place: Place | None) -> tuple[str, bytes] | None:
-        """Colour as encoded, or as PNG if raw; None if it is missing, uncalibrated, or of wrong length."""
+        """Colour as encoded, or as PNG if raw; None if missing, uncalibrated, or raw and of wrong length."""
         if place is None or not (self.color_calibration or self.color_registered):
             return None
         data = self._bytes(place)
@@ -256,10 +256,12 @@ def _attached(container: "InputContainer", path: Path) -> dict[str, object]:
 def _find_images(
     container: "InputContainer", names: dict[int, str], path: Path
 ) -> tuple[dict[str, list[Place]], list[str]]:
-    """Find where all depth and colour images are stored, in file order; and the file's faults.
+    """Find where the images are stored: {"DEPTH", "COLOR", "IR": list in file order}; and the file's faults.
+
+    The list of "IR" stays empty. Images of impossible times are left out.
 
     Raises:
-        RecordingError: there are more images than a recording may have.
+        RecordingError: there are more images than a recording may have, or Matroska has compressed them.
     """
     import av
 

@@ -46,7 +46,7 @@ class BopRecording(FileRecording):
     principal point.
 
     Attributes:
-        moved_px: shift of each image to the right and down, pixels; empty: no shifts.
+        moved_px: for each image its shift (to the right, down), pixels; empty: no image is shifted.
     """
 
     format: ClassVar[str] = "bop"
@@ -178,7 +178,7 @@ def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[
 
 
 def _pose(camera: dict[str, object]) -> Float64 | None:
-    """Camera to world from `cam_R_w2c` and `cam_t_w2c` (mm); None without them."""
+    """Camera to world (4, 4), metres, from `cam_R_w2c` and `cam_t_w2c` (mm); None without them."""
     R, t_mm = json_numbers(camera.get("cam_R_w2c")), json_numbers(camera.get("cam_t_w2c"))
     if R.size != 9 or t_mm.size != 3:
         return None
@@ -189,8 +189,8 @@ def _pose(camera: dict[str, object]) -> Float64 | None:
 def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str]]:
     """The file of the object's visible mask in each image; and warnings.
 
-    Without `object_id`, the scene's only object is used. If the object occurs twice in an image, the first
-    mask is used.
+    Without `object_id`, the scene's only object is used; a scene of several gives no masks, but a warning. If
+    the object occurs twice in an image, the first mask is used.
 
     Raises:
         RecordingError: the requested object is not in the scene.

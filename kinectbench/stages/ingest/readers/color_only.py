@@ -18,7 +18,10 @@ RECORD = "record with a camera that measures depth, such as a Kinect, a RealSens
 
 
 def without_depth(path: Path) -> str | None:
-    """An error message on the depth that a video or a folder of images lacks; None if the path is neither.
+    """Why no depth can be read from a video or a folder of images, as an error message; None for other paths.
+
+    The images may be colour only, or depth in a layout or format that is not read: 16-bit PNG in unknown
+    folders, 8-bit pictures, EXR. A folder with fewer than five images and no such depth gives None.
 
     Raises:
         OSError: a file cannot be read.

@@ -156,7 +156,7 @@ def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], lis
 
 
 def inflated(data: bytes, size: int, name: str) -> bytes:
-    """Unpack zlib data of exactly `size` bytes, without allocating more.
+    """Unpack zlib data to exactly `size` bytes, without allocating more.
 
     Raises:
         DamagedImageError: the data is damaged, or has another size.
@@ -174,7 +174,11 @@ def inflated(data: bytes, size: int, name: str) -> bytes:
 
 
 def _find_frames(path: Path, size_px: tuple[int, int]) -> tuple[list[PackedFrame], list[str]]:
-    """Find every complete frame, in file order; and the file's faults."""
+    """Find every complete frame before the first damaged one, in file order; and the file's faults.
+
+    Raises:
+        RecordingError: no frame is complete, the first is of another size, or there are too many.
+    """
     frames: list[PackedFrame] = []
     with open_plain(path) as file:
         size = size_of(file)

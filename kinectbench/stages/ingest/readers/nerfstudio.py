@@ -71,7 +71,7 @@ class NerfstudioRecording(PhoneRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has a transforms.json that names depth images, or has one without depth/."""
+        """Whether the folder has a transforms.json that names depth images; or any, but no depth/."""
         if not (path / FILE).is_file():
             return False
         head = read_head(path / FILE)  # contains the first frame
@@ -111,7 +111,7 @@ class NerfstudioRecording(PhoneRecording):
         )
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
-        """Remove lens distortion."""
+        """Remove lens distortion from depth (height, width) of the camera's size."""
         return self.undistortion.depth(depth) if self.undistortion else depth
 
     def color(self, index: int) -> tuple[str, bytes] | None:
@@ -124,7 +124,10 @@ class NerfstudioRecording(PhoneRecording):
 
 
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
-    """Read the values of all frames; (name of depth, frame) for those with depth, by name; and warnings."""
+    """Read the values that hold for all frames; (name of depth, frame) of those with depth; and warnings.
+
+    The frames are in numeric order of these names.
+    """
     file = path / FILE
     content = read_json_object(file, "frames")
     frames = content.pop("frames", None)
@@ -168,7 +171,7 @@ def _color(path: Path, frame: Frame) -> Path | None:
 def _intrinsics(
     path: Path, frames: list[Frame], color_px: tuple[int, int], size_px: tuple[int, int]
 ) -> tuple[Intrinsics, list[str]]:
-    """Intrinsics of the depth images; and warnings."""
+    """Intrinsics of the depth images, without values if a frame lacks one; and warnings."""
     file = path / FILE
     model = next((m for frame in frames if (m := frame.get("camera_model")) not in MODELS), None)
     if model is not None:

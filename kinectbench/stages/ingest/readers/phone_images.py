@@ -47,7 +47,11 @@ class PhoneRecording(FileRecording):
     min_confidence: int = 0
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
-        """Set depth of low confidence to 0."""
+        """Set depth of low confidence to 0.
+
+        Raises:
+            DamagedImageError: the confidence image is damaged or of another size.
+        """
         file = self.confidence[index] if self.confidence else None
         if file is None or self.min_confidence == 0:
             return depth
@@ -148,7 +152,7 @@ def times_or_counted(times_s: Float64, counted_ns: Sequence[int], path: Path) ->
     """The frames' own stamps (nanoseconds) if all have one and they rise, else `counted_ns`; and warnings.
 
     Args:
-        times_s: (n,) own times of the frames, seconds; another shape if some are missing.
+        times_s: (n,) own times of the frames, seconds; NaN, or another shape, if some are missing.
         counted_ns: stamps of the n frames by counting, nanoseconds.
         path: the recording, for the warning.
     """

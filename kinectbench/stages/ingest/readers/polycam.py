@@ -100,7 +100,7 @@ class PolycamRecording(PhoneRecording):
         )
 
     def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Convert Polycam's 0, 127 and 255 to 0, 1 and 2."""
+        """Convert Polycam's 0, 127 and 255 to 0, 1 and 2; other values to 1."""
         return np.where(image == HIGH, np.uint8(2), np.minimum(image, np.uint8(1)))
 
 
@@ -123,7 +123,11 @@ def _shared(
 
 
 def _pose(camera: dict[str, object] | None) -> Float64 | None:
-    """Camera to world in optical axes; None without a usable pose."""
+    """Camera to world (4, 4) in optical axes; None without a pose.
+
+    Raises:
+        RecordingError: a value of the pose is missing, or no number.
+    """
     if camera is None or POSE_KEYS[0] not in camera:
         return None
     numbers = json_numbers([camera.get(key) for key in POSE_KEYS])

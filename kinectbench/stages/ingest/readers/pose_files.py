@@ -61,9 +61,12 @@ def read_pose_file(
     frames; with a number above each matrix, they belong to the frames with these indices, from 0.
 
     Args:
-        file: text file with a pose in each row.
+        file: text file in one of these layouts.
         stamps_ns: stamps of the frames, strictly increasing.
         stems: names of the depth images without suffix.
+
+    Returns:
+        The trajectory, or None if no pose is usable; and warnings.
 
     Raises:
         RecordingError: a row has other content, or the frame of a pose is ambiguous.

@@ -58,7 +58,7 @@ class RedwoodZipRecording(Recording):
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
-        """List the images; only the first of each kind is unpacked."""
+        """List the images; of each kind only the first undamaged one is unpacked."""
         archive = Archive(path)
         matches = [match for name in archive.names() if (match := MEMBER.fullmatch(name))]
         depth, color = _named(matches, "depth"), _named(matches, "rgb")

@@ -87,7 +87,11 @@ class ScannerAppRecording(PhoneRecording):
 
 
 def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
-    """A square matrix that is stored by rows."""
+    """The matrix (side, side) under a key, which is stored by rows.
+
+    Raises:
+        RecordingError: the key is missing, or has another number of values.
+    """
     numbers = json_numbers(camera.get(key))
     if numbers.size != side * side:
         raise RecordingError(f"{camera['file']}: '{key}' must hold {side * side} numbers")
@@ -95,7 +99,7 @@ def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
 
 
 def _pose(camera: dict[str, object] | None) -> Float64 | None:
-    """Camera to world in optical axes; None without a usable pose."""
+    """Camera to world (4, 4) in optical axes; None without a pose."""
     if camera is None or "cameraPoseARFrame" not in camera:
         return None
     with np.errstate(invalid="ignore"):  # values may not be finite

@@ -179,7 +179,10 @@ def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, 
 def _default_rig(
     path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int], settings: CameraSettings
 ) -> tuple[ScannetRig, list[str]]:
-    """7-Scenes' Kinect if the size fits; warn unless the settings give a camera or it is 7-Scenes itself."""
+    """7-Scenes' Kinect if the size fits, else no intrinsics; and warnings.
+
+    The Kinect is assumed with a warning, unless the settings give intrinsics or this is 7-Scenes itself.
+    """
     if size_px != (KINECT.width, KINECT.height):
         return ScannetRig(path, Intrinsics()), []
     if gives_intrinsics(settings) or _marks_holes(files):

@@ -127,7 +127,11 @@ class StrayScannerRecording(PhoneRecording):
         )
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame from the video, at depth's size."""
+        """Colour of a frame from the video, at depth's size; None without a video.
+
+        Raises:
+            DamagedImageError: the video has no such frame, or another aspect ratio than depth.
+        """
         if self.video is None:
             return None
         number = self.numbers[index]

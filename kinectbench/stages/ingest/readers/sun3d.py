@@ -143,7 +143,10 @@ def _stamp_text(stem: str) -> str:
 def _read_poses(
     path: Path, color_ns: Sequence[int], depth_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read the trajectory in the newest file: a pose per colour image, or else per depth image; and warnings.
+    """Read the trajectory in the newest file, by name: a pose per colour image, or else per depth image.
+
+    Returns:
+        The trajectory, or None without a file or a finite pose; and warnings.
 
     Raises:
         RecordingError: the number of poses is that of neither.

@@ -160,7 +160,11 @@ def _counted(rows: list[tuple[int, Path]]) -> list[tuple[int, Path]]:
 def _in_order(
     rows: list[tuple[int, Path]], path: Path
 ) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
-    """The rows sorted by stamp, without repeated stamps; all stamps in the file's order; and warnings."""
+    """The rows sorted by stamp, without repeated stamps; all stamps in the file's order; and warnings.
+
+    Raises:
+        RecordingError: the stamps are in micro- or nanoseconds.
+    """
     stamps_ns = [stamp for stamp, _ in rows]
     order, warnings = first_by_stamp(stamps_ns, str(path), "rows")
     return [rows[i] for i in order], stamps_ns, [*warnings, *check_unit(stamps_ns, str(path))]

@@ -78,7 +78,11 @@ class WildRgbdRecording(FileRecording):
 
 
 def _read_poses(path: Path, numbers: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
-    """The poses of the existing frames, camera to world."""
+    """The trajectory of the frames with these numbers, camera to world, or None; and warnings.
+
+    Raises:
+        RecordingError: a line is not a frame's number and 16 numbers.
+    """
     file = path / "cam_poses.txt"
     if not file.is_file():
         return None, []

@@ -200,7 +200,7 @@ def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
 
 
 def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-    """Calibration of colour relative to depth; None if the file does not have it."""
+    """Calibration of colour relative to depth; None if the file does not have it, or it is not rigid."""
     places = [rigid_or_none(said[key]) for key in (COLOR_FROM_NP5, DEPTH_FROM_NP5) if key in said]
     color, *depth = places or [None]
     if COLOR_K not in said or color is None or not depth or depth[0] is None:
