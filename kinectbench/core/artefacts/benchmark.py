@@ -42,7 +42,7 @@ class PairsInfo(StoredPart):
     """The settings of the pairs."""
 
     framing: Framing | None = Field(None, description="what pairs' cubes are fitted to")
-    partial_rule: PartialRule | None = Field(None, description="reduction of partials to 64^3")
+    partial_rule: PartialRule | None = Field(None, description="rule for reducing partials to 64^3")
     min_containment: float = Field(description="least share of a partial's cells inside its shape")
 
 
@@ -142,7 +142,7 @@ class ReleaseInfo(ReleaseFile):
         None, description="how `benchmark_sha256` is computed; missing: without the rest of this file"
     )
     framing: Framing = Field(description="what pairs' cubes are fitted to")
-    partial_rule: PartialRule = Field(description="reduction of partials to 64^3")
+    partial_rule: PartialRule = Field(description="rule for reducing partials to 64^3")
     distribution: Distribution | None = Field(
         None,
         description="whether the release may be distributed; missing: published before there was the key",
@@ -150,7 +150,9 @@ class ReleaseInfo(ReleaseFile):
     settings: SettingsInfo = Field(description="settings of the build")
     packages: dict[str, str] = Field(description="versions of the packages that computed the data")
     recordings: dict[str, RecordingInfo] = Field(description="recordings by id")
-    left_out: dict[str, str] | None = Field(None, description="unpublished recording, built or failed → why")
+    left_out: dict[str, str] | None = Field(
+        None, description="recording built, or whose build failed, but not published → why"
+    )
     flow: Flow | None = Field(
         None, description="numbers of recordings tried, and their outcomes; missing: not made from recordings"
     )
@@ -230,7 +232,7 @@ class PublishStamp(Stored):
     benchmark_sha256: str = Field(description="`benchmark_sha256` of the release")
     pairs: int = Field(description="number of pairs published")
     recordings: tuple[str, ...] = Field(description="ids of the published recordings")
-    warnings: tuple[str, ...] = Field(description="one line each")
+    warnings: tuple[str, ...] = Field(description="warnings, one line each")
     private_sha256: str | None = Field(
         description="`benchmark_sha256` of the private part, which scores; null: nothing is held back"
     )

@@ -83,7 +83,7 @@ class MethodFile(Stored):
     form: Literal["voxels", "mesh", "points", "sdf"] = Field("voxels", description="what a prediction is")
     unit: Literal["m", "mm", "free"] = Field("m", description="unit of a prediction's lengths")
     axes: Literal["cv", "pytorch3d", "opengl"] = Field(
-        "cv", description="cv: x right, y down, z forward, as those of `full`"
+        "cv", description="camera axes; cv: x right, y down, z forward, as those of `full`"
     )
     T_camera_prediction: dict[str, Similarity] | None = Field(
         None,
@@ -105,7 +105,7 @@ class MethodFile(Stored):
     settings: dict[str, Any] | None = Field(None, description="the method's settings")
     training: dict[str, Any] | None = Field(None, description="training data and time")
     hardware: str | None = Field(None, description="hardware that it ran on")
-    seconds_per_view: float | None = Field(None, ge=0, description="mean time, without reading")
+    seconds_per_view: float | None = Field(None, ge=0, description="mean time, without reading files")
     peak_memory_mb: float | None = Field(None, ge=0, description="most memory of process or GPU, 10^6 bytes")
     run_sha256: str | None = Field(
         None, pattern=SHA256, description="id of the `predict` run: SHA-256 of all that decides the bytes"
@@ -218,7 +218,7 @@ class TrainingFile(Stored):
     FILE: ClassVar[str] = "training.json"
     ADVICE: ClassVar[str] = "train the method again, or get its folder whole"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     name: str = Field(description="the method's name")
     config_sha256: str = Field(
         pattern=SHA256, description="SHA-256 of config.yaml's values other than defaults"

@@ -101,7 +101,7 @@ class FloorFile(Stored):
 
     FILE = "floor.json"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     plane_world: Vector4 = Field(description="[a, b, c, d]: a x + b y + c z + d = 0, (a, b, c) up; metres")
     T_floor_world: Matrix4 = Field(description="(4, 4), metres; frame floor: z up, floor at z = 0")
     noise_m: float = Field(description="standard deviation of points on the floor, metres")
@@ -192,9 +192,9 @@ class QualityFile(Stored):
 
     FILE = "quality.json"
 
-    format_version: Literal[1] | None = Field(None, description="of this file's format")
+    format_version: Literal[1] | None = Field(None, description="version of this file's format")
     verdict: str | None = Field(None, description="summary in words")
-    warnings: tuple[str, ...] = Field((), description="one line each")
+    warnings: tuple[str, ...] = Field((), description="warnings, one line each")
     doubts: tuple[str, ...] | None = Field(
         None,
         description="warnings that the object may not be one whole thing, or may not stand on the floor "
@@ -320,11 +320,11 @@ class SynthesisedQualityFile(Stored):
 
     FILE = QualityFile.FILE
 
-    verdict: str = Field(description="in words")
+    verdict: str = Field(description="summary in words")
     method: str = Field(description="rule by which the mesh was filled")
     source: str = Field(description="the mesh, or the seed it was made from")
     faces: int = Field(description="triangles of the mesh")
-    warnings: tuple[str, ...] = Field(description="one line each")
+    warnings: tuple[str, ...] = Field(description="warnings, one line each")
 
 
 class MadeGroup(StoredPart):
@@ -361,7 +361,7 @@ class CandidatesFile(Stored):
     FILE = "candidates.json"
     ADVICE = "`kinectbench segment --suggest --force` makes it again"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     floor_found: bool = Field(description="false: the boxes stand on the lowest surface")
     T_floor_world: Matrix4 | None = Field(
         None, description="(4, 4), metres: from the world to the boxes' frame"

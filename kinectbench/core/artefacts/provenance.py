@@ -62,7 +62,7 @@ class Lineage(ReleaseFile):
 
     FILE: ClassVar[str] = LINEAGE_JSON
 
-    format_version: Literal[1] = Field(description="of this file")
+    format_version: Literal[1] = Field(description="version of this file's format")
     package_version: str = Field(description="version of kinectbench that published it")
     packages: str = Field(description="where the versions of other packages are")
     recordings: dict[str, LineageRecording] = Field(description="recordings by id")
@@ -80,7 +80,7 @@ class Privacy(ReleaseFile):
 
     FILE: ClassVar[str] = PRIVACY_JSON
 
-    format_version: Literal[1] = Field(description="of this file")
+    format_version: Literal[1] = Field(description="version of this file's format")
     color: ColorPublished = Field(description="whether the views' colour images are published")
     looked_in: tuple[str, ...] = Field(description="kinds of files searched")
     looked_for: tuple[str, ...] = Field(description="kinds of facts searched for")

@@ -36,6 +36,6 @@ class ReconstructionFile(Stored):
 
     FILE: ClassVar[str] = "reconstruction.json"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     depth_range: DepthRangePart = Field(description="depth range that was fused")
     warnings: tuple[str, ...] = Field((), description="what people should know, one line each")

@@ -30,7 +30,7 @@ class RunnerUpPart(ScaledPart):
 class DirectionPart(StoredPart):
     """Distances from the measured surface to the reference mesh, over faces that point one way."""
 
-    share: float = Field(description="share of the measured surface that faces so")
+    share: float = Field(description="share of the measured surface that faces this way")
     mean_m: float | None = Field(description="mean signed distance, > 0: the truth is too far out; metres")
     absolute_m: float | None = Field(description="mean absolute distance, metres")
 
@@ -109,7 +109,7 @@ class ReferenceFile(Stored, ComparedMesh):
     FILE: ClassVar[str] = "reference.json"
     ADVICE: ClassVar[str] = "`kinectbench compare-truth` makes it again"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     object_fingerprint: str = Field(description="fingerprint of the object that was compared")
     others: tuple[ComparedMesh, ...] = Field(
         (), description="other meshes compared with this object: accepted first, then the newest first"

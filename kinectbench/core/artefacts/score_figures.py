@@ -140,7 +140,7 @@ class ScoredPair:
             "enum": ["paper", "known", "occluded", "measured", "known-unsaid", "shell", "camera", "aligned"]
         },
     )
-    threshold: UnitRange = Field(description="a voxel is predicted occupied if y > threshold")
+    threshold: UnitRange = Field(description="value above which a voxel is predicted occupied")
 
 
 @dataclass(frozen=True, config=FINITE)

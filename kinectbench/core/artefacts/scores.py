@@ -106,7 +106,9 @@ class ScoreSettings(StoredPart):
     occupied: str | None = Field(None, description="rule by which a voxel is predicted occupied")
     ce_clip: float | None = Field(None, description="predictions are clipped to [ce_clip, 1 - ce_clip]")
     iou_of_empty_union: int | None = Field(None, description="IoU where nothing is occupied or predicted")
-    precision_and_recall_of_nothing: str | None = Field(None, description="their value without any voxel")
+    precision_and_recall_of_nothing: str | None = Field(
+        None, description="precision without predicted voxels, recall without occupied ones"
+    )
     upsampling: str | None = Field(None, description="how a grid of less than 256 a side is brought to 256")
     averages: str | None = Field(None, description="the order of the means")
     surface_metrics: bool | None = Field(None, description="whether surface metrics were computed")
@@ -137,7 +139,7 @@ class Failure(StoredPart):
 
     recording: str = Field("", description="id of the recording")
     view: str = Field("", description="zero-padded index")
-    reason: str = Field("", description="in one line")
+    reason: str = Field("", description="reason in one line")
 
 
 class ExtremePair(StoredPart):
@@ -227,8 +229,7 @@ class ScoreTable(Stored):
     )
     rows: tuple[ScoreRow, ...] = Field((), description="one row for each protocol and test pair")
     rows_file: RowsFile | None = Field(
-        None,
-        description="of more than 30,000 rows: rows.npz beside this file holds them, and `rows` is empty",
+        None, description="description of rows.npz, which holds the rows if more than 30,000; `rows` is empty"
     )
     by_category: Annotated[dict[str, ByCategory], BeforeValidator(_without_nulls)] | None = Field(
         None, description="protocol -> category -> averages; null if not complete"
@@ -244,8 +245,8 @@ class ScoreTable(Stored):
         {}, description="protocol -> pairs left out: nothing of their true shape is known"
     )
     failures: tuple[Failure, ...] = Field((), description="predictions that were not scored")
-    warnings: Lines = Field((), description="one line each")
-    notes: Lines = Field((), description="one line each")
+    warnings: Lines = Field((), description="warnings, one line each")
+    notes: Lines = Field((), description="notes, one line each")
     extremes: dict[str, Extremes] = Field({}, description="protocol -> the best and the worst pairs by IoU")
     iou_by_threshold: dict[str, dict[str, Curve]] | None = Field(
         None, description="protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete"

@@ -21,7 +21,7 @@ class AirMethod(StoredPart):
     camera_size_m: float = Field(
         description="diameter of the ball that stands for a camera, and is moved without crossing the object"
     )
-    camera_height_m: float = Field(description="least height of its centre above the plane")
+    camera_height_m: float = Field(description="least height of the camera's centre above the plane")
     stands: bool = Field(description="whether the object stands on a plane that blocks lines and cameras")
     underside: Underside = Field(description="what a person says of the object's underside")
     directions: int = Field(description="number of directions in which lines are tried")
@@ -56,7 +56,7 @@ class FrontierMethod(StoredPart):
         description="least probability of being solid, of a voxel that counts as behind a frontier"
     )
     enough: float | None = Field(
-        None, description="share of what the best direction shows, from which a direction is good enough"
+        None, description="share of what the best direction shows, from which on a direction is good enough"
     )
 
 
@@ -65,8 +65,8 @@ class EstimateMethod(StoredPart):
 
     off_m: float = Field(description="surface error: constant part, metres")
     off_if_thin_m: float = Field(
-        description="surface error: part for thin objects, multiplied by the share of the volume that 1 mm "
-        "of surface is, metres"
+        description="surface error: part for thin objects, metres; multiplied by the share of the volume "
+        "that 1 mm of surface is"
     )
     off_per_sigma: float = Field(
         description="surface error: part for each unit of the surface's standard deviation"
@@ -74,8 +74,8 @@ class EstimateMethod(StoredPart):
     off_per_pose: float = Field(description="surface error: part for each unit of the median pose error")
     fitted_frames: int | None = Field(
         None,
-        description="number of frames of each recording that the estimate was fitted to: the standard "
-        "deviation of surfaces of more frames is enlarged to that of so many",
+        description="number of frames in each recording that the estimate was fitted to; with more, the "
+        "surface's standard deviation is enlarged to what so many would give",
     )
     missed_more: float = Field(
         description="share of the estimated loss of IoU that is added to it for the interval's lower end"
@@ -170,18 +170,18 @@ class SolidMethod(StoredPart):
     )
     probability_underside: tuple[float, float] | None = Field(
         None,
-        description="probability of voxels that can be seen only from below; and where a person says that "
-        "the underside is open",
+        description="[probability of being solid of voxels that can be seen only from below, the same where "
+        "a person says that the underside is open]",
     )
     lengths_at_voxel_m: float | None = Field(
         None,
-        description="edge of the voxels that these lengths are for, metres; where no setting gave voxels, "
-        "smaller ones make them smaller in proportion, but for the lengths of `air`",
+        description="voxel edge that these lengths are for, metres; where no setting gives the voxels, "
+        "smaller ones shorten the lengths in proportion, except those of `air`",
     )
     voxel_size_by_recording: tuple[float, float, int] | None = Field(
         None,
-        description="voxels where no setting gives them: least edge and its step, metres; number along an "
-        "object",
+        description="[least voxel edge, step of the edge, voxels along an object] where no setting gives the "
+        "voxels; metres",
     )
     frontiers: FrontierMethod | None = Field(
         None, description="rule for frontiers: openings into unseen space that some camera could see"

@@ -126,7 +126,7 @@ class TrajectoryHealth(ScaledPart, Stored):
 
     FILE: ClassVar[str] = "health.json"
 
-    format_version: int = Field(1, description="of this file")
+    format_version: int = Field(1, description="version of this file's format")
     source: Source = Field(description="trust: the given poses; refine: these, corrected; tracked: found")
     verdict: str = Field(description="what the poses are good for, and why, in a sentence")
     grade: Annotated[Grade, BeforeValidator(lambda grade: OLDER_GRADES.get(grade, grade))] = Field(
@@ -145,7 +145,9 @@ class TrajectoryHealth(ScaledPart, Stored):
     rejected: tuple[RejectedFrame, ...] = Field(
         (), description="frames left out: depth disagrees with the given pose"
     )
-    degenerate: tuple[int, ...] = Field((), description="frames whose depth leaves some motion undetermined")
+    degenerate: tuple[int, ...] = Field(
+        (), description="frames whose depth alone leaves some motion undetermined"
+    )
     unchecked: int | None = Field(None, description="frames that overlap others too little to be checked")
     keyframes: tuple[int, ...] = Field((), description="frames that others are compared with")
     median_shift_m: Millimetres = Field(None, description="median possible error of the poses, mm")

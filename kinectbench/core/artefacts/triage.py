@@ -69,7 +69,7 @@ class TriageFile(Stored):
     FILE: ClassVar[str] = "triage.json"
     ADVICE: ClassVar[str] = "`kinectbench triage` makes it again"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     rows: tuple[TriageRow, ...] = Field(description="recordings, most severe first")
     same_object: tuple[SameObject, ...] = Field((), description="recordings that may show one object")
 

@@ -97,14 +97,14 @@ class ViewsFile(Stored):
 
     FILE = "views.json"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     color_registered: bool | None = Field(None, description="whether colour pixels lie on depth pixels")
     order: str | None = Field(None, description="synthesised: order of the angles")
     steps_per_turn: Steps | int | None = Field(None, description="synthesised: steps in a turn")
     camera: SynthesisedCamera | None = Field(None, description="synthesised: its camera")
     views: tuple[ViewRow, ...] = Field(description="a row for each view")
     refused: tuple[Refused, ...] = Field(description="frames not used as views")
-    warnings: tuple[str, ...] = Field((), description="one line each")
+    warnings: tuple[str, ...] = Field((), description="warnings, one line each")
 
 
 class PairRow(StoredPart):
@@ -133,7 +133,7 @@ class PairsFile(Stored):
 
     FILE = "pairs.json"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     pairs: tuple[PairRow, ...] = Field(description="a row for each pair")
     refused: tuple[Refused, ...] = Field(description="views of which no pair was made")
 
