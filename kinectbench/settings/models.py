@@ -53,21 +53,21 @@ class CameraSettings(Settings):
     cy: float | None = Field(None, description="principal point in y, pixels")
     depth_scale: float | None = Field(None, gt=0, description="native depth units per metre")
     depth_code: DepthCode | None = Field(
-        None, description="how depth in files is to be read; default: by its values"
+        None, description="how depth in files is encoded; default: by its values"
     )
-    depth_topic: str | None = Field(None, description="of a bag: the topic of depth images")
-    color_topic: str | None = Field(None, description="of a bag: the topic of colour images")
-    pose_topic: str | None = Field(None, description="of a bag: the topic of poses, or tf")
+    depth_topic: str | None = Field(None, description="topic of depth images in a bag")
+    color_topic: str | None = Field(None, description="topic of colour images in a bag")
+    pose_topic: str | None = Field(None, description="topic of poses in a bag, or tf")
     color_delay_s: float = Field(
-        0.0, ge=-MOST_DELAY_S, le=MOST_DELAY_S, description="stamps of colour are late by this"
+        0.0, ge=-MOST_DELAY_S, le=MOST_DELAY_S, description="how late colour's stamps are, seconds"
     )
     trajectory_delay_s: float = Field(
-        0.0, ge=-MOST_DELAY_S, le=MOST_DELAY_S, description="stamps of given poses are late by this"
+        0.0, ge=-MOST_DELAY_S, le=MOST_DELAY_S, description="how late given poses' stamps are, seconds"
     )
-    min_confidence: int = Field(2, ge=0, le=2, description="of an iPhone: depth below is no measurement")
-    mask_object: int | None = Field(None, description="of a BOP scene: the object whose masks are read")
-    sensor: str | None = Field(None, pattern="^NP[1-5]$", description="of YCB: the camera that is read")
-    swap_red_blue: bool = Field(False, description="colour is stored with red and blue exchanged")
+    min_confidence: int = Field(2, ge=0, le=2, description="least confidence of an iPhone's depth")
+    mask_object: int | None = Field(None, description="object of a BOP scene whose masks are read")
+    sensor: str | None = Field(None, pattern="^NP[1-5]$", description="camera of YCB that is read")
+    swap_red_blue: bool = Field(False, description="whether colour is stored with red and blue exchanged")
 
 
 class BoxSettings(Settings):
@@ -77,11 +77,11 @@ class BoxSettings(Settings):
     size_m: Vector3 = Field(description="edge lengths, metres")
     yaw_rad: float = Field(0.0, description="turn about the vertical, radians")
     anchor_frame: int | None = Field(
-        None, ge=0, description="with --pick: a frame that fixes the box in its floor frame"
+        None, ge=0, description="with --pick: frame whose pose fixes the floor frame of the box"
     )
-    anchor_pose: Vector7 | None = Field(None, description="of that frame's camera in it: x y z, qx qy qz qw")
+    anchor_pose: Vector7 | None = Field(None, description="its camera in the floor frame: x y z, qx qy qz qw")
     anchor_depth_sha256: str | None = Field(
-        None, pattern="^[0-9a-f]{16}$", description="of that frame's depth, the first 16 digits"
+        None, pattern="^[0-9a-f]{16}$", description="first 16 digits of the SHA-256 of that frame's depth"
     )
 
     @field_validator("center_m", "size_m")
@@ -153,29 +153,29 @@ class RecordingSettings(Settings):
 
     id: Name = Field(description="name of the recording, unique in the file")
     path: str = Field(description="folder or bag, relative to benchmark.yaml")
-    follow_links: bool = Field(False, description="links inside it are followed, wherever they lead")
-    category: Category = Field(description="such as chair or table")
-    object: Name | None = Field(None, description="the thing itself, where it is recorded more than once")
+    follow_links: bool = Field(False, description="whether links inside it are followed, wherever they lead")
+    category: Category = Field(description="kind of object, such as chair or table")
+    object: Name | None = Field(None, description="name of the thing, if it is recorded more than once")
     split: Split = Field("test", description="train, validation or test")
-    trajectory: TrajectoryMode | None = Field(None, description="default: trust if the recording has one")
+    trajectory: TrajectoryMode | None = Field(None, description="use of given poses; default: trust, if any")
     underside: Underside | None = Field(None, description=f"{UNDERSIDE}; default: its category's")
-    camera: CameraSettings | None = Field(None, description="only what the recording does not say")
-    box: BoxSettings | None = Field(None, description="only where objects touch")
-    pick: PickSettings | None = Field(None, description="only where the cameras look elsewhere")
-    floor: FloorSettings | None = Field(None, description="only where the plane it stands on is not found")
+    camera: CameraSettings | None = Field(None, description="intrinsics that the recording does not say")
+    box: BoxSettings | None = Field(None, description="box around the object, only where objects touch")
+    pick: PickSettings | None = Field(None, description="pixel on the object, if cameras look elsewhere")
+    floor: FloorSettings | None = Field(None, description="plane it stands on, only where that is not found")
     segment_by: SegmentBy | None = Field(
-        None, description="the object moves before the camera; masks, or that it turns, say what it is"
+        None, description="for an object that moves before the camera: masks, or turntable if it turns"
     )
     masks: str | None = Field(
         None,
-        description="folder of PNG masks of frames, relative to benchmark.yaml; of all with "
-        "`segment_by: masks`",
+        description="folder of PNG masks of frames, relative to benchmark.yaml; with `segment_by: masks` of "
+        "all frames",
     )
     reference: str | None = Field(
-        None, description="a scanner's or CAD mesh that is its truth, relative to benchmark.yaml"
+        None, description="mesh of a scanner or CAD that is its truth, relative to benchmark.yaml"
     )
-    review: ReviewSettings | None = Field(None, description="whether it is published, whatever its figures")
-    license: Line | None = Field(None, description="of this recording's data; default: the benchmark's")
+    review: ReviewSettings | None = Field(None, description="a person's decision whether it is published")
+    license: Line | None = Field(None, description="licence of its data; default: the benchmark's")
     source: Line | None = Field(
         None, description="who recorded it, or where it is from; default: the benchmark's"
     )
@@ -205,10 +205,10 @@ class CategorySettings(Settings):
 class TrackingSettings(Settings):
     """Camera trajectory: checks against the depth."""
 
-    check_stride_px: int = Field(8, ge=1, le=64, description="every n-th point of a frame is compared")
-    check_neighbours: int = Field(6, ge=1, le=50, description="frames a given pose is compared with")
-    max_disagreement_m: float = Field(0.025, gt=0, le=1, description="a frame farther off is left out")
-    max_stamp_gap_s: float = Field(0.1, gt=0, le=10, description="longest gap in a given trajectory")
+    check_stride_px: int = Field(8, ge=1, le=64, description="step between compared pixels of a frame")
+    check_neighbours: int = Field(6, ge=1, le=50, description="frames that a given pose is compared with")
+    max_disagreement_m: float = Field(0.025, gt=0, le=1, description="error beyond which a pose is left out")
+    max_stamp_gap_s: float = Field(0.1, gt=0, le=10, description="longest time gap in given poses, seconds")
 
 
 class FusionSettings(Settings):
@@ -223,10 +223,10 @@ class FusionSettings(Settings):
     scene_voxel_size_m: float | None = Field(
         None, ge=0.002, le=0.1, description="edge of a voxel of the scene; default: by the recording"
     )
-    truncation_voxels: float = Field(4.0, ge=2, le=20, description="TSDF truncation, in voxels")
-    min_depth_m: float = Field(0.3, ge=0, le=10, description="nearer depth is not fused")
+    truncation_voxels: float = Field(4.0, ge=2, le=20, description="truncation of the TSDF, voxels")
+    min_depth_m: float = Field(0.3, ge=0, le=10, description="least depth that is fused, metres")
     max_depth_m: float | None = Field(
-        None, gt=0.1, le=20, description="farther depth makes no surface; default: by the recording, 3 to 8 m"
+        None, gt=0.1, le=20, description="largest depth fused, metres; default: by the recording, 3 to 8 m"
     )
 
     @model_validator(mode="after")
@@ -248,9 +248,9 @@ class FloorCuts(Settings):
     """Heights that separate the floor from objects on it."""
 
     seed: int = Field(0, ge=0, description="seed of RANSAC")
-    floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="what rises no higher than this is floor")
+    floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="height up to which things are floor")
     low_cut_m: float = Field(
-        0.01, ge=0.002, le=0.1, description="but not from here on, if it touches the object (a mat? raise it)"
+        0.01, ge=0.002, le=0.1, description="the same height for what touches the object (a mat? raise it)"
     )
 
 
@@ -272,16 +272,16 @@ class ObjectCuts(FloorCuts):
         SensorLimits.line_width_m,
         ge=0.01,
         le=0.1,
-        description="a gap narrower than a line of sight is solid (0.02 where objects are under 0.4 m)",
+        description="width of a line of sight: narrower gaps are solid (0.02 where objects are under 0.4 m)",
     )
     near_m: float = Field(
-        SensorLimits.near_m, ge=0.05, le=2, description="a camera is at least so far from what it sees"
+        SensorLimits.near_m, ge=0.05, le=2, description="least distance from a camera to what it sees"
     )
     camera_size_m: float = Field(
-        SensorLimits.camera_size_m, ge=0.02, le=0.5, description="a camera gets through no narrower gap"
+        SensorLimits.camera_size_m, ge=0.02, le=0.5, description="diameter of a camera: least gap it passes"
     )
     camera_height_m: float = Field(
-        SensorLimits.camera_height_m, ge=0, le=0.5, description="a camera is at least so high above the floor"
+        SensorLimits.camera_height_m, ge=0, le=0.5, description="least height of a camera above the floor"
     )
 
     def limits(self) -> SensorLimits:
@@ -296,28 +296,28 @@ class SegmentationSettings(MaskCuts, ObjectCuts):
 class ViewSettings(Settings):
     """Sampling of the views."""
 
-    count: int = Field(50, ge=1, le=1000, description="views per recording")
+    count: int = Field(50, ge=1, le=1000, description="number of views per recording")
     seed: int = Field(0, ge=0, description="seed of the draw")
     strategy: Literal["random", "coverage"] = Field(
         "random", description="random: uniform over the good frames (paper); coverage: every side equally"
     )
-    min_pixels: int = Field(500, ge=16, description="fewer pixels on the object: not a view")
-    recorded_masks: bool = Field(True, description="use the masks that came with a recording, such as BOP's")
+    min_pixels: int = Field(500, ge=16, description="least pixels on the object for a view")
+    recorded_masks: bool = Field(True, description="whether to use a recording's own masks, such as BOP's")
 
 
 class PairForm(Settings):
     """How a pair is framed in its cube, and how its partial view is reduced to coarser cells."""
 
-    framing: Framing = Field("object", description="object: cube around the full shape; view: the view's")
+    framing: Framing = Field("object", description="object: cube around full shape; view: around seen part")
     partial_rule: PartialRule = Field("any", description="how 4x4x4 cells of partial_256 become one")
 
 
 class FitLimits(Settings):
     """Limits for how well a view must fit the object; worse ones give no pair."""
 
-    min_containment: float = Field(0.85, ge=0, le=1, description="pairs below are refused")
-    max_residual_m: float = Field(0.015, gt=0, le=1, description="pairs above (median) are refused")
-    min_visible_share: float = Field(0.25, ge=0, le=1, description="less of the outline with depth: refused")
+    min_containment: float = Field(0.85, ge=0, le=1, description="least share of a view's cells in the shape")
+    max_residual_m: float = Field(0.015, gt=0, le=1, description="largest median difference in depth, metres")
+    min_visible_share: float = Field(0.25, ge=0, le=1, description="least share of the outline with depth")
 
 
 class PairSettings(FitLimits, PairForm):  # fields of the last base come first
@@ -336,9 +336,9 @@ class BenchmarkSettings(Settings):
     name: Name = Field(description="name of the benchmark")
     license: Line = Field("unspecified", description="licence of the data, such as CC-BY-4.0")
     source: Line = Field("unspecified", description="who recorded the data, or where it is from")
-    recordings: list[RecordingSettings] = Field(min_length=1, description="what it is built from")
+    recordings: list[RecordingSettings] = Field(min_length=1, description="recordings that it is built from")
     categories: dict[Category, CategorySettings] = Field(
-        {}, description="by a category's name what holds for its recordings, unless one says it itself"
+        {}, description="defaults for the recordings of a category, by its name"
     )
     # After loading, the recordings of the included files are in `recordings`.
     include: list[str] | None = Field(

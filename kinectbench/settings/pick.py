@@ -19,6 +19,8 @@ class PickSettings(Settings):
     """A depth pixel of a frame that shows the object; `record` writes the one that was clicked."""
 
     frame: int = Field(
-        ge=0, description="its place among the recording's depth frames, from 0; damaged ones count"
+        ge=0, description="its index among the recording's depth frames, from 0; damaged ones count"
     )
-    pixel: Annotated[tuple[Place, Place], Field(strict=False)] = Field(description="column and row, from 0")
+    pixel: Annotated[tuple[Place, Place], Field(strict=False)] = Field(
+        description="column and row of the pixel, from 0"
+    )

@@ -24,18 +24,20 @@ class ReviewSettings(Settings):
     decision: Literal["accept", "reject"] = Field(
         description="accept: publish it, whatever `triage` says against it; reject: leave it out"
     )
-    reason: Line = Field(description="why; the release says so")
+    reason: Line = Field(description="reason for the decision, which the release states")
 
 
 class CitationSettings(Settings):
     """How to cite the benchmark."""
 
-    title: Line | None = Field(None, description="default: the benchmark's name")
-    authors: list[Line] | None = Field(None, min_length=1, description="'Family, Given', or a group's name")
-    version: str | None = Field(None, description="such as 1.0.0")
-    doi: str | None = Field(None, description="such as 10.5281/zenodo.1234")
-    url: str | None = Field(None, description="where it can be had")
-    date_released: str | None = Field(None, description="year-month-day")
+    title: Line | None = Field(None, description="title to cite; default: the benchmark's name")
+    authors: list[Line] | None = Field(
+        None, min_length=1, description="names of authors: 'Family, Given', or a group's name"
+    )
+    version: str | None = Field(None, description="version of the data, such as 1.0.0")
+    doi: str | None = Field(None, description="DOI of the data, such as 10.5281/zenodo.1234")
+    url: str | None = Field(None, description="address where the data can be had")
+    date_released: str | None = Field(None, description="date of the release, year-month-day")
 
     @field_validator("version", "doi", "url", "date_released")
     @classmethod
@@ -62,8 +64,8 @@ class DatasheetSettings(Settings):
 class ChangeSettings(Settings):
     """What changed in one version of the data."""
 
-    version: Line = Field(description="such as 1.0.0")
-    changes: list[Line] = Field(min_length=1, description="a line each")
+    version: Line = Field(description="version of the data, such as 1.0.0")
+    changes: list[Line] = Field(min_length=1, description="what changed, a line each")
 
 
 class GateSettings(Settings):
@@ -78,29 +80,37 @@ class GateSettings(Settings):
         0.7,
         ge=0,
         le=1,
-        description="least estimate on known voxels (of the whole solid in files without it); with a "
-        "trajectory that is not good, its lower end",
+        description="least estimated IoU on known voxels (of the whole solid in files without it); with a "
+        "trajectory that is not good, of its lower end",
     )
-    min_grade: Grade = Field("not good", description="of the trajectory: not good, fair or good")
+    min_grade: Grade = Field("not good", description="least grade of the trajectory: not good, fair or good")
     # Above one half most of the truth is a guess. Good recordings have 0.08 to 0.3.
     max_unknown_share: float = Field(
-        0.5, ge=0, le=1, description="of the solid: never seen, and some camera could see it"
+        0.5,
+        ge=0,
+        le=1,
+        description="largest share of the solid that is unknown: never seen, and some camera could see it",
     )
     max_doubts: int = Field(
         0,
         ge=0,
         le=100,
-        description="several things, cut off, in pieces, without its support, another floor, another size",
+        description="most warnings about what was measured: several things, cut off, in pieces, without its "
+        "support, another floor, another size",
     )
 
 
 class PublishSettings(Settings):
     """The release."""
 
-    gate: GateSettings = Field(GateSettings(), description="what a recording must keep to be published")
-    color: bool = Field(False, description="publish colour images (faces and people cannot be ruled out)")
-    citation: CitationSettings = Field(CitationSettings(), description="how to cite it")
-    datasheet: DatasheetSettings = Field(DatasheetSettings(), description="what only a person can tell")
+    gate: GateSettings = Field(
+        GateSettings(), description="limits that a recording must keep to be published"
+    )
+    color: bool = Field(
+        False, description="whether to publish colour images (faces and people cannot be ruled out)"
+    )
+    citation: CitationSettings = Field(CitationSettings(), description="how to cite the benchmark")
+    datasheet: DatasheetSettings = Field(DatasheetSettings(), description="facts that only a person knows")
     changelog: list[ChangeSettings] | None = Field(
         None, description="versions of the data, newest first, each {version: …, changes: […]}"
     )

@@ -47,9 +47,9 @@ File = Annotated[str, AfterValidator(_file)]
 class SplitSettings(Settings):
     """How objects are divided into splits; what is neither train nor validation is test."""
 
-    seed: int = Field(0, ge=0, description="of the draw; also of the scans that --limit takes")
-    train: float = Field(0.0, ge=0, le=1, description="share of the objects")
-    validation: float = Field(0.0, ge=0, le=1, description="share of the objects")
+    seed: int = Field(0, ge=0, description="seed of the draw; also of the scans that --limit takes")
+    train: float = Field(0.0, ge=0, le=1, description="share of the objects in train")
+    validation: float = Field(0.0, ge=0, le=1, description="share of the objects in validation")
 
     @model_validator(mode="after")
     def _leaves_some(self) -> "SplitSettings":
@@ -62,28 +62,34 @@ class IndexSettings(Settings):
     """Where the source's own list of its scans is: a JSON file, {category: [id, …]}."""
 
     bases: list[Base] = Field(min_length=1, description="addresses of folders, tried in order")
-    file: File = Field(description="its name below them")
+    file: File = Field(description="name of the list below them")
     sha256: str | None = Field(
-        None, pattern="^[0-9a-f]{64}$", description="of the list; default: any is read"
+        None, pattern="^[0-9a-f]{64}$", description="SHA-256 of the list; default: any is read"
     )
 
 
 class ScanSettings(Settings):
     """One scan of a source, for recipes that list the scans themselves."""
 
-    id: Name = Field(description="of the scan, and of its recording")
-    category: Category = Field(description="in the source's words")
-    file: File | None = Field(None, description="default: `file` of the whole")
-    object: Name | None = Field(None, description="the thing itself, where it is scanned more than once")
-    camera: CameraSettings | None = Field(None, description="only what the scan does not say")
+    id: Name = Field(description="id of the scan, and of its recording")
+    category: Category = Field(description="category in the source's words")
+    file: File | None = Field(
+        None, description="name of the scan's file; default: `file` of the whole recipe"
+    )
+    object: Name | None = Field(
+        None, description="name of the thing itself, where it is scanned more than once"
+    )
+    camera: CameraSettings | None = Field(None, description="intrinsics, only what the scan does not say")
 
 
 class EntrySettings(Settings):
     """Keys that every recording gets in benchmark.yaml."""
 
-    segment_by: SegmentBy | None = Field(None, description="as in benchmark.yaml: masks or turntable")
+    segment_by: SegmentBy | None = Field(
+        None, description="`segment_by` in benchmark.yaml: masks or turntable"
+    )
     trajectory: TrajectoryMode | None = Field(
-        None, description="as in benchmark.yaml: trust, refine or ignore"
+        None, description="`trajectory` in benchmark.yaml: trust, refine or ignore"
     )
 
 
@@ -92,21 +98,27 @@ class SourcesSettings(Settings):
 
     format_version: Literal[1] = Field(description="version of this file's format")
     bases: list[Base] = Field(min_length=1, description="addresses of folders, tried in order")
-    file: File = Field(description="a scan's name below them; {id} stands for its id")
-    license: Line = Field(description="of the scans, such as CC-BY-4.0")
-    source: Line = Field(description="who recorded them, as whoever uses them must say")
+    file: File = Field(description="name of a scan's file below them; {id} stands for its id")
+    license: Line = Field(description="licence of the scans, such as CC-BY-4.0")
+    source: Line = Field(description="who recorded them, as users of the scans must state")
     index: IndexSettings | None = Field(None, description="the source's own list of scans")
-    scans: list[ScanSettings] | None = Field(None, min_length=1, description="in place of `index`")
-    objects: dict[Name, Name] = Field({}, description="by a scan's id the thing that others show, too")
+    scans: list[ScanSettings] | None = Field(
+        None, min_length=1, description="list of scans, in place of `index`"
+    )
+    objects: dict[Name, Name] = Field(
+        {}, description="scan's id -> name of the thing that it shows, where other scans show it, too"
+    )
     categories: dict[str, Category] = Field(
-        min_length=1, description="by the source's word for a category the benchmark's; others are left out"
+        min_length=1, description="source's word for a category -> the benchmark's; other scans are left out"
     )
-    camera: CameraSettings | None = Field(None, description="of all scans: only what they do not say")
+    camera: CameraSettings | None = Field(
+        None, description="intrinsics of all scans, only what they do not say"
+    )
     sensors: list[Name] | None = Field(
-        None, min_length=1, description="cameras of each scan, a recording each: `camera: {sensor: …}`"
+        None, min_length=1, description="cameras of each scan, each a recording: `camera: {sensor: …}`"
     )
-    entry: EntrySettings = Field(EntrySettings(), description="what the entry of every recording says, too")
-    split: SplitSettings = Field(SplitSettings(), description="how objects are divided")
+    entry: EntrySettings = Field(EntrySettings(), description="keys that every recording's entry gets, too")
+    split: SplitSettings = Field(SplitSettings(), description="how objects are divided into splits")
 
     @model_validator(mode="after")
     def _one_list(self) -> "SourcesSettings":

@@ -42,7 +42,7 @@ def test_what_stands_on_the_page_already_is_named_in_one_line() -> None:
     from docs_format import tables
 
     made = tables()
-    assert "- `box_odd`?: of the odd frames alone; keys as in `box`\n" in made["quality.json"]
+    assert "- `box_odd`?: box from odd frames alone; keys as in `box`\n" in made["quality.json"]
     # The metrics of rows are listed; those of categories and overall are the same.
     assert made["scores.json"].count("as in [Metrics](scoring.md#metrics)") == 1
     assert made["scores.json"].count("all metrics?: as in `rows`\n") == 2

@@ -34,16 +34,16 @@ class ReleaseFile(Stored):
 class Distribution(StoredPart):
     """Whether the release may be distributed."""
 
-    allowed: bool = Field(description="licence and source of every recording are stated")
-    reasons: tuple[str, ...] = Field(description="why it may not, one line each")
+    allowed: bool = Field(description="whether licence and source of every recording are stated")
+    reasons: tuple[str, ...] = Field(description="reasons against distribution, one line each")
 
 
 class PairsInfo(StoredPart):
     """The settings of the pairs."""
 
-    framing: Framing | None = Field(None, description="of every pair")
-    partial_rule: PartialRule | None = Field(None, description="of every pair")
-    min_containment: float = Field(description="least share of a partial inside its shape")
+    framing: Framing | None = Field(None, description="what pairs' cubes are fitted to")
+    partial_rule: PartialRule | None = Field(None, description="rule for reducing partials to 64^3")
+    min_containment: float = Field(description="least share of a partial's cells inside its shape")
 
 
 class SettingsInfo(StoredPart):
@@ -51,14 +51,15 @@ class SettingsInfo(StoredPart):
 
     source: str | None = Field(None, description="who recorded the data, or where it is from")
     recordings: tuple[dict[str, object], ...] | None = Field(
-        None, description="without their paths; null or missing: not made from recordings"
+        None,
+        description="recordings' entries, without their paths; null or missing: not made from recordings",
     )
-    tracking: dict[str, object] | None = Field(None, description="of the camera's path")
-    fusion: dict[str, object] | None = Field(None, description="of the TSDF fusion")
-    segmentation: dict[str, object] | None = Field(None, description="of floor and object")
-    views: dict[str, object] | None = Field(None, description="of the sampling of the views")
-    pairs: PairsInfo = Field(description="of the pairs")
-    publish: dict[str, object] | None = Field(None, description="of the release")
+    tracking: dict[str, object] | None = Field(None, description="camera tracking settings")
+    fusion: dict[str, object] | None = Field(None, description="TSDF fusion settings")
+    segmentation: dict[str, object] | None = Field(None, description="floor and object settings")
+    views: dict[str, object] | None = Field(None, description="view sampling settings")
+    pairs: PairsInfo = Field(description="pair settings")
+    publish: dict[str, object] | None = Field(None, description="publication settings")
 
 
 class RecordingInfo(StoredPart):
@@ -72,31 +73,32 @@ class RecordingInfo(StoredPart):
     quality: QualityFile = Field(
         description="quality.json of its object, without `method`; empty if held back"
     )
-    license: str = Field(UNSPECIFIED, description="of the recording's data")
+    license: str = Field(UNSPECIFIED, description="its data's licence")
     source: str = Field(UNSPECIFIED, description="who recorded it, or where it is from")
     poor: tuple[str, ...] = Field(
-        (), description="limits of `publish.gate` that it does not keep; no figures where they are held back"
+        (), description="limits of `publish.gate` that it violates; without figures where these are held back"
     )
-    accepted: str | None = Field(None, description="why it is published all the same")
+    accepted: str | None = Field(None, description="reason for publishing it nevertheless")
     look: tuple[str, ...] = Field(
-        (), description="what a person should look at, and nobody has; no figures where they are held back"
+        (), description="reasons for a review still missing; without figures where these are held back"
     )
     reference: ReferenceInfo | None = Field(
         None,
-        description="its truth beside a mesh of `compare-truth`; null or missing: not compared, or held back",
+        description="comparison of its truth with a mesh, by `compare-truth`; null or missing: not compared, "
+        "or held back",
     )
     visible_share: float | None = Field(
         None,
-        description="of the true surface, that a view saw: mean over the pairs; null or missing: held back, "
-        "or not measured",
+        description="share of the true surface that a view saw, mean over the pairs; null or missing: held "
+        "back, or not measured",
     )
     rebuilt_iou: float | None = Field(
         None,
-        description="held back: IoU with the truth, where that is known, of a solid carved from all public "
-        "views of the recording at their true poses",
+        description="truth held back: IoU, where truth is known, of a solid carved from all the recording's "
+        "public views at their true poses",
     )
     rebuilt_single_iou: float | None = Field(
-        None, description="the same of one view alone, mean over some of the views"
+        None, description="the same IoU from one view alone, mean over some views"
     )
 
 
@@ -104,15 +106,17 @@ class Flow(StoredPart):
     """The number of recordings tried, and their outcomes."""
 
     tried: int = Field(description="recordings of the benchmark")
-    not_built: int = Field(description="of these, not built, or not asked for")
-    failed: int = Field(description="whose build failed")
-    rejected: int = Field(description="that a person rejected")
-    below_limits: int = Field(description="that do not keep `publish.gate`")
-    without_pair: int = Field(description="without a view that has a pair")
-    of_one_object: int = Field(description="by `--isolate`: of whose object another view is published")
-    published: int = Field(description="in this release")
-    poor: int = Field(description="of those published, that do not keep `publish.gate`, and were let pass")
-    look: int = Field(description="of those published, that a person should look at, and nobody has")
+    not_built: int = Field(description="recordings not built, or not requested")
+    failed: int = Field(description="recordings whose build failed")
+    rejected: int = Field(description="recordings that a person rejected")
+    below_limits: int = Field(description="recordings that violate `publish.gate`")
+    without_pair: int = Field(description="recordings without any pair")
+    of_one_object: int = Field(
+        description="recordings left out by `--isolate`: another shows the same object"
+    )
+    published: int = Field(description="recordings in this release")
+    poor: int = Field(description="recordings published though they violate `publish.gate`")
+    look: int = Field(description="recordings published that still need a person's review")
 
     @property
     def left_out(self) -> int:
@@ -126,44 +130,49 @@ class ReleaseInfo(ReleaseFile):
 
     FILE: ClassVar[str] = BENCHMARK_JSON
 
-    name: str = Field(description="of the benchmark")
-    license: str = Field(description="of the data")
-    format_version: int = Field(description="of the release's layout")
+    name: str = Field(description="the benchmark's name")
+    license: str = Field(description="the data's licence")
+    format_version: int = Field(description="version of the release's layout")
     package_version: str = Field(description="version of kinectbench that published it")
     benchmark_sha256: str = Field(
         pattern=SHA256,
         description="SHA-256 of SHA256SUMS without the line of benchmark.json, and of the rest of this file",
     )
     benchmark_sha256_version: Literal[2] | None = Field(
-        None, description="how it is computed; missing: without the rest of this file"
+        None, description="how `benchmark_sha256` is computed; missing: without the rest of this file"
     )
-    framing: Framing = Field(description="of every pair")
-    partial_rule: PartialRule = Field(description="of every pair")
+    framing: Framing = Field(description="what pairs' cubes are fitted to")
+    partial_rule: PartialRule = Field(description="rule for reducing partials to 64^3")
     distribution: Distribution | None = Field(
-        None, description="whether it may be given away; missing: published before there was the key"
+        None,
+        description="whether the release may be distributed; missing: published before there was the key",
     )
-    settings: SettingsInfo = Field(description="those it was built with")
-    packages: dict[str, str] = Field(description="versions of what the data was computed with")
-    recordings: dict[str, RecordingInfo] = Field(description="by id")
+    settings: SettingsInfo = Field(description="settings of the build")
+    packages: dict[str, str] = Field(description="versions of the packages that computed the data")
+    recordings: dict[str, RecordingInfo] = Field(description="recordings by id")
     left_out: dict[str, str] | None = Field(
-        None, description="recording that was built, or whose build failed, and is not published → why"
+        None, description="recording built, or whose build failed, but not published → why"
     )
     flow: Flow | None = Field(
-        None, description="how many were tried, and what became of them; missing: not made from recordings"
+        None, description="numbers of recordings tried, and their outcomes; missing: not made from recordings"
     )
-    version: str | None = Field(None, description="of the data")
+    version: str | None = Field(None, description="the data's version")
     held_back: tuple[Split, ...] = Field((), description="splits of which only the inputs are here")
     isolated: tuple[str, ...] = Field(
-        (), description="recordings of which one view is here, and nothing else that tells of the object"
+        (), description="recordings of which one view is here, and nothing else that shows the object"
     )
     surface_truth: tuple[Split, ...] = Field(
-        (), description="splits whose truth is an open mesh, surfaces/<recording>.ply; their pairs are inputs"
+        (),
+        description="splits whose truth is an open mesh, surfaces/<recording>.ply; their pairs are inputs "
+        "only",
     )
     private_benchmark_sha256: str | None = Field(
-        None, pattern=SHA256, description="of the part that scores, in the part for everybody"
+        None,
+        pattern=SHA256,
+        description="in the public part: `benchmark_sha256` of the private part, which scores",
     )
     public_benchmark_sha256: str | None = Field(
-        None, pattern=SHA256, description="of the part for everybody, in the part that scores"
+        None, pattern=SHA256, description="in the private part: `benchmark_sha256` of the public part"
     )
 
     @classmethod
@@ -205,10 +214,10 @@ class PublishOptions(StoredPart):
     hold_back: tuple[Split, ...] = Field(description="splits whose truth is held back")
     thresholds: str | None = Field(description="content of the threshold file; null: none was given")
     allow_poor: bool | None = Field(
-        None, description="whether recordings that do not keep `publish.gate` are published, too"
+        None, description="whether recordings that violate `publish.gate` are published, too"
     )
     isolate: bool | None = Field(
-        None, description="whether one view of each object is published whose truth is held back"
+        None, description="whether of each object with held-back truth only one view is published"
     )
 
 
@@ -218,13 +227,15 @@ class PublishStamp(Stored):
     FILE: ClassVar[str] = "publish.json"
     ERROR: ClassVar[type[KinectBenchError]] = ReleaseError
 
-    fingerprint: str = Field(description="of the settings, the pairs' manifests and the options")
-    options: PublishOptions = Field(description="what was asked for beyond the settings")
-    benchmark_sha256: str = Field(description="of the release")
+    fingerprint: str = Field(description="fingerprint of the settings, the pairs' manifests and the options")
+    options: PublishOptions = Field(description="options requested beyond the settings")
+    benchmark_sha256: str = Field(description="`benchmark_sha256` of the release")
     pairs: int = Field(description="number of pairs published")
-    recordings: tuple[str, ...] = Field(description="ids of those published")
-    warnings: tuple[str, ...] = Field(description="one line each")
-    private_sha256: str | None = Field(description="of the part that scores; null: nothing is held back")
+    recordings: tuple[str, ...] = Field(description="ids of the published recordings")
+    warnings: tuple[str, ...] = Field(description="warnings, one line each")
+    private_sha256: str | None = Field(
+        description="`benchmark_sha256` of the private part, which scores; null: nothing is held back"
+    )
     removed: tuple[str, ...] = Field(description="what was removed for privacy, one line each")
-    unanswered: tuple[str, ...] = Field(description="questions of the datasheet, by key")
-    refused: tuple[str, ...] = Field((), description="ids of those that did not keep `publish.gate`")
+    unanswered: tuple[str, ...] = Field(description="keys of the datasheet's questions without an answer")
+    refused: tuple[str, ...] = Field((), description="ids of the recordings that violate `publish.gate`")

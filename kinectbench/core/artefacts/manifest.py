@@ -19,11 +19,11 @@ class Manifest(Stored):
     format_version: int = Field(description="version of this file's format")
     package_version: str = Field(description="version of KinectBench that made the artefact")
     stage: str = Field(description="name of the stage")
-    stage_version: int | None = Field(None, description="of the stage's algorithm")
+    stage_version: int | None = Field(None, description="version of the stage's algorithm")
     fingerprint: str = Field(description="SHA-256 of the format version, stage, version, settings and inputs")
     settings: dict[str, JsonValue] = Field(description="the settings that the stage depends on")
-    inputs: dict[str, str] = Field(description="fingerprint of everything that it was made from")
-    files: dict[str, int] = Field(description="bytes, by name below the folder")
+    inputs: dict[str, str] = Field(description="fingerprint of each input, by name")
+    files: dict[str, int] = Field(description="file sizes, bytes, by path below the folder")
     removed: int | None = Field(
         None, description="number of files that `fetch --stream` deleted after the build; absent if none"
     )
@@ -48,17 +48,17 @@ class Failed(Stored):
     FILE: ClassVar[str] = "failed.json"
 
     format_version: int = Field(1, description="version of this file's format")
-    stage: str | None = Field(description="that failed; null if its process was killed")
-    error: str = Field(description="in one line, as shown")
-    code: str | None = Field(None, description="as in docs/errors.md")
+    stage: str | None = Field(description="stage that failed; null: its process was killed")
+    error: str = Field(description="error message, one line")
+    code: str | None = Field(None, description="error code in docs/errors.md")
     fingerprint: str | None = Field(
         None,
-        description="of what was to be made, if it would fail again: it is not tried before this or the "
-        "package's version is another; null if it may succeed (a full disk, a killed process)",
+        description="fingerprint of what would fail again: not retried until it or `package_version` "
+        "changes; null where a retry may succeed (full disk, killed process)",
     )
     package_version: str | None = Field(None, description="version of kinectbench that failed")
     scan_sha256: str | None = Field(
-        None, description="over the scan's files, if `fetch --stream` deleted them"
+        None, description="SHA-256 over the scan's files, if `fetch --stream` deleted them"
     )
 
 

@@ -74,16 +74,16 @@ class MethodFile(Stored):
     # The digests of 100,000 files take 11 MB.
     MAX_BYTES: ClassVar[int] = 32 << 20
 
-    name: str = Field(description="of the method")
-    version: str | None = Field(None, description="of the method or of what ran it")
-    benchmark_sha256: str | None = Field(None, description="of the release")
+    name: str = Field(description="the method's name")
+    version: str | None = Field(None, description="version of the method, or of what ran it")
+    benchmark_sha256: str | None = Field(None, description="the release's `benchmark_sha256`")
     frame: Literal["grid", "camera"] = Field(
-        "grid", description="axes of the predictions; grid: those of `full`"
+        "grid", description="axes of predictions; grid: those of the pair's `full`"
     )
     form: Literal["voxels", "mesh", "points", "sdf"] = Field("voxels", description="what a prediction is")
-    unit: Literal["m", "mm", "free"] = Field("m", description="of lengths in a prediction")
+    unit: Literal["m", "mm", "free"] = Field("m", description="unit of a prediction's lengths")
     axes: Literal["cv", "pytorch3d", "opengl"] = Field(
-        "cv", description="cv: x right, y down, z forward, as those of `full`"
+        "cv", description="camera axes; cv: x right, y down, z forward, as those of `full`"
     )
     T_camera_prediction: dict[str, Similarity] | None = Field(
         None,
@@ -92,25 +92,23 @@ class MethodFile(Stored):
     )
     volume_m: dict[str, Box] | None = Field(
         None,
-        description="`<recording>/<view>` -> lowest and highest x, y, z that the method looks at: camera "
-        "frame, metres; what it cuts of the truth is stated",
+        description="`<recording>/<view>` -> lowest and highest x, y, z of the method's own volume: camera "
+        "frame, metres; scores state the share of the truth outside",
     )
-    scale: Literal["metric", "free"] = Field("metric", description="whether its size is known")
-    hypotheses: int = Field(1, ge=1, le=MOST_HYPOTHESES, description="predictions of each pair")
+    scale: Literal["metric", "free"] = Field("metric", description="whether predictions have metric size")
+    hypotheses: int = Field(1, ge=1, le=MOST_HYPOTHESES, description="predictions per pair")
     threshold: float | None = Field(
-        None, ge=0, le=1, description="for categories without validation pairs: 0.1, 0.15, … or 0.9"
+        None, ge=0, le=1, description="threshold of categories without validation pairs: 0.1, 0.15, … or 0.9"
     )
-    inputs: tuple[str, ...] = Field((), description="what was looked at: depth, color, mask, …")
-    parameter_count: int | None = Field(None, ge=0, description="values that were learnt and run")
-    settings: dict[str, Any] | None = Field(None, description="of the method")
-    training: dict[str, Any] | None = Field(None, description="data and time")
-    hardware: str | None = Field(None, description="that it ran on")
-    seconds_per_view: float | None = Field(None, ge=0, description="mean, without reading")
-    peak_memory_mb: float | None = Field(None, ge=0, description="of the process, or of the GPU, 10^6 bytes")
+    inputs: tuple[str, ...] = Field((), description="what the method used: depth, color, mask, …")
+    parameter_count: int | None = Field(None, ge=0, description="learnt values used in inference")
+    settings: dict[str, Any] | None = Field(None, description="the method's settings")
+    training: dict[str, Any] | None = Field(None, description="training data and time")
+    hardware: str | None = Field(None, description="hardware that it ran on")
+    seconds_per_view: float | None = Field(None, ge=0, description="mean time, without reading files")
+    peak_memory_mb: float | None = Field(None, ge=0, description="most memory of process or GPU, 10^6 bytes")
     run_sha256: str | None = Field(
-        None,
-        pattern=SHA256,
-        description="names the run of `predict`: of all that decides the bytes",
+        None, pattern=SHA256, description="id of the `predict` run: SHA-256 of all that decides the bytes"
     )
     files: dict[str, Blake3] | None = Field(None, description="file that the run wrote -> blake3:<hex>")
 
@@ -156,20 +154,25 @@ class UnfinishedFile(Stored):
     ADVICE: ClassVar[str] = "remove it, and predict again"
     ERROR: ClassVar[type[KinectBenchError]] = PredictionError
 
-    version: str = Field(description="of kinectbench")
-    benchmark_sha256: str = Field(pattern=SHA256, description="of the release")
-    config_sha256: str = Field(pattern=SHA256, description="of the method's configuration")
-    weights_sha256: str = Field(pattern=SHA256, description="of weights.npz")
-    threshold: float | None = Field(description="above which bits are set; null: probabilities")
+    version: str = Field(description="version of kinectbench")
+    benchmark_sha256: str = Field(pattern=SHA256, description="`benchmark_sha256` of the release")
+    config_sha256: str = Field(pattern=SHA256, description="SHA-256 of the method's configuration")
+    weights_sha256: str = Field(pattern=SHA256, description="SHA-256 of weights.npz")
+    threshold: float | None = Field(
+        description="threshold above which bits are set; null: probabilities are written"
+    )
     precision: Literal["packed"] | None = Field(
-        None, description="packed: probabilities at 256^3 are in 8 bits; missing: none are"
+        None, description="packed: probabilities at 256^3 are stored in 8 bits; missing: none are"
     )
     torch: str | None = Field(None, description="version of torch")
-    hardware: str | None = Field(None, description="that it runs on: sums are rounded in another order there")
+    hardware: str | None = Field(
+        None, description="hardware that it runs on: elsewhere sums are rounded in another order"
+    )
     code_sha256: str | None = Field(
         None,
         pattern=SHA256,
-        description="of one's own network: its file, and what it imports from there; missing: another",
+        description="SHA-256 of a user's network code: its file, and what it imports from there; missing: a "
+        "network of kinectbench",
     )
 
     @property
@@ -181,9 +184,9 @@ class UnfinishedFile(Stored):
 class PredictedFile(StoredPart):
     """One line of .predicted.jsonl: a prediction file that a run completed."""
 
-    run_sha256: str = Field(description="of the run")
-    file: str = Field(description="relative to the method's folder")
-    digest: Blake3 = Field(description="of its bytes")
+    run_sha256: str = Field(description="id of the run")
+    file: str = Field(description="path relative to the method's folder")
+    digest: Blake3 = Field(description="BLAKE3 hash of its bytes")
 
     def line(self) -> str:
         """The line of .predicted.jsonl: JSON with a line break."""
@@ -195,11 +198,13 @@ class TrainingRow(StoredPart):
 
     step: int = Field(description="steps done")
     epoch: float = Field(description="passes over all pairs")
-    loss: float = Field(description="that the network minimises")
-    reconstruction: float | None = Field(None, description="3d-recgan++: of the loss, by the truth")
+    loss: float = Field(description="loss that the network minimises")
+    reconstruction: float | None = Field(None, description="3d-recgan++: part of the loss against the truth")
     discriminator: float | None = Field(None, description="3d-recgan++: what the discriminator minimises")
-    validation_iou: float | None = Field(None, description="mean over pairs, protocol known")
-    threshold: float | None = Field(None, description="at which it is highest, of 0.1, 0.15, … 0.9")
+    validation_iou: float | None = Field(None, description="mean IoU over validation pairs, protocol known")
+    threshold: float | None = Field(
+        None, description="threshold of the highest `validation_iou`, of 0.1, 0.15, … 0.9"
+    )
 
     def line(self) -> str:
         """The row as a line to print."""
@@ -213,22 +218,26 @@ class TrainingFile(Stored):
     FILE: ClassVar[str] = "training.json"
     ADVICE: ClassVar[str] = "train the method again, or get its folder whole"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
-    name: str = Field(description="of the method")
-    config_sha256: str = Field(pattern=SHA256, description="of config.yaml's values that are no defaults")
-    parameter_count: int = Field(description="learnt values, a discriminator's as well")
-    benchmark_sha256: str | None = Field(None, description="of the release")
-    further_benchmarks_sha256: tuple[str, ...] = Field((), description="of more releases")
-    framings: tuple[str, ...] = Field((), description="of the pairs learnt from")
-    objects: tuple[str, ...] = Field((), description="that were learnt from")
-    pairs: int | None = Field(None, description="number learnt from")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
+    name: str = Field(description="the method's name")
+    config_sha256: str = Field(
+        pattern=SHA256, description="SHA-256 of config.yaml's values other than defaults"
+    )
+    parameter_count: int = Field(description="learnt values, including a discriminator's")
+    benchmark_sha256: str | None = Field(None, description="the release's `benchmark_sha256`")
+    further_benchmarks_sha256: tuple[str, ...] = Field(
+        (), description="`benchmark_sha256` of further releases"
+    )
+    framings: tuple[str, ...] = Field((), description="framings of the training pairs")
+    objects: tuple[str, ...] = Field((), description="training objects")
+    pairs: int | None = Field(None, description="number of training pairs")
     steps: int | None = Field(None, description="steps done")
-    steps_in_all: int | None = Field(None, description="of the whole training")
+    steps_in_all: int | None = Field(None, description="steps of the whole training")
     weights_step: int | None = Field(None, description="step that the weights are from")
-    seconds: float | None = Field(None, description="of training, without validation")
-    hardware: str | None = Field(None, description="that it ran on last")
+    seconds: float | None = Field(None, description="training time without validation, seconds")
+    hardware: str | None = Field(None, description="hardware that it ran on last")
     source: str | None = Field(None, description="what converted weights were made of")
-    rows: tuple[TrainingRow, ...] = Field((), description="the course")
+    rows: tuple[TrainingRow, ...] = Field((), description="training progress")
 
     @property
     def threshold(self) -> float | None:

@@ -16,9 +16,11 @@ from kinectbench.core.types import Split, Underside
 Triple = tuple[float, float, float]
 # The ends of the estimate's interval, wherever they are shown; docs/ground-truth.md has the rule, and
 # in how many simulated objects the IoU lay between them.
-INTERVAL_LOW = "lower end of its interval: more is missing, and every guess behind an opening wrong; no bound"
+INTERVAL_LOW = (
+    "lower end of its interval: larger surface error, every guess behind openings wrong; not guaranteed"
+)
 INTERVAL_HIGH = (
-    "upper end of its interval: less is missing, and every guess behind an opening right; no bound"
+    "upper end of its interval: smaller surface error, every guess behind openings right; not guaranteed"
 )
 # Words of warnings that belong to `doubts`, for older files, which lack that key.
 MEASUREMENT_WARNINGS = (
@@ -57,27 +59,29 @@ class BoxPart(StoredPart):
 class FloorCandidate(StoredPart):
     """A plane that may have been the floor, and the reason against it."""
 
-    plane_world: Vector4 = Field(description="[a, b, c, d], as of the floor; before it was refined")
-    inlier_share: float = Field(description="of the scene's surface, that lies on the plane")
-    cameras_above_share: float = Field(description="of the cameras, that look down on it")
-    below_share: float = Field(description="of the scene's surface, that lies lower")
+    plane_world: Vector4 = Field(description="[a, b, c, d], as for the floor, before refinement")
+    inlier_share: float = Field(description="share of the scene's surface on the plane")
+    cameras_above_share: float = Field(description="share of cameras looking down on it")
+    below_share: float = Field(description="share of the scene's surface below it")
     under_share: float = Field(
         description="points right below the plane's own area, divided by the points on the plane; may exceed "
         "1"
     )
     tilt_rad: float = Field(
-        description="between its normal and up by gravity, or else as the cameras were held, radians"
+        description="angle between its normal and up, by gravity or how cameras were held, radians"
     )
-    evidence: float = Field(description="what speaks for it: docs/ground-truth.md has the rule")
+    evidence: float = Field(description="weight of evidence for it: rule in docs/ground-truth.md")
     refused: str | None = Field(description="why it is not the floor; null: it is")
 
 
 class AnchoredBoxPart(BoxPart):
     """A candidate box, and the camera pose of one frame that fixes the floor frame of its coordinates."""
 
-    anchor_frame: int = Field(description="frame by which the floor frame is known again")
-    anchor_pose: Pose = Field(description="its camera in the floor frame: x, y, z, quaternion x, y, z, w")
-    anchor_depth_sha256: str | None = Field(None, description="first 16 digits, of its depth")
+    anchor_frame: int = Field(description="frame whose pose fixes the floor frame")
+    anchor_pose: Pose = Field(
+        description="its camera's pose in the floor frame: x, y, z, quaternion x, y, z, w"
+    )
+    anchor_depth_sha256: str | None = Field(None, description="first 16 digits of its depth's SHA-256")
 
     @classmethod
     def of_anchored(cls, box: OrientedBox, anchor: BoxAnchor) -> Self:
@@ -97,75 +101,79 @@ class FloorFile(Stored):
 
     FILE = "floor.json"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     plane_world: Vector4 = Field(description="[a, b, c, d]: a x + b y + c z + d = 0, (a, b, c) up; metres")
     T_floor_world: Matrix4 = Field(description="(4, 4), metres; frame floor: z up, floor at z = 0")
-    noise_m: float = Field(description="of the points on the floor, metres")
-    inlier_share: float = Field(description="of the scene's surface, that lies on the plane")
+    noise_m: float = Field(description="standard deviation of points on the floor, metres")
+    inlier_share: float = Field(description="share of the scene's surface on the plane")
     tilt_rad: float | None = Field(
-        None, description="between its normal and up by gravity, or else as the cameras were held, radians"
+        None, description="angle between its normal and up, by gravity or how cameras were held, radians"
     )
     found: bool | None = Field(
         None,
         description="false: no plane was measured; z = 0 is level, at the lowest surface or below the object",
     )
     scale: float | None = Field(
-        None,
-        description="by what floor_cut_m and low_cut_m are multiplied, where cameras were nearer than 1 m",
+        None, description="factor on floor_cut_m and low_cut_m, where cameras were nearer than 1 m"
     )
     candidates: tuple[FloorCandidate, ...] = Field(
-        (), description="the planes among which the floor was chosen; none of a person's plane"
+        (), description="planes among which the floor was chosen; empty if a person gave it"
     )
 
 
 class LabelCounts(StoredPart):
     """Voxels of each label (`Label`)."""
 
-    free: int = Field(description="seen through, voxels")
-    other: int = Field(description="not the object, voxels")
-    surface: int = Field(description="measured on the object, or just behind, voxels")
-    interior: int = Field(description="that no camera could see, voxels")
-    unknown: int = Field(description="never seen, and some camera could see them, voxels")
+    free: int = Field(description="voxels seen through")
+    other: int = Field(description="voxels seen, but not the object's")
+    surface: int = Field(description="voxels measured on the object, or just behind")
+    interior: int = Field(description="voxels that no camera could see")
+    unknown: int = Field(description="unseen voxels that some camera could see")
 
 
 class UnseenSidePart(ScaledPart):
     """The widest range of directions from which no camera looked at the object."""
 
-    gap_rad: DegreesInFile = Field(description="its width, degrees, 0 to 360")
+    gap_rad: DegreesInFile = Field(description="width of the range, degrees, 0 to 360")
     towards_rad: DegreesInFile = Field(
-        description="its middle, seen from the object, degrees from the floor's x axis, counter-clockwise"
+        description="direction of its middle from the object, degrees from the floor's x axis, "
+        "counter-clockwise"
     )
-    share: float = Field(description="of all upright directions: those that no camera would have seen")
+    share: float = Field(description="share of horizontal directions in which an upright side was never seen")
 
 
 class MovingPart(StoredPart):
     """Frames in which something moves: it lies in front of the scene, and other frames do not see it."""
 
-    judged: int = Field(description="frames looked at")
-    frames: tuple[int, ...] = Field(description="indices of those in which something moves")
-    largest_share: float = Field(description="of a frame's pixels, that lie before the scene")
+    judged: int = Field(description="number of frames examined")
+    frames: tuple[int, ...] = Field(description="indices of frames in which something moves")
+    largest_share: float = Field(description="largest share of a frame's pixels in front of the scene")
 
 
 class FrontierPart(StoredPart):
     """An opening into unseen space: it borders on free space without a surface between."""
 
-    direction: Literal["up", "side", "down"] = Field(description="from the unseen region outward")
+    direction: Literal["up", "side", "down"] = Field(description="outward direction from the unseen region")
     area_m2: float = Field(
-        description="of its faces along that direction, square metres: what is open of the box `size_m`, "
-        "and more than the box where some of its faces lie behind others"
+        description="area of its faces in that direction, square metres; more than the box `size_m` where "
+        "faces lie behind others"
     )
     size_m: tuple[float, float] = Field(
-        description="of the box around its faces: seen from above the longer and the shorter side; at the "
-        "side width and height; metres"
+        description="box around its faces: longer and shorter side from above; for `side` width and height; "
+        "metres"
     )
-    center_m: Triple = Field(description="its middle, floor frame, metres")
-    look_from: Triple = Field(description="unit vector, floor frame: to where a camera would look into it")
-    advice: str = Field(description="one line for the person who records")
-    volume_m3: float = Field(description="of the unseen region behind it, cubic metres")
-    inside_share: float = Field(description="of that region, expected to be inside the object")
-    solid_share: float = Field(description="of that region, what the solid takes for inside")
+    center_m: Triple = Field(description="middle of its faces, floor frame, metres")
+    look_from: Triple = Field(
+        description="unit vector towards where a camera would look into it, floor frame"
+    )
+    advice: str = Field(description="one line of advice for recording it")
+    volume_m3: float = Field(description="volume of the unseen region behind it, cubic metres")
+    inside_share: float = Field(description="share of that volume expected inside the object")
+    solid_share: float = Field(description="share of that volume that the solid fills")
     underside: bool | None = Field(
-        None, description="seen only from below: a word about the underside decides it"
+        None,
+        description="whether the region can be seen only from below: `underside` in benchmark.yaml decides "
+        "it",
     )
 
 
@@ -174,9 +182,9 @@ class ReferenceTruth(StoredPart):
 
     kind: Literal["reference mesh"] = Field(description="what the truth is")
     reference: str = Field(description="the mesh's file")
-    sha256: str = Field(description="of its bytes")
-    residual_m: float = Field(description="mean distance both ways from what was measured, metres")
-    scale: float = Field(description="by what the mesh would be multiplied to fit best; it is not")
+    sha256: str = Field(description="SHA-256 of its bytes")
+    residual_m: float = Field(description="mean distance to the measured surface, both ways, metres")
+    scale: float = Field(description="factor by which the mesh would fit best; not applied")
 
 
 class QualityFile(Stored):
@@ -184,15 +192,17 @@ class QualityFile(Stored):
 
     FILE = "quality.json"
 
-    format_version: Literal[1] | None = Field(None, description="of this file's format")
-    verdict: str | None = Field(None, description="in words")
-    warnings: tuple[str, ...] = Field((), description="one line each")
+    format_version: Literal[1] | None = Field(None, description="version of this file's format")
+    verdict: str | None = Field(None, description="summary in words")
+    warnings: tuple[str, ...] = Field((), description="warnings, one line each")
     doubts: tuple[str, ...] | None = Field(
         None,
-        description="the warnings that the measured object may not be one whole thing, or may not "
-        "stand on the floor that was found",
+        description="warnings that the object may not be one whole thing, or may not stand on the floor "
+        "found",
     )
-    repeatability_iou: float | None = Field(None, description="IoU of solids made of odd and even frames")
+    repeatability_iou: float | None = Field(
+        None, description="IoU between the solids of odd and of even frames"
+    )
     estimated_iou: float | None = Field(None, description="estimate of the solid's IoU to the unknown truth")
     estimated_iou_low: float | None = Field(None, description=INTERVAL_LOW)
     estimated_iou_high: float | None = Field(None, description=INTERVAL_HIGH)
@@ -201,45 +211,47 @@ class QualityFile(Stored):
         None, description="estimate of the IoU to the unknown truth over known voxels alone"
     )
     estimated_known_iou_low: float | None = Field(
-        None, description="lower end of its interval: the surface may be off by more; no bound"
+        None, description="lower end of its interval: larger surface error; not guaranteed"
     )
     estimated_known_iou_high: float | None = Field(
-        None, description="upper end of its interval: the surface may be off by less; no bound"
+        None, description="upper end of its interval: smaller surface error; not guaranteed"
     )
     frontiers: tuple[FrontierPart, ...] = Field(
-        (), description="openings that nobody looked into, that with the largest volume behind it first"
+        (), description="openings that nobody looked into, largest volume behind first"
     )
     surface_sigma_m: float | None = Field(None, description="standard deviation of the surface, metres")
     unknown_share: float | None = Field(
-        None, description="of the solid: never seen; what nobody saw and is taken for air is no part of it"
+        None, description="unknown share of the solid; unseen space taken for air is not counted"
     )
     unknown_air_share: float | None = Field(
-        None, description="never seen and taken for air beside the solid, by the solid's volume; may exceed 1"
+        None, description="unseen volume taken for air, divided by the solid's volume; may exceed 1"
     )
     doubtful_share: float | None = Field(
-        None, description="of the solid: perhaps a hollow; in files up to version 27 of the stage"
+        None, description="share of the solid that may be hollow; in files up to version 27 of the stage"
     )
     underside: Underside | None = Field(
-        None, description="what a person says of its underside, as `underside` in benchmark.yaml: no evidence"
+        None, description="`underside` in benchmark.yaml: a person's statement, not measured"
     )
     underside_share: float | None = Field(
         None,
-        description="of the solid: nobody saw it, and a camera could only from below: a word "
-        "about the underside decides it",
+        description="unseen share of the solid that cameras could see only from below: `underside` decides "
+        "it",
     )
-    volume_m3: float | None = Field(None, description="of the solid, cubic metres")
+    volume_m3: float | None = Field(None, description="volume of the solid, cubic metres")
     labels: LabelCounts | None = Field(None, description="voxels of each label")
-    box: BoxPart | None = Field(None, description="around the object, floor frame")
-    box_odd: BoxPart | None = Field(None, description="of the odd frames alone")
-    box_even: BoxPart | None = Field(None, description="of the even frames alone")
-    selection: str | None = Field(None, description="automatic, box or masks")
-    good_frames: int | None = Field(None, description="frames that were fused")
+    box: BoxPart | None = Field(None, description="box around the object, floor frame")
+    box_odd: BoxPart | None = Field(None, description="box from odd frames alone")
+    box_even: BoxPart | None = Field(None, description="box from even frames alone")
+    selection: str | None = Field(None, description="how the object was selected: automatic, box or masks")
+    good_frames: int | None = Field(None, description="number of frames fused")
     unseen_side: UnseenSidePart | None = Field(None, description="side that no camera looked at")
     moving: MovingPart | None = Field(None, description="frames in which something moves")
-    max_depth_m: float | None = Field(None, description="farther depth made no surface of it, metres")
-    beyond_share: float | None = Field(None, description="of the depth that falls around it: farther")
+    max_depth_m: float | None = Field(None, description="largest depth fused into the object, metres")
+    beyond_share: float | None = Field(
+        None, description="share of depth around the object beyond `max_depth_m`"
+    )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
-    source: str | None = Field(None, description="synthesised: the mesh")
+    source: str | None = Field(None, description="synthesised: source mesh")
     faces: int | None = Field(None, description="synthesised: triangles of the mesh")
     truth: ReferenceTruth | None = Field(
         None, description="a mesh that is the truth, in place of what was fused; missing: fused"
@@ -309,11 +321,11 @@ class SynthesisedQualityFile(Stored):
 
     FILE = QualityFile.FILE
 
-    verdict: str = Field(description="in words")
+    verdict: str = Field(description="summary in words")
     method: str = Field(description="rule by which the mesh was filled")
     source: str = Field(description="the mesh, or the seed it was made from")
     faces: int = Field(description="triangles of the mesh")
-    warnings: tuple[str, ...] = Field(description="one line each")
+    warnings: tuple[str, ...] = Field(description="warnings, one line each")
 
 
 class MadeGroup(StoredPart):
@@ -337,11 +349,11 @@ class MadeModel(Stored):
 class CandidateRow(StoredPart):
     """A candidate box for the object."""
 
-    number: int = Field(description="from 1 on, as in the pictures")
-    automatic: bool = Field(description="chosen without a box")
-    box: AnchoredBoxPart = Field(description="around it, floor frame")
-    distance_m: float = Field(description="from where the cameras look, metres")
-    picture: str = Field(description="file")
+    number: int = Field(description="number in the pictures, from 1")
+    automatic: bool = Field(description="whether chosen automatically")
+    box: AnchoredBoxPart = Field(description="box around it, floor frame")
+    distance_m: float = Field(description="distance from where cameras look, metres")
+    picture: str = Field(description="file of its picture")
 
 
 class CandidatesFile(Stored):
@@ -350,11 +362,12 @@ class CandidatesFile(Stored):
     FILE = "candidates.json"
     ADVICE = "`kinectbench segment --suggest --force` makes it again"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     floor_found: bool = Field(description="false: the boxes stand on the lowest surface")
     T_floor_world: Matrix4 | None = Field(
-        None,
-        description="(4, 4), metres: from the world to the frame of the boxes",
+        None, description="(4, 4), metres: from the world to the boxes' frame"
     )
-    plan: str = Field(description="file: the scene from above")
-    candidates: tuple[CandidateRow, ...] = Field(description="the automatic choice first, then by distance")
+    plan: str = Field(description="file of the scene from above")
+    candidates: tuple[CandidateRow, ...] = Field(
+        description="boxes, automatic choice first, then by distance"
+    )

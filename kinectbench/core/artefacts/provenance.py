@@ -23,10 +23,10 @@ class LineageStage(StoredPart):
 
     package_version: str = Field(description="version of kinectbench; a record only")
     stage_version: int | None = Field(
-        None, description="of what the stage writes; null or missing: the artefact is older than the key"
+        None, description="version of the stage's output; null or missing: the artefact is older than the key"
     )
-    settings: dict[str, object] = Field(description="those the stage depends on")
-    fingerprint: str = Field(description="of stage, version, settings and inputs")
+    settings: dict[str, object] = Field(description="settings that it depends on")
+    fingerprint: str = Field(description="SHA-256 of stage, version, settings and inputs")
 
 
 class LineageView(StoredPart):
@@ -41,15 +41,15 @@ class LineageRecording(StoredPart):
     """The origin of the pairs of one recording."""
 
     source: str = Field(description="who recorded it, or where it is from")
-    license: str = Field(description="of the data")
+    license: str = Field(description="the data's licence")
     files: dict[str, str] = Field(
         description="file of the recording, relative to it → SHA-256; empty where `files_sha256` is"
     )
     files_sha256: str | None = Field(
-        None, description="of very many files: SHA-256 over the JSON of what `files` would hold"
+        None, description="in place of very many `files`: SHA-256 over their JSON"
     )
-    stages: dict[str, LineageStage] = Field(description="by name, in the order of the pipeline")
-    views: tuple[LineageView, ...] | None = Field(None, description="those with a pair; held back: missing")
+    stages: dict[str, LineageStage] = Field(description="stages by name, in pipeline order")
+    views: tuple[LineageView, ...] | None = Field(None, description="views with a pair; missing: held back")
 
 
 def files_hash(files: Mapping[str, str]) -> str:
@@ -62,17 +62,17 @@ class Lineage(ReleaseFile):
 
     FILE: ClassVar[str] = LINEAGE_JSON
 
-    format_version: Literal[1] = Field(description="of this file")
+    format_version: Literal[1] = Field(description="version of this file's format")
     package_version: str = Field(description="version of kinectbench that published it")
     packages: str = Field(description="where the versions of other packages are")
-    recordings: dict[str, LineageRecording] = Field(description="by id")
+    recordings: dict[str, LineageRecording] = Field(description="recordings by id")
 
 
 class Removed(StoredPart):
     """Something that was removed."""
 
-    file: str = Field(description="of the release")
-    what: str = Field(description="in words")
+    file: str = Field(description="the release's file")
+    what: str = Field(description="what was removed, in words")
 
 
 class Privacy(ReleaseFile):
@@ -80,11 +80,11 @@ class Privacy(ReleaseFile):
 
     FILE: ClassVar[str] = PRIVACY_JSON
 
-    format_version: Literal[1] = Field(description="of this file")
-    color: ColorPublished = Field(description="colour images of the views")
-    looked_in: tuple[str, ...] = Field(description="kinds of files")
-    looked_for: tuple[str, ...] = Field(description="kinds of facts")
-    removed: tuple[Removed, ...] = Field(description="what was found")
+    format_version: Literal[1] = Field(description="version of this file's format")
+    color: ColorPublished = Field(description="whether the views' colour images are published")
+    looked_in: tuple[str, ...] = Field(description="kinds of files searched")
+    looked_for: tuple[str, ...] = Field(description="kinds of facts searched for")
+    removed: tuple[Removed, ...] = Field(description="facts found and removed")
     kept: tuple[str, ...] = Field(description="what is published knowingly")
 
 
@@ -97,9 +97,11 @@ class ThresholdsFile(ReleaseFile):
     thresholds: dict[StoredCategory, float] = Field(
         description="category → threshold, one of 0.1, 0.15, … 0.9"
     )
-    objects: tuple[str, ...] = Field((), description="they were found on")
-    method: str | None = Field(None, description="they were found for")
-    benchmark_sha256: str | None = Field(None, description="of the release they were found on")
+    objects: tuple[str, ...] = Field((), description="objects they were chosen on")
+    method: str | None = Field(None, description="method they were chosen for")
+    benchmark_sha256: str | None = Field(
+        None, description="`benchmark_sha256` of the release they were chosen on"
+    )
 
     @field_validator("thresholds")
     @classmethod

@@ -10,27 +10,27 @@ from kinectbench.core.artefacts.object import Triple
 from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, ScaledPart, Stored, StoredPart
 
 MESH = "name of the mesh's file"
-MESH_PATH = "the mesh's file, by the path that was given; of an absolute one the last folder and the name"
-REFUSED = "why the mesh is taken for that of another object; null: it fits"
-F_5MM = "F-score at 5 mm of the surface that both saw"
-F_10MM = "F-score at 10 mm of the surface that both saw"
-ITSELF = "true: the mesh is this very truth, so that the figures compare it with itself; missing: it is not"
+MESH_PATH = "path of the mesh, as given; of an absolute one the last folder and the file name"
+REFUSED = "why the mesh is taken for another object's; null: it fits"
+F_5MM = "F-score at 5 mm over measured surface and free space"
+F_10MM = "F-score at 10 mm over measured surface and free space"
+ITSELF = "true: the mesh is this truth itself, so that figures compare it with itself; missing: it is not"
 IOU = "IoU of the solids, where the truth is known; null: the mesh is open"
 
 
 class RunnerUpPart(ScaledPart):
     """The second-best pose of the reference mesh, after the chosen one."""
 
-    residual_m: float = Field(alias="residual_m", description="of it, metres")
-    turn_rad: DegreesInFile = Field(description="from the chosen pose to it, degrees")
-    axis_floor: Triple = Field(description="of that turn, unit vector, floor frame")
-    fits_as_well: bool = Field(description="nothing that was measured tells the two apart")
+    residual_m: float = Field(alias="residual_m", description="its residual, metres")
+    turn_rad: DegreesInFile = Field(description="angle from the chosen pose to it, degrees")
+    axis_floor: Triple = Field(description="axis of that turn, unit vector, floor frame")
+    fits_as_well: bool = Field(description="whether measurements cannot distinguish the two")
 
 
 class DirectionPart(StoredPart):
     """Distances from the measured surface to the reference mesh, over faces that point one way."""
 
-    share: float = Field(description="of the measured surface, that looks so")
+    share: float = Field(description="share of the measured surface that faces this way")
     mean_m: float | None = Field(description="mean signed distance, > 0: the truth is too far out; metres")
     absolute_m: float | None = Field(description="mean absolute distance, metres")
 
@@ -38,16 +38,16 @@ class DirectionPart(StoredPart):
 class DirectionsPart(StoredPart):
     """Distances to the reference mesh for faces that point up or down (within 45 degrees) or sideways."""
 
-    up: DirectionPart = Field(description="of faces that look up")
-    down: DirectionPart = Field(description="of faces that look down")
-    side: DirectionPart = Field(description="of the others")
+    up: DirectionPart = Field(description="distances of faces that look up")
+    down: DirectionPart = Field(description="distances of faces that look down")
+    side: DirectionPart = Field(description="distances of other faces")
 
 
 class ReferenceInfo(StoredPart):
     """What a release says of a recording's reference."""
 
     reference: str = Field(description=MESH)
-    sha256: str = Field(description="of its bytes")
+    sha256: str = Field(description="SHA-256 of its bytes")
     refused: str | None = Field(description=REFUSED)
     f_score_5mm: float | None = Field(None, description=F_5MM)
     f_score_10mm: float | None = Field(None, description=F_10MM)
@@ -59,33 +59,37 @@ class ComparedMesh(StoredPart):
     """The comparison of an object with one mesh: pose, scores, and distances of the surfaces."""
 
     reference: str = Field(description=MESH_PATH)
-    sha256: str = Field(description="of its bytes")
+    sha256: str = Field(description="SHA-256 of its bytes")
     refused: str | None = Field(description=REFUSED)
     itself: Literal[True] | None = Field(None, description=ITSELF)
-    closed: bool = Field(description="every edge has two faces")
+    closed: bool = Field(description="whether every edge has two faces")
     T_world_reference: Matrix4 | None = Field(
         None, description="(4, 4), metres: from the reference to the trajectory's world; null: not searched"
     )
     residual_m: float | None = Field(
-        None, description="mean distance both ways of what both saw, each cut at 5 % of the diagonal; metres"
+        None,
+        description="mean distance both ways where the object was measured, each cut at 5 % of the diagonal; "
+        "metres",
     )
-    scale: float | None = Field(None, description="by what the mesh would be multiplied to fit best")
+    scale: float | None = Field(None, description="factor by which the mesh would fit best")
     mirrored_m: float | None = Field(None, description="`residual_m` of its mirror image")
     mirror_fits_as_well: Literal[True] | None = Field(
         None,
-        description="true: nothing that was measured tells the mesh from its mirror image; missing: it does",
+        description="true: measurements cannot distinguish the mesh from its mirror image; missing: they can",
     )
     runner_up: RunnerUpPart | None = Field(
-        None, description="the next best pose, of less than three times the residual"
+        None, description="next best pose, with less than three times the residual"
     )
     symmetric_axis_floor: Triple | None = Field(
-        None, description="of its rotational symmetry, unit vector, floor frame; null: it has none"
+        None, description="axis of its rotational symmetry, unit vector, floor frame; null: it has none"
     )
     f_score_5mm: float | None = Field(None, description=F_5MM)
     f_score_10mm: float | None = Field(None, description=F_10MM)
     iou: float | None = Field(None, description=IOU)
-    whole_iou: float | None = Field(None, description="the same with what is not known")
-    directions: DirectionsPart | None = Field(None, description="distances of the measured surface")
+    whole_iou: float | None = Field(None, description="IoU including unknown voxels")
+    directions: DirectionsPart | None = Field(
+        None, description="distances of the measured surface, by direction"
+    )
 
     @property
     def info(self) -> ReferenceInfo:
@@ -105,11 +109,10 @@ class ReferenceFile(Stored, ComparedMesh):
     FILE: ClassVar[str] = "reference.json"
     ADVICE: ClassVar[str] = "`kinectbench compare-truth` makes it again"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
-    object_fingerprint: str = Field(description="of the object that they were compared with")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
+    object_fingerprint: str = Field(description="fingerprint of the object that was compared")
     others: tuple[ComparedMesh, ...] = Field(
-        (),
-        description="other meshes compared with this object: accepted first, then the last first",
+        (), description="other meshes compared with this object: accepted first, then the newest first"
     )
 
     @property

@@ -51,7 +51,7 @@ _PLAIN_ROW, _PLAIN_IN_SPACE = TypeAdapter(ScoreRow), TypeAdapter(InSpace)
 class RowsFile(StoredPart):
     """The description in scores.json of the rows beside it."""
 
-    rows: int = Field(ge=0, le=MOST_ROWS, description="how many")
+    rows: int = Field(ge=0, le=MOST_ROWS, description="number of rows")
     sha256: Sha256 = Field(description="SHA-256 of rows.npz")
 
 

@@ -122,7 +122,7 @@ class Context:
         default=None, description="share of the 256^3 voxels that the protocol counts"
     )
     coverage_shape: OptionalUnitRange = Field(
-        default=None, description="share of the shape's voxels that it counts"
+        default=None, description="share of the shape's voxels that the protocol counts"
     )
 
 
@@ -140,7 +140,7 @@ class ScoredPair:
             "enum": ["paper", "known", "occluded", "measured", "known-unsaid", "shell", "camera", "aligned"]
         },
     )
-    threshold: UnitRange = Field(description="a voxel is predicted occupied if y > threshold")
+    threshold: UnitRange = Field(description="value above which a voxel is predicted occupied")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -149,11 +149,11 @@ class Resolution:
 
     cells: int = Field(
         default=256,
-        description="side of the prediction; 0: missing, scored as empty",
+        description="prediction's cells per side; 0: missing, scored as empty",
         json_schema_extra={"minimum": 0, "maximum": 512},
     )
     ceiling_iou: UnitRange = Field(
-        default=1.0, description="IoU of the truth, reduced to that side and brought back"
+        default=1.0, description="IoU of the truth with itself, reduced to `cells` and enlarged again"
     )
 
 
@@ -161,7 +161,7 @@ class Resolution:
 class Unknown:
     """The share of a pair's true shape that is unknown; it does not depend on the protocol."""
 
-    unknown_share: OptionalUnitRange = Field(default=None, description="of the true shape, not known")
+    unknown_share: OptionalUnitRange = Field(default=None, description="unknown share of the true shape")
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -169,17 +169,17 @@ class Alignment:
     """How a prediction was registered to the truth before it was scored; docs/scoring-in-space.md."""
 
     kind: str = Field(
-        description="what was free: a shift, a scale, a rotation",
+        description="what the registration could change: t shift, s scale, R rotation",
         json_schema_extra={"enum": ["t", "t+s", "R+t+s"]},
     )
     scale: Annotated[float, Field(json_schema_extra={"minimum": 0})] = Field(
-        description="the prediction was made so many times larger"
+        description="factor by which the prediction was enlarged"
     )
     rotation_deg: Annotated[float, Field(json_schema_extra={"minimum": 0, "maximum": 180})] = Field(
-        description="angle by which it was turned"
+        description="angle by which it was turned, degrees"
     )
     translation_m: Annotated[float, Field(json_schema_extra={"minimum": 0})] = Field(
-        description="length by which the middle of its surface was shifted"
+        description="length by which the middle of its surface was shifted, metres"
     )
     ok: bool = Field(description="whether the registration converged; the row counts all the same")
 
@@ -188,9 +188,9 @@ class Alignment:
 class Hypotheses:
     """How several predictions of one view are combined in one row."""
 
-    k: Annotated[int, Field(json_schema_extra={"minimum": 2})] = Field(description="how many")
+    k: Annotated[int, Field(json_schema_extra={"minimum": 2})] = Field(description="number of predictions")
     of: str = Field(
-        description="best: the one of the least Chamfer distance; mean: of each figure",
+        description="best: the prediction of least Chamfer distance; mean: mean of each figure",
         json_schema_extra={"enum": ["best", "mean"]},
     )
 
@@ -199,33 +199,49 @@ class Hypotheses:
 class Ceiling:
     """The scores of a perfect prediction, limited by the truth's uncertainty; docs/scoring-in-space.md."""
 
-    chamfer_l1_m: float | None = _loss(None, "of `chamfer_l1_m`", "m")
-    chamfer_l2_m2: float | None = _loss(None, "of `chamfer_l2_m2`", "m^2")
-    f_score_5mm: float | None = _share(None, "of `f_score_5mm`")
-    f_score_10mm: float | None = _share(None, "of `f_score_10mm`")
-    f_score_20mm: float | None = _share(None, "of `f_score_20mm`")
-    f_score_1pct: float | None = _share(None, "of `f_score_1pct`")
-    f_score_2pct: float | None = _share(None, "of `f_score_2pct`")
-    f_score_5pct: float | None = _share(None, "of `f_score_5pct`")
-    iou: float | None = _share(None, "of `iou`, as the part's known cells and surface give it")
+    chamfer_l1_m: float | None = _loss(None, "expected `chamfer_l1_m` of a perfect prediction", "m")
+    chamfer_l2_m2: float | None = _loss(None, "expected `chamfer_l2_m2` of a perfect prediction", "m^2")
+    f_score_5mm: float | None = _share(None, "expected `f_score_5mm` of a perfect prediction")
+    f_score_10mm: float | None = _share(None, "expected `f_score_10mm` of a perfect prediction")
+    f_score_20mm: float | None = _share(None, "expected `f_score_20mm` of a perfect prediction")
+    f_score_1pct: float | None = _share(None, "expected `f_score_1pct` of a perfect prediction")
+    f_score_2pct: float | None = _share(None, "expected `f_score_2pct` of a perfect prediction")
+    f_score_5pct: float | None = _share(None, "expected `f_score_5pct` of a perfect prediction")
+    iou: float | None = _share(
+        None, "expected `iou` of a perfect prediction, from the part's known volume and surface"
+    )
 
 
 @dataclass(frozen=True, config=FINITE)
 class AsPapers:
     """Figures by the constants of other papers' code; docs/scoring-in-space.md lists the differences."""
 
-    octmae_chamfer_l1_mm: float | None = _loss("CD-L1 as OctMAE, mm", "half of both ways", "mm")
-    octmae_chamfer_l2_mm2: float | None = _loss(None, "half of both ways, of squares", "mm^2")
-    octmae_f_5mm: float | None = _share(None, "F at 5 mm")
-    octmae_f_10mm: float | None = _share("F 10 mm as OctMAE", "F at 10 mm")
-    octmae_f_20mm: float | None = _share(None, "F at 20 mm")
-    octmae_f_30mm: float | None = _share(None, "F at 30 mm")
-    pcn_chamfer_l1: float | None = _loss("CD-L1 as PCN", "half of both ways, diagonal 1, x 1000", "1")
-    pcn_chamfer_l2: float | None = _loss(None, "sum of both ways, of squares, diagonal 1, x 1000", "1")
-    pcn_f: float | None = _share("F as PCN", "F below 0.01, diagonal 1")
-    sds_chamfer_l1_mm: float | None = _loss("CD-L1 as SDS, mm", "half of both ways", "mm")
-    sds_chamfer_l2_mm2: float | None = _loss(None, "sum of both ways, of squares", "mm^2")
-    sds_emd_mm: float | None = _loss("EMD as SDS, mm", "of the truth that is an open mesh", "mm")
+    octmae_chamfer_l1_mm: float | None = _loss(
+        "CD-L1 as OctMAE, mm", "half the sum of the mean distances both ways", "mm"
+    )
+    octmae_chamfer_l2_mm2: float | None = _loss(
+        None, "half the sum of the mean squared distances both ways", "mm^2"
+    )
+    octmae_f_5mm: float | None = _share(None, "F-score at 5 mm")
+    octmae_f_10mm: float | None = _share("F 10 mm as OctMAE", "F-score at 10 mm")
+    octmae_f_20mm: float | None = _share(None, "F-score at 20 mm")
+    octmae_f_30mm: float | None = _share(None, "F-score at 30 mm")
+    pcn_chamfer_l1: float | None = _loss(
+        "CD-L1 as PCN",
+        "half the sum of the mean distances both ways, in diagonals of the truth's box, x 1000",
+        "1",
+    )
+    pcn_chamfer_l2: float | None = _loss(
+        None, "sum of the mean squared distances both ways, in diagonals of the truth's box, x 1000", "1"
+    )
+    pcn_f: float | None = _share("F as PCN", "F-score at 0.01 diagonals of the truth's box")
+    sds_chamfer_l1_mm: float | None = _loss(
+        "CD-L1 as SDS, mm", "half the sum of the mean distances both ways", "mm"
+    )
+    sds_chamfer_l2_mm2: float | None = _loss(None, "sum of the mean squared distances both ways", "mm^2")
+    sds_emd_mm: float | None = _loss(
+        "EMD as SDS, mm", "earth mover's distance, where the truth is an open mesh", "mm"
+    )
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -234,15 +250,16 @@ class Calibration:
 
     error: UnitRange = Field(description="expected calibration error: mean of |said - true| over the cells")
     cells: tuple[int, ...] = Field(
-        description="known cells by tenth of the votes, those without a vote left out",
+        description="number of known cells, by tenth of the share of predictions that call them solid; cells "
+        "that none calls solid are left out",
         json_schema_extra={"minItems": 10, "maxItems": 10},
     )
     said: tuple[float | None, ...] = Field(
-        description="mean share of predictions that are solid, by tenth",
+        description="mean share of predictions that call these cells solid, by tenth",
         json_schema_extra={"minItems": 10, "maxItems": 10},
     )
     true: tuple[float | None, ...] = Field(
-        description="share of the cells that are solid in the truth, by tenth",
+        description="share of these cells that are solid in the truth, by tenth",
         json_schema_extra={"minItems": 10, "maxItems": 10},
     )
 
@@ -251,33 +268,40 @@ class Calibration:
 class InSpace:
     """Values that only rows of the protocols `camera` and `aligned` have."""
 
-    part: ShapePart | None = Field(default=None, description="under `camera` and `aligned`")
-    alignment: Alignment | None = Field(default=None, description="under `aligned`")
+    part: ShapePart | None = Field(
+        default=None, description="part of the shape scored, under `camera` and `aligned`"
+    )
+    alignment: Alignment | None = Field(default=None, description="registration, under `aligned`")
     hypotheses: Hypotheses | None = Field(
         default=None, description="several predictions in one row; null: the first or only one"
     )
-    solid: bool | None = Field(default=None, description="has an inside: closed mesh, voxels or distances")
+    solid: bool | None = Field(
+        default=None, description="whether the prediction has an inside: closed mesh, voxels or distances"
+    )
     predicted_unknown_share: OptionalUnitRange = Field(
-        default=None, description="of the predicted surface, left out in unknown space"
+        default=None, description="share of the predicted surface left out in unknown space"
     )
     surface_unknown_share: OptionalUnitRange = Field(
-        default=None, description="of the part's true surface, left out as unknown"
+        default=None, description="share of the part's true surface left out as unknown"
     )
     cut: OptionalUnitRange = Field(
-        default=None, description="of the true known shape, outside the method's volume"
+        default=None, description="share of the true known shape outside the method's volume"
     )
     silhouette: OptionalUnitRange = Field(
-        default=None, description="of the predicted surface, outside the view's mask"
+        default=None, description="share of the predicted surface outside the view's mask"
     )
     ceiling: Ceiling | None = Field(
         default=None, description="best figures that surface_sigma_m allows; null where it is 0"
     )
-    as_papers: AsPapers | None = Field(default=None, description="of the whole under `camera`")
-    closed: Closing = Field(
-        default=None,
-        description="how it was made solid (`--close`); null: it was not",
+    as_papers: AsPapers | None = Field(
+        default=None, description="figures as in other papers, of the whole under `camera`"
     )
-    calibration: Calibration | None = Field(default=None, description="of votes, in the rows of their mean")
+    closed: Closing = Field(
+        default=None, description="how the prediction was made solid (`--close`); null: it was not"
+    )
+    calibration: Calibration | None = Field(
+        default=None, description="calibration of several predictions, in rows of their mean"
+    )
 
 
 @dataclass(frozen=True, config=FINITE)
@@ -289,7 +313,7 @@ class ByThreshold:
         Field(
             json_schema_extra={"minItems": 17, "maxItems": 17, "items": {"type": "number", **IN_UNIT_RANGE}}
         ),
-    ] = Field(default=None, description="IoU at k / 20, k = 2 to 18; null where all unknown")
+    ] = Field(default=None, description="IoU at thresholds k / 20, k = 2 to 18; null: all unknown")
 
 
 @dataclass(frozen=True, config=FINITE)

@@ -36,26 +36,28 @@ REPORTED = "reported"
 class Mark(StoredPart):
     """A reason why a method's scores differ from those of a complete submission."""
 
-    kind: Kind = Field(description="which of them")
-    words: str = Field(description="in a few words, with the counts")
+    kind: Kind = Field(description="kind of reason")
+    words: str = Field(description="the reason in a few words, with counts")
 
 
 class ValidationUse(StoredPart):
     """How many validation pairs were used to choose the thresholds."""
 
-    pairs: int = Field(description="of the validation split", json_schema_extra={"minimum": 0})
-    predicted: int = Field(description="those that were predicted", json_schema_extra={"minimum": 0})
+    pairs: int = Field(description="pairs of the validation split", json_schema_extra={"minimum": 0})
+    predicted: int = Field(description="predicted pairs among them", json_schema_extra={"minimum": 0})
 
 
 class Verified(StoredPart):
     """`score --recheck` scored the predictions again and found the same rows."""
 
     date: str = Field(
-        description="when, in UTC", json_schema_extra={"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}
+        description="day, in UTC", json_schema_extra={"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}
     )
-    package_version: str = Field(description="of the kinectbench that rechecked")
-    table_sha256: Sha256 = Field(description="of all that was found equal")
-    predictions_sha256: Sha256 = Field(description="of the names and hashes of the predictions' files")
+    package_version: str = Field(description="version of the kinectbench that rechecked")
+    table_sha256: Sha256 = Field(description="SHA-256 of all that was found equal")
+    predictions_sha256: Sha256 = Field(
+        description="SHA-256 of the names and hashes of the predictions' files"
+    )
 
     @property
     def words(self) -> str:

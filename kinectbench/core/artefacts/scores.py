@@ -48,20 +48,20 @@ BASELINES_FOLDER = "baselines"  # in a folder of scores: what `score` adds to ev
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 Intervals = Annotated[dict[str, Interval | None], Field(description="metric -> ends of the 95 % interval")]
 Count = Annotated[int | None, Field(json_schema_extra={"minimum": 1})]
-ESTIMATED = "mean IoU of the truth with what it stands for, as estimated; null if not known"
+ESTIMATED = "mean estimated IoU between the truth and the real object; null if not known"
 LOW = "mean of the lower ends of the objects' intervals; null if not known"
 HIGH = "mean of the upper ends of the objects' intervals; null if not known"
 UNKNOWN = "mean over objects of the share of their true shape that is not known; all-unknown pairs count"
-REPEATABILITY = "mean IoU of the truths of halves of the frames; null if not known"
+REPEATABILITY = "mean IoU between truths of odd and even frames; null if not known"
 
 
 @dataclass(frozen=True, config=FINITE)
 class CategoryAverages(Averages):
     """The averages of one category under one protocol, over objects; under `paper` over pairs."""
 
-    pairs: Count = Field(default=None, description="that they stand on")
-    objects: Count = Field(default=None, description="that they stand on")
-    base_rate_source: str | None = Field(default=None, description="of the base rate")
+    pairs: Count = Field(default=None, description="number averaged over")
+    objects: Count = Field(default=None, description="number averaged over")
+    base_rate_source: str | None = Field(default=None, description="source of the base rate")
     intervals: Intervals = Field(default_factory=dict)
     truth_estimated_iou: OptionalUnitRange = Field(default=None, description=ESTIMATED)
     truth_estimated_iou_low: OptionalUnitRange = Field(default=None, description=LOW)
@@ -81,7 +81,7 @@ class OverallAverages(Averages):
     truth_unknown_share: OptionalUnitRange = Field(default=None, description=UNKNOWN)
     pairs: Count = Field(default=None, description="sum over the categories")
     objects: Count = Field(default=None, description="sum over the categories")
-    categories: Count = Field(default=None, description="how many")
+    categories: Count = Field(default=None, description="number of categories")
     intervals: Intervals = Field(default_factory=dict)
 
 
@@ -90,33 +90,37 @@ class ScoreSettings(StoredPart):
 
     score_version: int | None = Field(
         None,
-        description="counts the changes of what `score` computes; 1 where it is not stated",
+        description="version of what `score` computes; 1 where it is not stated",
         json_schema_extra={"minimum": 1},
     )
-    protocols: tuple[str, ...] = Field((), description="those that were scored")
-    primary_protocol: str | None = Field(None, description="the one that methods are ranked by")
+    protocols: tuple[str, ...] = Field((), description="protocols that were scored")
+    primary_protocol: str | None = Field(None, description="protocol that methods are ranked by")
     missing: str | None = Field(
         None,
-        description='of a prediction: "error", or "empty" for an empty grid',
+        description='what a missing prediction is: "error", or "empty" for an empty grid',
         json_schema_extra={"enum": ["error", "empty"]},
     )
     threshold_range: tuple[float, float] | None = Field(None, description="lowest and highest threshold")
-    threshold_step: float | None = Field(None, description="between neighbouring thresholds")
+    threshold_step: float | None = Field(None, description="step between neighbouring thresholds")
     threshold_rule: str | None = Field(None, description="how thresholds are chosen")
-    occupied: str | None = Field(None, description="when a voxel is predicted occupied")
+    occupied: str | None = Field(None, description="rule by which a voxel is predicted occupied")
     ce_clip: float | None = Field(None, description="predictions are clipped to [ce_clip, 1 - ce_clip]")
     iou_of_empty_union: int | None = Field(None, description="IoU where nothing is occupied or predicted")
-    precision_and_recall_of_nothing: str | None = Field(None, description="where one of them has no voxel")
+    precision_and_recall_of_nothing: str | None = Field(
+        None, description="precision without predicted voxels, recall without occupied ones"
+    )
     upsampling: str | None = Field(None, description="how a grid of less than 256 a side is brought to 256")
     averages: str | None = Field(None, description="the order of the means")
-    surface_metrics: bool | None = Field(None, description="whether they were computed")
+    surface_metrics: bool | None = Field(None, description="whether surface metrics were computed")
     close: Closing = Field(None, description="how open meshes and points are made solid; null: they are not")
     f_score_mm: tuple[float, ...] = Field((), description="tolerances of the F-scores in millimetres")
-    surface_dice_sigmas: float | None = Field(None, description="tolerance of the surface Dice")
-    interval_level: float | None = Field(None, description="of the confidence intervals")
+    surface_dice_sigmas: float | None = Field(
+        None, description="surface Dice's tolerance, standard deviations"
+    )
+    interval_level: float | None = Field(None, description="level of the confidence intervals")
     interval_rule: str | None = Field(None, description="how intervals are computed")
     baseline_version: int | None = Field(
-        None, description="counts the changes of what baselines predict; only in their tables"
+        None, description="version of what baselines predict; only in their tables"
     )
 
 
@@ -135,7 +139,7 @@ class Failure(StoredPart):
 
     recording: str = Field("", description="id of the recording")
     view: str = Field("", description="zero-padded index")
-    reason: str = Field("", description="in one line")
+    reason: str = Field("", description="reason in one line")
 
 
 class ExtremePair(StoredPart):
@@ -144,14 +148,14 @@ class ExtremePair(StoredPart):
     recording: str = Field(description="id of the recording")
     view: str = Field(description="zero-padded index")
     category: str = Field(description='such as "chair"')
-    iou: UnitRange = Field(description="of this pair")
+    iou: UnitRange = Field(description="this pair's IoU")
 
 
 class Extremes(StoredPart):
     """Three pairs each at most, the most extreme first."""
 
-    best: tuple[ExtremePair, ...] = Field(description="of the highest IoU")
-    worst: tuple[ExtremePair, ...] = Field(description="of the lowest IoU")
+    best: tuple[ExtremePair, ...] = Field(description="pairs with highest IoU")
+    worst: tuple[ExtremePair, ...] = Field(description="pairs with lowest IoU")
 
 
 class Hashes(StoredPart):
@@ -194,36 +198,38 @@ class ScoreTable(Stored):
     MAX_BYTES: ClassVar[int] = 80 << 20
     MAX_VALUES: ClassVar[int] = 3_000_000
 
-    method: str = Field(description="its name")
-    benchmark_sha256: Sha256 = Field("", description="of the release")
-    package_version: str = Field("", description="of kinectbench")
+    method: str = Field(description="name of the method")
+    benchmark_sha256: Sha256 = Field("", description="the release's `benchmark_sha256`")
+    package_version: str = Field("", description="version of kinectbench")
     run_sha256: Sha256 | None = Field(None, description="as in method.json; null: not known")
     settings: ScoreSettings = Field(ScoreSettings(), description="every choice that the numbers depend on")
-    complete: bool = Field(False, description="every test pair was scored; else there are no averages")
+    complete: bool = Field(False, description="whether every test pair was scored; if not, no averages")
     thresholds: Annotated[dict[str, float], BeforeValidator(_without_nulls)] = Field(
         {}, description="category -> threshold, k / 20 with k from 2 to 18"
     )
     threshold_source: str = Field(
         "",
-        description="validation, pooled (of other categories), method (its own), fixed or file:<sha256>",
+        description="how they were chosen: validation, pooled (of other categories), method (its own), fixed "
+        "or file:<sha256>",
         json_schema_extra={"pattern": "^(validation|pooled|method|fixed|file:[0-9a-f]{64})$"},
     )
-    threshold_source_by_category: dict[str, str] = Field({}, description="category -> likewise")
+    threshold_source_by_category: dict[str, str] = Field({}, description="category -> source, likewise")
     threshold_objects: Lines | None = Field(
         None,
-        description="objects that the thresholds were found on; null where nobody can tell: their file does "
-        "not name them, or some are the method's own",
+        description="objects that the thresholds were chosen on; null where unknown: their file does not "
+        "name them, or some are the method's own",
     )
-    validation: ValidationUse | None = Field(None, description="null if it chose no threshold")
+    validation: ValidationUse | None = Field(
+        None, description="validation pairs that chose the thresholds; null: they chose none"
+    )
     missing_as_empty: Lines = Field((), description="pairs scored as empty grids")
-    marks: tuple[Mark, ...] = Field((), description="what to know before the numbers are believed")
+    marks: tuple[Mark, ...] = Field((), description="what to know before trusting the numbers")
     base_rate: dict[str, BaseRate] = Field(
         {}, description="category -> the constant that CE is compared with"
     )
-    rows: tuple[ScoreRow, ...] = Field((), description="one for each protocol and test pair")
+    rows: tuple[ScoreRow, ...] = Field((), description="one row for each protocol and test pair")
     rows_file: RowsFile | None = Field(
-        None,
-        description="of more than 30,000 rows: rows.npz beside this file holds them, and `rows` is empty",
+        None, description="description of rows.npz, which holds the rows if more than 30,000; `rows` is empty"
     )
     by_category: Annotated[dict[str, ByCategory], BeforeValidator(_without_nulls)] | None = Field(
         None, description="protocol -> category -> averages; null if not complete"
@@ -234,21 +240,21 @@ class ScoreTable(Stored):
     truth_quality: dict[str, QualityFile] = Field(
         {}, description="recording -> what the release says of its truth"
     )
-    truth_unknown_share: dict[str, UnitRange] = Field({}, description="object -> mean over its pairs")
+    truth_unknown_share: dict[str, UnitRange] = Field({}, description="object -> its mean `unknown_share`")
     all_unknown_pairs: dict[str, Lines] = Field(
         {}, description="protocol -> pairs left out: nothing of their true shape is known"
     )
     failures: tuple[Failure, ...] = Field((), description="predictions that were not scored")
-    warnings: Lines = Field((), description="one line each")
-    notes: Lines = Field((), description="one line each")
+    warnings: Lines = Field((), description="warnings, one line each")
+    notes: Lines = Field((), description="notes, one line each")
     extremes: dict[str, Extremes] = Field({}, description="protocol -> the best and the worst pairs by IoU")
     iou_by_threshold: dict[str, dict[str, Curve]] | None = Field(
         None, description="protocol -> category -> mean IoU at k / 20, k = 2 to 18; null if not complete"
     )
-    hashes: dict[str, Hashes] = Field({}, description="pair -> of its truth and prediction")
-    baseline: bool = Field(False, description="made by kinectbench, to stand beside a method's")
+    hashes: dict[str, Hashes] = Field({}, description="pair -> hashes of its truth and prediction")
+    baseline: bool = Field(False, description="whether kinectbench made it, for comparison with methods")
     verified: Verified | None = Field(
-        None, description="scored again with the same rows; null: reported only"
+        None, description="recheck that found the same rows; null: reported only"
     )
 
     @property

@@ -24,25 +24,25 @@ class CameraFile(Stored):
     FORMAT_VERSION: ClassVar[int] = 2
     READABLE_VERSIONS: ClassVar[tuple[int, ...]] = (1, 2)
 
-    format_version: int = Field(description="of the sequence folder: 1 (depth as PNG) or 2 (depth as .kbd).")
-    width: int = Field(description="Of the depth images, pixels.")
-    height: int = Field(description="Of the depth images, pixels.")
-    fx: float = Field(description="Focal length of the depth images, pixels.")
-    fy: float = Field(description="Focal length of the depth images, pixels.")
-    cx: float = Field(description="Principal point of the depth images, pixels.")
-    cy: float = Field(description="Principal point of the depth images, pixels.")
+    format_version: int = Field(
+        description="Version of the sequence folder: 1 (depth as PNG) or 2 (depth as .kbd)."
+    )
+    width: int = Field(description="Width of the depth images, pixels.")
+    height: int = Field(description="Height of the depth images, pixels.")
+    fx: float = Field(description="Focal length in x of the depth images, pixels.")
+    fy: float = Field(description="Focal length in y of the depth images, pixels.")
+    cx: float = Field(description="Principal point in x of the depth images, pixels.")
+    cy: float = Field(description="Principal point in y of the depth images, pixels.")
     depth_scale: float = Field(gt=0, description="Native depth units per metre.")
     color_registered: bool = Field(description="Whether colour pixels lie on depth pixels.")
     registered_by: Literal["recording", "calibration"] | None = Field(
-        default=None,
-        description="recording: by itself; calibration: ingest, by a given one.",
+        default=None, description="recording: as recorded; calibration: by ingest, with a given calibration."
     )
     source_format: str = Field(default="", description="Name of the recording's format.")
     frames: int | None = Field(default=None, description="Number of frames.")
     warnings: tuple[str, ...] = Field(default=(), description="What the recording's user should know.")
     doubts: tuple[str, ...] = Field(
-        default=(),
-        description="Evidence against depth_scale and intrinsics; absent: nothing.",
+        default=(), description="Evidence that depth_scale or intrinsics are wrong; absent: nothing."
     )
     trajectory_error: str = Field(default="", description='Why the given trajectory is not used, or "".')
     up_world: tuple[float, float, float] | None = Field(

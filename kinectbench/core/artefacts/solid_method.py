@@ -12,15 +12,22 @@ Curve = tuple[tuple[float, float], ...]
 class AirMethod(StoredPart):
     """The space that a camera could see, which defines air; lengths in metres."""
 
-    line_width_m: float = Field(description="a line of sight is as wide")
-    narrower: float = Field(description="lines of so much of that width are asked: slits are unknown")
-    near_m: float = Field(description="a camera is at least so far from what it sees")
-    camera_size_m: float = Field(description="diameter of the ball that is moved without crossing the object")
-    camera_height_m: float = Field(description="its centre is at least so high above the plane")
-    stands: bool = Field(description="false: without a plane that blocks lines and cameras")
-    underside: Underside = Field(description="what a person says of it")
-    directions: int = Field(description="of the lines that are tried")
-    sheet_voxels: float = Field(description="a line ends so near to a surface, on both sides, voxels")
+    line_width_m: float = Field(description="width of a line of sight")
+    narrower: float = Field(
+        description="share of that width that narrower lines have; what only they reach, such as slits, is "
+        "unknown"
+    )
+    near_m: float = Field(description="least distance from a camera to what it sees")
+    camera_size_m: float = Field(
+        description="diameter of the ball that stands for a camera, and is moved without crossing the object"
+    )
+    camera_height_m: float = Field(description="least height of the camera's centre above the plane")
+    stands: bool = Field(description="whether the object stands on a plane that blocks lines and cameras")
+    underside: Underside = Field(description="what a person says of the object's underside")
+    directions: int = Field(description="number of directions in which lines are tried")
+    sheet_voxels: float = Field(
+        description="distance from a measured surface at which a line ends, on both sides, voxels"
+    )
 
     @property
     def limits(self) -> SensorLimits:
@@ -41,38 +48,58 @@ class FrontierMethod(StoredPart):
     """Which unseen regions that a camera could see are reported, and from where to look into them."""
 
     least_share: float = Field(description="least share of the solid's volume behind a frontier")
-    least_underside_share: float | None = Field(None, description="the same for an underside")
+    least_underside_share: float | None = Field(
+        None, description="least share of the solid's volume behind an underside"
+    )
     least_area_m2: float = Field(description="least area of a frontier, square metres")
-    least_probability: float = Field(description="least probability that a voxel behind one is solid")
+    least_probability: float = Field(
+        description="least probability of being solid, of a voxel that counts as behind a frontier"
+    )
     enough: float | None = Field(
-        None, description="a direction is good enough if it shows this share of what the best one shows"
+        None, description="share of what the best direction shows, from which on a direction is good enough"
     )
 
 
 class EstimateMethod(StoredPart):
     """The estimate of the IoU to the unknown truth, and the terms of its interval."""
 
-    off_m: float = Field(description="how far the surface is off whatever was measured, metres")
+    off_m: float = Field(description="surface error: constant part, metres")
     off_if_thin_m: float = Field(
-        description="how much farther, times the share of the volume that 1 mm of surface is, metres"
+        description="surface error: part for thin objects, metres; multiplied by the share of the volume "
+        "that 1 mm of surface is"
     )
-    off_per_sigma: float = Field(description="how much farther, of the surface's standard deviation")
-    off_per_pose: float = Field(description="how much farther, of what a usual pose may be off by")
+    off_per_sigma: float = Field(
+        description="surface error: part for each unit of the surface's standard deviation"
+    )
+    off_per_pose: float = Field(description="surface error: part for each unit of the median pose error")
     fitted_frames: int | None = Field(
-        None, description="of each recording it was fitted to: more of them are taken for so many"
+        None,
+        description="number of frames in each recording that the estimate was fitted to; with more, the "
+        "surface's standard deviation is enlarged to what so many would give",
     )
-    missed_more: float = Field(description="of what is estimated to be missing, that may be missing, too")
-    missed_less: float = Field(description="of what is estimated to be missing, that may not be missing")
-    missed_least: float = Field(description="of the solid, that may be missing or not, besides")
+    missed_more: float = Field(
+        description="share of the estimated loss of IoU that is added to it for the interval's lower end"
+    )
+    missed_less: float = Field(
+        description="share of the estimated loss of IoU that is taken from it for the interval's upper end"
+    )
+    missed_least: float = Field(description="loss of IoU that is added and taken besides, at both ends")
     coin_sigmas: float | None = Field(
-        None, description="standard deviations of all unknown regions, each a coin, on both sides"
+        None,
+        description="half width of the interval by unknown regions, each wholly solid or air: in standard "
+        "deviations",
     )
-    decided: float | None = Field(None, description="a voxel that is less probable, or more than 1 minus it")
+    decided: float | None = Field(
+        None,
+        description="distance of a voxel's probability from 0 or 1 within which the voxel counts as decided",
+    )
     max_volume_share_per_mm: float = Field(
-        description="of the volume, that 1 mm of surface is before thin parts are a reason"
+        description="largest share of the volume that 1 mm of surface may be; beyond it, thin parts are a "
+        "reason"
     )
     max_shifted_share: float = Field(
-        description="of the volume, that a usual pose's error moves before poses are a reason"
+        description="largest share of the volume that the median pose error may move; beyond it, poses are a "
+        "reason"
     )
 
 
@@ -80,65 +107,86 @@ class SolidMethod(StoredPart):
     """The constants that made a solid from the frames' votes; older files have further ones."""
 
     name: str = Field(description="its steps, in words")
-    air: AirMethod | None = Field(None, description="the definition of air")
+    air: AirMethod | None = Field(None, description="definition of air")
     least_weight_share: float | None = Field(
-        None, description="of the surface's median weight: a voxel with less was not observed"
+        None, description="least weight of an observed voxel, as a share of the surface's median weight"
     )
-    min_free_votes: int | None = Field(None, description="frames that must see through to carve a voxel")
-    min_free_share: float | None = Field(None, description="of the frames that look there, that must do so")
+    min_free_votes: int | None = Field(
+        None, description="least number of frames that must see through a voxel to carve it"
+    )
+    min_free_share: float | None = Field(
+        None, description="least share of the frames looking there that must see through it"
+    )
     free_by_noise: tuple[float, float] | None = Field(
-        None, description="share of frames that may see through what lies behind, and its growth a voxel"
+        None,
+        description="largest share of frames that may see through a surface voxel, and how much it grows for "
+        "each voxel nearer to the surface",
     )
     voxels_per_free_share: float | None = Field(
-        None, description="how far the other frames that see through move the surface inward, voxels"
+        None, description="shift of the surface inward if all other frames see through, voxels"
     )
     trust_in_votes: tuple[tuple[float, ...], tuple[float, ...]] | None = Field(
-        None, description="widths of the frames' rays in voxels, and what part of the votes is believed"
+        None,
+        description="widths of the frames' rays in voxels, and the share of their votes that counts at each",
     )
-    smoothing_voxels: float | None = Field(None, description="sigma of the Gaussian, voxels")
+    smoothing_voxels: float | None = Field(
+        None, description="sigma of the Gaussian that smooths the field, voxels"
+    )
     speck_share: float | None = Field(
-        None, description="of the largest piece's volume: pieces with less are dropped"
+        None, description="least volume of a piece that is kept, as a share of the largest piece's"
     )
-    carried_legs: CarriedLegs | None = Field(None, description="of legs whose upper end was hidden")
+    carried_legs: CarriedLegs | None = Field(None, description="rule for legs whose upper end was hidden")
     shell_m: float | None = Field(
-        None, description="a surface tells what lies so far behind it, metres; deeper it is unseen"
+        None,
+        description="largest depth behind a measured surface that is part of the object, metres; deeper is "
+        "unseen",
     )
-    shell_voxels: float | None = Field(None, description="the same in voxels, where that is more")
+    shell_voxels: float | None = Field(None, description="the same depth in voxels, where that is more")
     measured_voxels: float | None = Field(
-        None, description="a voxel is measured up to so far from a surface, voxels"
+        None, description="largest distance from a surface at which a voxel counts as measured, voxels"
     )
     ruled: tuple[float, float] | None = Field(
-        None, description="probability of a voxel that a rule calls solid, and air, against what was measured"
+        None,
+        description="probabilities of voxels that a rule calls solid, and air, against what was measured",
     )
     least_field: tuple[float, float] | None = Field(
-        None, description="least absolute value of the field before it is smoothed, and after, voxels"
+        None, description="least absolute values of the field, before and after smoothing, voxels"
     )
     probability_by_signed_voxels: Curve | None = Field(
-        None, description="[signed distance in voxels, probability] of observed voxels"
+        None, description="[signed distance in voxels, probability of being solid] of observed voxels"
     )
     probability_roofed: Curve | None = Field(
-        None, description="[share of 26 enclosing directions, probability] of unknown voxels under a roof"
+        None,
+        description="[share of 26 directions that meet the object, probability] of unknown voxels under a "
+        "roof",
     )
     probability_sky: Curve | None = Field(
-        None, description="the same where straight up one leaves the object"
+        None, description="the same for unknown voxels without a roof: straight up leads out of the object"
     )
     probability_rim: tuple[float, ...] | None = Field(
         None,
-        description="of those right under the object that only a line's rim touches, by how many of eight "
-        "level directions lead out",
+        description="probability of voxels right under the object that only a line's rim touches, by how "
+        "many of eight level directions lead out",
     )
     probability_underside: tuple[float, float] | None = Field(
-        None, description="of those seen only from below; and if a person says that it is open"
+        None,
+        description="[probability of being solid of voxels that can be seen only from below, the same where "
+        "a person says that the underside is open]",
     )
     lengths_at_voxel_m: float | None = Field(
         None,
-        description="edge of the voxels that these lengths are for, metres; where no setting gave voxels, "
-        "smaller ones make them smaller in proportion, but for the lengths of `air`",
+        description="voxel edge that these lengths are for, metres; where no setting gives the voxels, "
+        "smaller ones shorten the lengths in proportion, except those of `air`",
     )
     voxel_size_by_recording: tuple[float, float, int] | None = Field(
         None,
-        description="where no setting gave it: least edge, and steps, metres; how many an object is long",
+        description="[least voxel edge, step of the edge, voxels along an object] where no setting gives the "
+        "voxels; metres",
     )
-    frontiers: FrontierMethod | None = Field(None, description="of what some camera could still see")
-    estimate: EstimateMethod | None = Field(None, description="of the IoU to the unknown truth")
-    chosen_on: str | None = Field(None, description="the data that the constants were chosen on")
+    frontiers: FrontierMethod | None = Field(
+        None, description="rule for frontiers: openings into unseen space that some camera could see"
+    )
+    estimate: EstimateMethod | None = Field(
+        None, description="constants of the estimated IoU to the unknown truth"
+    )
+    chosen_on: str | None = Field(None, description="data that the constants were chosen on")

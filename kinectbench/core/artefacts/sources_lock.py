@@ -12,8 +12,8 @@ from kinectbench.core.names import Name
 class LockedFile(StoredPart):
     """Size and hash of a file at its first download."""
 
-    bytes: int = Field(ge=0, description="its size")
-    sha256: str = Field(pattern="^[0-9a-f]{64}$", description="of its content")
+    bytes: int = Field(ge=0, description="size of the file, bytes")
+    sha256: str = Field(pattern="^[0-9a-f]{64}$", description="SHA-256 of its content")
 
 
 class SourcesLock(Stored):
@@ -24,7 +24,7 @@ class SourcesLock(Stored):
     ERROR: ClassVar[type[KinectBenchError]] = SettingsError
 
     format_version: int = Field(1, description="version of this file's format")
-    files: dict[str, LockedFile] = Field({}, description="by their names below the recipe's addresses")
+    files: dict[str, LockedFile] = Field({}, description="files by their names below the recipe's addresses")
 
 
 class ScanIndex(Bare):
@@ -34,4 +34,4 @@ class ScanIndex(Bare):
     ADVICE: ClassVar[str] = 'wanted {"category": ["id", …]}; correct `index` in sources.yaml'
     ERROR: ClassVar[type[KinectBenchError]] = SettingsError
 
-    scans: dict[str, list[Name]] = Field(description="by the source's word for a category")
+    scans: dict[str, list[Name]] = Field(description="ids of scans, by the source's word for a category")

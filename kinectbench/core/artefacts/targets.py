@@ -56,7 +56,7 @@ class Target:
     category: str = _column("such as chair")
     split: str = _column("train, validation or test")
     file: str = _column("the pair file, relative to the release")
-    sha256: str = _column("of the pair file")
+    sha256: str = _column("SHA-256 of the pair file")
     unknown_share: float | None = field(
         default=None,
         metadata={"description": f"{UNKNOWN_SHARE}; empty where the truth is held back or imported"},
@@ -64,7 +64,7 @@ class Target:
 
     truth: str = field(
         default="",
-        metadata={"description": "`reference mesh`, or empty: fused; the column is there where one is"},
+        metadata={"description": "`reference mesh`, or empty: fused; the column exists only where one is"},
     )
 
     @property

@@ -33,7 +33,7 @@ class LostStretch(StoredPart):
     first_frame: int = Field(description="its first frame")
     last_frame: int = Field(description="its last frame")
     from_s: float | None = Field(None, description="when it begins, seconds from the first frame")
-    to_s: float | None = Field(None, description="when it ends")
+    to_s: float | None = Field(None, description="when it ends, likewise")
     reason: str = Field("", description="the most frequent reason")
 
 
@@ -43,7 +43,7 @@ class Jump(StoredPart):
     from_frame: int = Field(description="the frame before it")
     to_frame: int = Field(description="the next frame with a pose")
     moved_m: float = Field(description="how far the camera moves, metres")
-    times_as_fast: float = Field(description="its speed, by the speed that 95 % of the steps keep")
+    times_as_fast: float = Field(description="its speed, divided by the 95th percentile of all steps")
 
 
 class RejectedFrame(ScaledPart):
@@ -51,48 +51,52 @@ class RejectedFrame(ScaledPart):
 
     frame: int = Field(description="its index")
     stamp_ns: int | None = Field(None, description="its depth stamp, nanoseconds")
-    residual_m: Millimetres = Field(None, description="median absolute, as given, mm")
-    shift_m: Millimetres = Field(None, description="of its points, to agree with other frames, mm")
-    turn_rad: DegreesInFile | None = Field(None, description="of its camera, to agree, degrees")
-    reason: str = Field("", description="in words")
+    residual_m: Millimetres = Field(None, description="median absolute residual, as given, mm")
+    shift_m: Millimetres = Field(None, description="shift of its points to agree with other frames, mm")
+    turn_rad: DegreesInFile | None = Field(None, description="turn of its camera to agree, degrees")
+    reason: str = Field("", description="reason in words")
 
 
 class ConstraintCounts(StoredPart):
     """The number of constraints in the pose graph, by kind."""
 
-    odometry: int = Field(0, description="between consecutive keyframes")
-    covisible: int = Field(0, description="between keyframes near in time")
-    loop: int = Field(0, description="a place seen again")
-    refused: int = Field(0, description="tried and refused, not in the graph")
+    odometry: int = Field(0, description="constraints between consecutive keyframes")
+    covisible: int = Field(0, description="constraints between keyframes near in time")
+    loop: int = Field(0, description="constraints where a place is seen again")
+    refused: int = Field(0, description="constraints refused, not in the graph")
 
 
 class LoopClosure(ScaledPart):
     """Two keyframes that see the same place again, and the result of their registration."""
 
-    a: int = Field(description="frame of the one keyframe")
-    b: int = Field(description="of the other")
-    residual_m: Millimetres = Field(None, description="point to plane, rms, mm")
-    overlap: float | None = Field(None, description="of b's points, that can be compared with a")
-    inlier_share: float | None = Field(None, description="of these, that agree")
-    correction_m: Millimetres = Field(None, description="disagreement of the final poses, mm")
-    correction_rad: DegreesInFile | None = Field(None, description="likewise, degrees")
-    weight: float | None = Field(None, description="0 to 1, what the robust kernel left")
-    believed: bool = Field(description="its weight is at least a half")
+    a: int = Field(description="first keyframe's frame")
+    b: int = Field(description="second keyframe's frame")
+    residual_m: Millimetres = Field(None, description="rms distance, point to plane, mm")
+    overlap: float | None = Field(None, description="share of b's points that can be compared with a")
+    inlier_share: float | None = Field(None, description="share of these points that agree")
+    correction_m: Millimetres = Field(None, description="disagreement with the final poses, mm")
+    correction_rad: DegreesInFile | None = Field(None, description="likewise, as angle, degrees")
+    weight: float | None = Field(None, description="weight left by the robust kernel, 0 to 1")
+    believed: bool = Field(description="whether its weight is at least half")
 
 
 class GivenFigures(ScaledPart):
     """How well a given trajectory agrees with the depth."""
 
     disagreeing: tuple[int, ...] = Field((), description="frames whose depth disagrees with it")
-    median_shift_m: Millimetres = Field(None, description="disagreement with near frames, mm")
-    distant_shift_m: Millimetres = Field(None, description="with distant frames, median, mm")
+    median_shift_m: Millimetres = Field(None, description="median disagreement with near frames, mm")
+    distant_shift_m: Millimetres = Field(None, description="median disagreement with distant frames, mm")
     distant_unmatched: float | None = Field(
-        None, description="share of these that ought to see one place and fit nowhere near"
+        None, description="share of distant frame pairs that should match but fit nowhere near"
     )
-    largest_jump_m: Millimetres = Field(None, description="0: none; mm")
-    refined_apart_m: Millimetres = Field(None, description="from the given poses, rms, mm")
-    distant_residual_m: Millimetres = Field(None, description="as given, mm")
-    refined_distant_residual_m: Millimetres = Field(None, description="the same with refined poses, mm")
+    largest_jump_m: Millimetres = Field(None, description="largest jump; 0: none; mm")
+    refined_apart_m: Millimetres = Field(None, description="rms distance between given and refined poses, mm")
+    distant_residual_m: Millimetres = Field(
+        None, description="residual of distant frames, poses as given, mm"
+    )
+    refined_distant_residual_m: Millimetres = Field(
+        None, description="the same residual with refined poses, mm"
+    )
 
 
 class Covisibility(StoredPart):
@@ -108,11 +112,13 @@ class FrameHealth(ScaledPart):
     frame: int = Field(description="its index")
     state: FrameState = Field("tracked", description="whether it has a pose, and if not, why")
     residual_m: Millimetres = Field(None, description="residual to other frames, mm")
-    shift_m: Millimetres = Field(None, description="what its pose may be off by, mm")
-    inlier_share: float | None = Field(None, description="of its points, that agree with other frames")
-    speed_m_per_s: float | None = Field(None, description="of the camera since the frame before, m/s")
-    turn_rad_per_s: float | None = Field(None, description="its rate of turn, rad/s")
-    blur: float | None = Field(None, description="of the colour: median sharpness over the frame's own")
+    shift_m: Millimetres = Field(None, description="possible error of its pose, mm")
+    inlier_share: float | None = Field(None, description="share of its points that agree with other frames")
+    speed_m_per_s: float | None = Field(None, description="camera speed since the frame before, m/s")
+    turn_rad_per_s: float | None = Field(None, description="camera's rate of turn, rad/s")
+    blur: float | None = Field(
+        None, description="colour blur: the recording's median sharpness, divided by the frame's"
+    )
 
 
 class TrajectoryHealth(ScaledPart, Stored):
@@ -120,59 +126,67 @@ class TrajectoryHealth(ScaledPart, Stored):
 
     FILE: ClassVar[str] = "health.json"
 
-    format_version: int = Field(1, description="of this file")
+    format_version: int = Field(1, description="version of this file's format")
     source: Source = Field(description="trust: the given poses; refine: these, corrected; tracked: found")
     verdict: str = Field(description="what the poses are good for, and why, in a sentence")
     grade: Annotated[Grade, BeforeValidator(lambda grade: OLDER_GRADES.get(grade, grade))] = Field(
-        description="the same in short; no bound of any error"
+        description="verdict in short; no bound on any error"
     )
     recommended: Recommendation | None = Field(
         None, description="what to do with a given trajectory; null without one"
     )
     warnings: tuple[str, ...] = Field((), description="what people should know, one line each")
     frames: int = Field(description="frames of the recording")
-    tracked: int = Field(description="of these, with a pose")
-    lost: tuple[int, ...] = Field((), description="frames without a pose, but for the rejected")
+    tracked: int = Field(description="frames with a pose")
+    lost: tuple[int, ...] = Field((), description="frames without a pose, except rejected ones")
     lost_stretches: tuple[LostStretch, ...] = Field((), description="runs of lost frames")
     jumps: tuple[Jump, ...] = Field((), description="steps far faster than the others")
     relocalised: tuple[int, ...] = Field((), description="frames found again after a gap")
     rejected: tuple[RejectedFrame, ...] = Field(
-        (), description="left out: depth disagrees with the given pose"
+        (), description="frames left out: depth disagrees with the given pose"
     )
-    degenerate: tuple[int, ...] = Field((), description="frames whose depth alone leaves a motion open")
-    unchecked: int | None = Field(
-        None, description="frames whose pose overlaps too little with others to tell"
+    degenerate: tuple[int, ...] = Field(
+        (), description="frames whose depth alone leaves some motion undetermined"
     )
+    unchecked: int | None = Field(None, description="frames that overlap others too little to be checked")
     keyframes: tuple[int, ...] = Field((), description="frames that others are compared with")
-    median_shift_m: Millimetres = Field(None, description="what poses may be off by, median, mm")
-    max_shift_m: Millimetres = Field(None, description="the largest of these, mm")
-    median_residual_m: Millimetres = Field(None, description="of the frames with a pose, mm")
-    held_out_residual_m: Millimetres = Field(None, description="of frames that are no keyframes, mm")
-    sensor_noise_m: Millimetres = Field(None, description="what noise alone would make of that, mm")
-    path_length_m: float | None = Field(None, alias="path_length_m", description="of the camera, m")
+    median_shift_m: Millimetres = Field(None, description="median possible error of the poses, mm")
+    max_shift_m: Millimetres = Field(None, description="largest of these errors, mm")
+    median_residual_m: Millimetres = Field(None, description="median residual of frames with a pose, mm")
+    held_out_residual_m: Millimetres = Field(
+        None, description="median residual of frames that are no keyframes, mm"
+    )
+    sensor_noise_m: Millimetres = Field(None, description="the same residual from sensor noise alone, mm")
+    path_length_m: float | None = Field(
+        None, alias="path_length_m", description="the camera path's length, m"
+    )
     open_path_m: float | None = Field(
-        None, alias="open_path_m", description="of this, outside every believed loop, m"
+        None, alias="open_path_m", description="path outside every believed loop, m"
     )
     open_gap_s: float | None = Field(
         None, description="longest time without a pose that no believed loop spans, seconds"
     )
-    arc_rad: DegreesInFile | None = Field(None, description="walked around what is looked at, degrees")
+    arc_rad: DegreesInFile | None = Field(
+        None, description="angle walked around what cameras look at, degrees"
+    )
     ties: ConstraintCounts = Field(ConstraintCounts(), description="constraints of the pose graph")
     loop_correction_m: Millimetres = Field(
-        None, description="of believed loops with the poses, rms mm, without one in twenty that may be off"
+        None,
+        description="rms disagreement of believed loops with the poses, without one in twenty that may be "
+        "off, mm",
     )
-    loops: tuple[LoopClosure, ...] = Field((), description="closures in the pose graph")
-    refused_loops: tuple[LoopClosure, ...] = Field((), description="tried and not believed")
-    given: GivenFigures | None = Field(None, description="of a given trajectory; null without one")
+    loops: tuple[LoopClosure, ...] = Field((), description="loop closures in the pose graph")
+    refused_loops: tuple[LoopClosure, ...] = Field((), description="loop closures tried, but not believed")
+    given: GivenFigures | None = Field(None, description="check of a given trajectory; null without one")
     readout_s: MillisecondsInFile | None = Field(
         None,
         alias="readout_ms",
-        description="rolling shutter that was undone, from the first row to the last, ms; null: none",
+        description="rolling shutter that was corrected: from first row to last, ms; null: none",
     )
     color_delay_s: MillisecondsInFile | None = Field(
         None,
         alias="color_delay_ms",
-        description="by how much colour was later than depth, which is undone, ms; null: none",
+        description="delay of colour after depth, which is corrected, ms; null: none",
     )
     covisibility: Covisibility = Field(Covisibility(), description="what keyframes see of each other")
     per_frame: tuple[FrameHealth, ...] = Field((), description="a row for each frame")
@@ -202,10 +216,10 @@ class StoredDepthCalibration(Stored):
     formula: str = Field(
         "1 / true depth = 1 / depth + sum of coefficient * P_i(x) * P_j(y); P: Legendre, "
         "x = (2 u + 1) / width - 1, y = (2 v + 1) / height - 1",
-        description="how the coefficients are meant",
+        description="formula that the coefficients belong to",
     )
-    terms: list[tuple[int, int]] = Field(TERMS, description="(i, j) of each coefficient")
-    coefficients_per_m: list[float] = Field(description="of each term, 1/m")
+    terms: list[tuple[int, int]] = Field(TERMS, description="orders (i, j) of each coefficient")
+    coefficients_per_m: list[float] = Field(description="coefficient of each term, 1/m")
 
     @model_validator(mode="after")
     def _known_terms(self) -> Self:

@@ -22,19 +22,23 @@ class TriageRow(StoredPart):
         description="accept: nothing speaks against it; look: it is published, and a person should look at "
         "it; reject: it is left out of a release"
     )
-    reasons: tuple[str, ...] = Field(description="why, one line each; of accept what a person passed over")
-    review: str | None = Field(None, description="why a person decided so; null: the rules did")
-    estimated_iou: float | None = Field(None, description="of quality.json")
-    estimated_iou_low: float | None = Field(None, description="of quality.json")
-    estimated_known_iou: float | None = Field(None, description="of quality.json")
+    reasons: tuple[str, ...] = Field(
+        description="reasons, one line each; accept: those that a person overrode"
+    )
+    review: str | None = Field(
+        None, description="a person's reason for the decision; null: the rules decided"
+    )
+    estimated_iou: float | None = Field(None, description="as in quality.json")
+    estimated_iou_low: float | None = Field(None, description="as in quality.json")
+    estimated_known_iou: float | None = Field(None, description="as in quality.json")
     underside: Underside | None = Field(None, description="as benchmark.yaml states it")
     underside_by: Literal["recording", "category"] | None = Field(
-        None, description="whose line states it; null: nobody's"
+        None, description="whose line in benchmark.yaml states it; null: nobody's"
     )
     incomplete: tuple[str, ...] = Field(
-        (), description="much that nobody saw, one line each: scores leave it out"
+        (), description="large unseen parts, one line each: scores leave them out"
     )
-    built: bool = Field(description="up to the pairs")
+    built: bool = Field(description="whether built up to the pairs")
 
 
 class SameObject(StoredPart):
@@ -42,9 +46,9 @@ class SameObject(StoredPart):
 
     recordings: tuple[str, str] = Field(description="their ids")
     agreement: float = Field(
-        description="lesser share of what was measured of one that lies near the other's surface"
+        description="share of one's measured surface near the other's; the smaller of the two"
     )
-    splits: tuple[Split, Split] = Field(description="those that they stand in")
+    splits: tuple[Split, Split] = Field(description="splits of the two")
     write: str = Field(description="what to write in benchmark.yaml at the second, if they are one")
 
     @property
@@ -65,8 +69,8 @@ class TriageFile(Stored):
     FILE: ClassVar[str] = "triage.json"
     ADVICE: ClassVar[str] = "`kinectbench triage` makes it again"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
-    rows: tuple[TriageRow, ...] = Field(description="the most severe reason first")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
+    rows: tuple[TriageRow, ...] = Field(description="recordings, most severe first")
     same_object: tuple[SameObject, ...] = Field((), description="recordings that may show one object")
 
     @property

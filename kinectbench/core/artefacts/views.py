@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, StringConstraints
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPart
 from kinectbench.core.untrusted import MOST_SIDE_PX
 
-UNKNOWN_SHARE = "of the true shape's volume in the pair's cube, that is not known"
+UNKNOWN_SHARE = "unknown share of the true shape's volume in the pair's cube"
 
 ViewName = Annotated[str, StringConstraints(pattern="^[0-9]{3,6}$")]
 # SHA-256 of an image.
@@ -47,21 +47,27 @@ class ViewRow(StoredPart):
     T_world_camera: Matrix4 | None = Field(
         None, description="(4, 4), camera to world, metres, after alignment"
     )
-    moved_m: float | None = Field(None, description="by the alignment, metres")
-    turned_rad: float | None = Field(None, description="by the alignment, radians")
-    blur: float | None = Field(None, description="of the colour image, see docs/tracking.md")
-    pose_residual_m: float | None = Field(None, description="of the tracker, metres")
-    pixels: int | None = Field(None, description="of the mask")
-    visible_share: float | None = Field(None, description="of the silhouette that has depth")
-    border_share: float | None = Field(None, description="of the silhouette, within 1 px of the border")
-    dropped_share: float | None = Field(None, description="of the depth in the mask, far from the shape")
-    containment: float | None = Field(None, description="share of the view's points in the shape")
-    residual_m: float | None = Field(None, description="median distance of the points from the shape, metres")
-    truncated_share: float | None = Field(None, description="of the outline, beyond the image")
+    moved_m: float | None = Field(None, description="translation by the alignment, metres")
+    turned_rad: float | None = Field(None, description="rotation by the alignment, radians")
+    blur: float | None = Field(None, description="the colour image's blur, see docs/tracking.md")
+    pose_residual_m: float | None = Field(None, description="tracker's residual, metres")
+    pixels: int | None = Field(None, description="pixels in the mask")
+    visible_share: float | None = Field(None, description="share of the silhouette that has depth")
+    border_share: float | None = Field(None, description="share of the silhouette within 1 px of the border")
+    dropped_share: float | None = Field(
+        None, description="share of depth in the silhouette that the mask leaves out"
+    )
+    containment: float | None = Field(
+        None, description="share of the view's cells inside the shape, dilated once"
+    )
+    residual_m: float | None = Field(
+        None, description="median difference between measured and rendered depth, metres"
+    )
+    truncated_share: float | None = Field(None, description="share of the silhouette outside the image")
     K: Intrinsics | None = Field(None, description="(3, 3) intrinsics, pixels; pixel centres are integers")
-    width: Side | None = Field(None, description="of depth and mask, pixels")
-    height: Side | None = Field(None, description="of depth and mask, pixels")
-    pair: bool | None = Field(None, description="the view has a pair, and its images are published")
+    width: Side | None = Field(None, description="width of depth and mask, pixels")
+    height: Side | None = Field(None, description="height of depth and mask, pixels")
+    pair: bool | None = Field(None, description="whether the view has a pair and published images")
     unknown_share: float | None = Field(None, description=UNKNOWN_SHARE)
 
 
@@ -72,18 +78,18 @@ class Refused(StoredPart):
     steps: Steps | None = Field(None, description="synthesised: steps of roll, pitch, yaw")
     angles_rad: Angles | None = Field(None, description="synthesised: roll, pitch, yaw, radians")
     frame: int | None = Field(None, description="index of the frame in the recording")
-    reason: str = Field(description="why")
+    reason: str = Field(description="why it was refused")
 
 
 class SynthesisedCamera(StoredPart):
     """The pinhole camera that synthesised views were rendered with; pixel centres are integers."""
 
-    width: Side = Field(description="of the image, pixels")
-    height: Side = Field(description="of the image, pixels")
-    fx: Focal = Field(description="focal length across, pixels")
-    fy: Focal = Field(description="focal length down, pixels")
-    cx: float = Field(description="principal point across, pixels")
-    cy: float = Field(description="principal point down, pixels")
+    width: Side = Field(description="width of the image, pixels")
+    height: Side = Field(description="height of the image, pixels")
+    fx: Focal = Field(description="focal length in x, pixels")
+    fy: Focal = Field(description="focal length in y, pixels")
+    cx: float = Field(description="principal point in x, pixels")
+    cy: float = Field(description="principal point in y, pixels")
 
 
 class ViewsFile(Stored):
@@ -91,14 +97,14 @@ class ViewsFile(Stored):
 
     FILE = "views.json"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
-    color_registered: bool | None = Field(None, description="colour pixels lie on depth pixels")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
+    color_registered: bool | None = Field(None, description="whether colour pixels lie on depth pixels")
     order: str | None = Field(None, description="synthesised: order of the angles")
     steps_per_turn: Steps | int | None = Field(None, description="synthesised: steps in a turn")
     camera: SynthesisedCamera | None = Field(None, description="synthesised: its camera")
     views: tuple[ViewRow, ...] = Field(description="a row for each view")
-    refused: tuple[Refused, ...] = Field(description="frames that were no views")
-    warnings: tuple[str, ...] = Field((), description="one line each")
+    refused: tuple[Refused, ...] = Field(description="frames not used as views")
+    warnings: tuple[str, ...] = Field((), description="warnings, one line each")
 
 
 class PairRow(StoredPart):
@@ -106,13 +112,19 @@ class PairRow(StoredPart):
 
     view: ViewName = Field(description="zero-padded index")
     frame: int | None = Field(None, description="index of the frame in the recording")
-    containment: float | None = Field(None, description="share of the view's points in the shape")
-    residual_m: float | None = Field(None, description="median distance of the points from the shape, metres")
-    dropped_share: float | None = Field(None, description="of the depth in the mask, far from the shape")
-    visible_share: float | None = Field(None, description="of the silhouette that has depth")
-    moved_m: float | None = Field(None, description="by the alignment, metres")
-    turned_rad: float | None = Field(None, description="by the alignment, radians")
-    cut_share: float | None = Field(None, description="of the shape's volume, outside the pair's cube")
+    containment: float | None = Field(
+        None, description="share of the view's cells inside the shape, dilated once"
+    )
+    residual_m: float | None = Field(
+        None, description="median difference between measured and rendered depth, metres"
+    )
+    dropped_share: float | None = Field(
+        None, description="share of depth in the silhouette that the mask leaves out"
+    )
+    visible_share: float | None = Field(None, description="share of the silhouette that has depth")
+    moved_m: float | None = Field(None, description="translation by the alignment, metres")
+    turned_rad: float | None = Field(None, description="rotation by the alignment, radians")
+    cut_share: float | None = Field(None, description="share of the shape's volume outside the pair's cube")
     unknown_share: float | None = Field(None, description=UNKNOWN_SHARE)
 
 
@@ -121,7 +133,7 @@ class PairsFile(Stored):
 
     FILE = "pairs.json"
 
-    format_version: Literal[1] = Field(1, description="of this file's format")
+    format_version: Literal[1] = Field(1, description="version of this file's format")
     pairs: tuple[PairRow, ...] = Field(description="a row for each pair")
     refused: tuple[Refused, ...] = Field(description="views of which no pair was made")
 

@@ -54,43 +54,54 @@ class Pair:
 
     partial: Packed = field(
         metadata={
-            "description": "the view's depth on the object, the input: partial_256 reduced by partial_rule"
+            "description": "input: cells with the view's depth on the object, partial_256 reduced by "
+            "partial_rule"
         }
     )
-    partial_256: Packed = field(metadata={"description": "the same before reduction"})
-    full: Packed = field(metadata={"description": "the solid shape, the truth"})
-    shell: Packed = field(metadata={"description": "its surface only"})
-    known: Packed = field(metadata={"description": "the truth is trusted there"})
-    seen: Packed = field(metadata={"description": "in the view's frustum and not behind its depth"})
+    partial_256: Packed = field(metadata={"description": "the same cells before reduction"})
+    full: Packed = field(metadata={"description": "truth: cells of the solid shape"})
+    shell: Packed = field(metadata={"description": "truth: surface cells of full"})
+    known: Packed = field(metadata={"description": "cells where the truth is trusted"})
+    seen: Packed = field(metadata={"description": "cells in the view's frustum and not behind its depth"})
     T_world_grid: Float64 = field(
         metadata={
             "description": "cell (i, j, k) of full has its centre at "
             "T_world_grid @ ((i+.5, j+.5, k+.5) * voxel_size_m)"
         }
     )
-    T_world_camera: Float64 = field(metadata={"description": "camera to world, metres"})
-    K: Float64 = field(metadata={"description": "intrinsics, pixels; pixel centres are integers"})
+    T_world_camera: Float64 = field(metadata={"description": "pose of the view: camera to world, metres"})
+    K: Float64 = field(metadata={"description": "intrinsics of the view, pixels; pixel centres are integers"})
     voxel_size_m: float = field(metadata={"description": "edge of a cell of the 256^3 grid, metres"})
     surface_sigma_m: float = field(
         metadata={
             "description": "standard deviation of the truth's surface, metres; 0 if it is exact or not known"
         }
     )
-    framing: str = field(metadata={"description": "object or view"})
-    partial_rule: str = field(metadata={"description": "any or majority"})
+    framing: str = field(metadata={"description": "what the cube is fitted to: object or view"})
+    partial_rule: str = field(
+        metadata={
+            "description": "when a block of 4x4x4 cells of partial_256 becomes one occupied cell: any or "
+            "majority"
+        }
+    )
     occupancy_rule: str = field(
-        default="winding", metadata={"description": "winding, seeable or six-rays; files without it: winding"}
+        default="winding",
+        metadata={
+            "description": "rule for cells of full: winding, seeable or six-rays; files without it: winding"
+        },
     )
     interior: Packed | None = field(
         default=None,
         metadata={
-            "description": "of known, what is not measured: no line of sight reaches it; not in every file"
+            "description": "cells of known that were not measured: no line of sight reaches them; not in "
+            "every file"
         },
     )
     said: Packed | None = field(
         default=None,
         metadata={
-            "description": "of known, what is so only by the word of who recorded it; not in every file"
+            "description": "cells of known that rest only on the word of who recorded the object; not in "
+            "every file"
         },
     )
 
