@@ -43,8 +43,8 @@ def score_baselines(
 ) -> list[ScoreTable]:
     """Score every baseline that a release allows as a method, and write `out/<name>/scores.json`.
 
-    The tables are those that `write_baselines` and `score_methods` would give, without hashes of prediction
-    files, as there are none.
+    The tables, which are returned, too, are those that `write_baselines` and `score_methods` would give,
+    without hashes of prediction files, as there are none.
 
     Args:
         release: the release that is predicted.
