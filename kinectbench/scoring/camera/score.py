@@ -69,7 +69,7 @@ def score_in_camera(
     Raises:
         ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
             is held back.
-        SettingsError: see `refuse_many_rows`.
+        SettingsError: the table would have too many rows.
     """
     check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, validation=False, solid=False)
