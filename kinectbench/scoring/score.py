@@ -72,7 +72,8 @@ def score(
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
         ReleaseError: no test pair, an object in two splits, a pair file missing or changed, truth held back.
-        SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
+        SettingsError: an unknown protocol, one that the pairs do not allow, an unusable threshold file, an
+            option that does not fit method.json, or too many rows.
     """
     here = jobs if isinstance(jobs, int) else 1
     check_declared(Request(protocols, thresholds_file, None, missing, upsampling, close, jobs), predictions)
@@ -178,9 +179,14 @@ def score_methods(
         progress: called with (pairs done, pairs in all) for each method in turn.
         close: see `score`.
 
+    Returns:
+        A table for each method; last those of methods that the protocols do not fit, without scores.
+
     Raises:
         SettingsError: an option contradicts another option, a method.json, or the number of methods.
-        PredictionError: no prediction can be scored; earlier scores are kept.
+        PredictionError: the folder or a method.json is refused, or no prediction of a single method can be
+            scored; earlier scores are kept.
+        ReleaseError: as in `score`.
     """
     request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)
