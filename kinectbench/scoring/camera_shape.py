@@ -52,7 +52,7 @@ class CameraShape:
         cells: (i, j, k) bool occupancy, or float32 signed distances in metres; None for meshes and points.
         T_camera_grid: (4, 4) similarity; the centre of cell (i, j, k) is at
             `T_camera_grid @ ((i + .5, j + .5, k + .5) * voxel_size_m)`.
-        voxel_size_m: edge of a cell, in the units of the grid.
+        voxel_size_m: edge of a cell in the grid's own frame, which `T_camera_grid` may scale.
     """
 
     form: str

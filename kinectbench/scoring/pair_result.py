@@ -77,7 +77,7 @@ class PairJob:
         threshold: threshold of the surface metrics; None leaves these metrics out.
         counting: how the pair is counted.
         earlier: the pair's result in the journal of an interrupted run, or None.
-        check: whether the pair is counted again even so, and refused if `earlier` differs.
+        check: whether the pair is counted again in spite of `earlier`, and refused if the two differ.
     """
 
     target: Target

@@ -77,7 +77,7 @@ def check_protocols(protocols: Sequence[str] | None) -> None:
 
 
 def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the requested protocols, else the usual ones that the pairs of a release allow.
+    """Return the requested protocols, else all but `shell` that the pairs of a release allow.
 
     All pairs of a recording have the same grids, so the first pair of each is read.
 

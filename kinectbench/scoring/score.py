@@ -56,8 +56,8 @@ def score(
         release: the release that was predicted.
         predictions: one method's folder, with a file `<recording>/<view>` for each view; untrusted.
         method: the method's name.
-        protocols: see `protocols_of`.
-        thresholds_file: see `read_thresholds`; if given, nothing is chosen on the validation split.
+        protocols: names of `PROTOCOLS`, or camera, aligned or both; default: those that apply, without shell.
+        thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
         surface: whether surface metrics are computed; they take most of the time.
@@ -169,8 +169,8 @@ def score_methods(
         predictions: one method's folder (its subfolders are recordings), or a folder of methods.
         out: folder for the results.
         method: name of a single method; default: the folder's name.
-        protocols: see `protocols_of`.
-        thresholds_file: see `read_thresholds`.
+        protocols: see `score`.
+        thresholds_file: a threshold file (`read_thresholds`).
         save_thresholds: a file for the thresholds, if any was chosen on the validation split.
         missing: "error" or "empty".
         upsampling: "half-pixel" or "corner-aligned".

@@ -118,7 +118,7 @@ def _metrics(forward: "Spread", back: "Spread", truth: PackedTruth) -> SurfaceMe
 
 
 def size_cells(full: Packed) -> float:
-    """Return the diagonal of a packed shape's box, in cells; 0 if the shape is empty."""
+    """Return the diagonal of a packed shape's bounding box, in cells; 0 if the shape is empty."""
     bits = np.unpackbits(np.bitwise_or.reduce(full, axis=(0, 1)))
     sides = [
         np.flatnonzero(full.any(axis=(1, 2))),

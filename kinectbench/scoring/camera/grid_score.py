@@ -24,7 +24,7 @@ SEARCHING = Counting(("paper",), surface=False)
 def space_alone(
     protocols: Sequence[str] | None, upsampling: str, close: str | None = None
 ) -> tuple[str, ...]:
-    """Return those of the requested protocols that are protocols of space; () if none is.
+    """Return those of the requested protocols that are of space (camera, aligned); () if none is.
 
     Raises:
         SettingsError: protocols of space are mixed with others or with another upsampling than half-pixel; or

@@ -86,9 +86,9 @@ class Way:
     def mean(self, values: Float64, worse: Callable[[float, float], float] = min) -> float:
         """Return the area-weighted mean of values (n,).
 
-        For a mesh, return the worse of this mean and the unweighted one. Otherwise a mesh could gain by
-        scattering tiny triangles: each has a sample that may be near the truth, and has almost no area that
-        counts as wrong.
+        For a mesh, return the worse of this mean and the unweighted one (`worse`: min, or max of distances).
+        Otherwise a mesh could gain by scattering tiny triangles: each has a sample that may be near the
+        truth, and has almost no area that counts as wrong.
         """
         by_sample, area = float(values.mean()), float(self.areas.sum())
         if not area > 0:

@@ -102,7 +102,7 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
 
     Args:
         views: number of views to score.
-        asked: see `asked_rows`.
+        asked: the (protocol, kind of registration) pairs to score (`asked_rows`).
         hypotheses: number of predictions per view; if there are several, each row is repeated for the first,
             the best and the mean.
 
@@ -124,7 +124,7 @@ def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tup
     """Return the protocols for predictions in the camera frame: those asked for, else all that apply.
 
     Raises:
-        SettingsError: see `unfit`.
+        SettingsError: they do not fit these predictions (`unfit`).
     """
     if reason := unfit(asked, declared):
         raise SettingsError(reason)

@@ -151,7 +151,7 @@ def score_shape(
     Args:
         truth: the truth of the view.
         shape: the predicted shape, camera frame.
-        asked: see `asked_rows`.
+        asked: the (protocol, kind of registration) pairs to score (`asked_rows`).
         volume_m: (2, 3), lowest and highest corner of the volume that the method covers, camera frame; None:
             unlimited, except by the shape's own grid.
         close: how an open mesh or points are made solid; None: not at all.
