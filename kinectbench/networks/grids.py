@@ -20,8 +20,8 @@ class TruthBatch:
     """The truth of a batch.
 
     Attributes:
-        full: (b, 1, 256, 256, 256) bool.
-        known: (b, 1, 256, 256, 256) bool, where the truth is known; None: every voxel counts.
+        full: (b, 1, 256, 256, 256) bool; a tile of it is smaller.
+        known: bool of the same shape, where the truth is known; None: every voxel counts.
     """
 
     full: Tensor

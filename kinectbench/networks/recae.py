@@ -59,7 +59,7 @@ class RecAE(Network):
         xavier(self)
 
     def start_by_he(self) -> None:
-        """Initialise weights after He, and the output's bias to the mean occupancy of the training shapes."""
+        """Initialise weights after He, and the output's bias to the logit of 0.074, a usual occupancy."""
         he(nn.ModuleList([self.down, self.to_vector, self.from_vector, self.up]))
         last = self.up[-1]
         assert isinstance(last, Doubling) and last.bias is not None
