@@ -93,7 +93,7 @@ class SixSides(nn.Module):
 
 
 class HanLike(Network):
-    """The whole network, 7.5 M parameters: `coarse` predicts at 32^3, `patch` 32^3 cells of the 256^3 grid."""
+    """The whole network, 7.5 M parameters: `coarse` predicts at 32^3, `patch` in parts of the 256^3 grid."""
 
     def __init__(self, divisor: int = 1) -> None:
         """Make the network; hidden channels and vectors are divided by `divisor`."""
