@@ -113,11 +113,8 @@ def train(
 
     Raises:
         ReleaseError: a pair is missing or changed, or there is no training pair.
-        SettingsError: the folder belongs to another training, there is no such device, or weights cannot hold
-            a value of the network; "best" is to be kept without validation pairs, or processes cannot share a
-            batch evenly.
-        StorageError: the disk is full or read-only, the checkpoint is damaged, or another run holds the
-            folder (without `wait`).
+        SettingsError: the folder belongs to another training, or `config` or `device` cannot be used.
+        StorageError: the disk cannot be written, the checkpoint is damaged, or another run has the folder.
         StepError: memory is full, the loss is not finite, or another process has stopped.
     """
     asked = config.training

@@ -72,8 +72,7 @@ def score(
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
         ReleaseError: no test pair, an object in two splits, a pair file missing or changed, truth held back.
-        SettingsError: an unknown protocol, one that the pairs do not allow, an unusable threshold file, an
-            option that does not fit method.json, or too many rows.
+        SettingsError: an option is unknown, unusable or does not fit the pairs or method.json; too many rows.
     """
     here = jobs if isinstance(jobs, int) else 1
     check_declared(Request(protocols, thresholds_file, None, missing, upsampling, close, jobs), predictions)
@@ -169,7 +168,7 @@ def score_methods(
         predictions: one method's folder (its subfolders are recordings), or a folder of methods.
         out: folder for the results.
         method: name of a single method; default: the folder's name.
-        protocols: see `score`.
+        protocols: see `score`; tables of methods that they do not fit are returned last, without scores.
         thresholds_file: a threshold file (`read_thresholds`).
         save_thresholds: a file for the thresholds, if any was chosen on the validation split.
         missing: "error" or "empty".
@@ -179,14 +178,9 @@ def score_methods(
         progress: called with (pairs done, pairs in all) for each method in turn.
         close: see `score`.
 
-    Returns:
-        A table for each method; last those of methods that the protocols do not fit, without scores.
-
     Raises:
         SettingsError: an option contradicts another option, a method.json, or the number of methods.
-        PredictionError: the folder or a method.json is refused, or no prediction of a single method can be
-            scored; earlier scores are kept.
-        ReleaseError: as in `score`.
+        PredictionError, ReleaseError: as in `score`, or a single method has no prediction that can be scored.
     """
     request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)
