@@ -36,7 +36,8 @@ class Mapped:
     Attributes:
         name: the tensor's name in the network.
         axes: the order in which a convolution's axes are taken; None for other tensors.
-        rows: the axis of a fully connected layer that runs over cells and channels; None for other tensors.
+        rows: the axis of a fully connected layer, or of its bias, that runs over cells and channels; None for
+            other tensors.
     """
 
     name: str
@@ -59,7 +60,7 @@ class Mapped:
 
 
 def _channels_first(values: Float32, axis: int) -> Float32:
-    """Reorder an axis from x, y, z, channel to channel, x, y, z."""
+    """Reorder an axis that runs over 4 x 4 x 4 cells and channels, channels last, to channels first."""
     first = np.moveaxis(values, axis, 0)
     cells = first.reshape(*3 * (BOTTOM_CELLS,), -1, *first.shape[1:])
     return np.moveaxis(np.moveaxis(cells, 3, 0).reshape(first.shape), 0, axis)
@@ -130,8 +131,8 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
         out: the method's folder.
 
     Raises:
-        StorageError: there is no checkpoint, a file of it is missing or damaged, or tensors do not fit (one
-            line each).
+        StorageError: there is no checkpoint, a file of it is missing or damaged, tensors do not fit (one line
+            each), or the disk is full or read-only.
         SettingsError: `out` belongs to another training.
     """
     bundle = open_bundle(find_index(model))
@@ -159,10 +160,10 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
 
 
 def find_index(model: Path) -> Path:
-    """Return the one index of a checkpoint in a folder.
+    """Return a checkpoint's index: `model` itself if it ends in .index, else the only one in that folder.
 
     Raises:
-        StorageError: there is no index, or there are several.
+        StorageError: the folder is missing, or holds no index or several.
     """
     if model.suffix == SUFFIX:
         return model

@@ -49,7 +49,7 @@ class PairFile(NamedTuple):
 def training_targets(
     releases: Sequence[Release], leave_out: Collection[str] = (), category: str | None = None
 ) -> tuple[tuple[Release, Target], ...]:
-    """Return the training pairs, release after release.
+    """Return the training pairs, each with its release, release after release.
 
     Args:
         releases: different releases.
@@ -109,7 +109,7 @@ def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
 def validation_pairs(
     releases: Sequence[Release], most: int, category: str | None = None
 ) -> tuple[PairFile, ...]:
-    """Return up to `most` pairs of the validation splits, of one category or all, evenly spread."""
+    """Return up to `most` validation pairs with open truth, of one category or all, evenly spread."""
     pairs = [
         PairFile(release.pair_path(target), target.sha256)
         for release in releases
@@ -121,7 +121,7 @@ def validation_pairs(
 
 
 def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
-    """Return the indices of a step's pairs; every epoch is shuffled, and a step may span two epochs."""
+    """Return the indices of a step's `batch` pairs; every epoch is shuffled, and a step may span epochs."""
     shuffled: dict[int, NDArray[np.int64]] = {}
     chosen = []
     for place in range(step * batch, (step + 1) * batch):
@@ -144,14 +144,14 @@ def batches(
     device: str,
     part: tuple[int, int] = (0, 1),
 ) -> Iterator[Batch]:
-    """Yield the batch of each step, the next one read ahead.
+    """Yield this process's part of the batch of each step, the next one read ahead.
 
     Args:
         pairs: pairs of the training splits.
-        config: gives the size of a batch, and the axes.
+        config: gives size of a batch, seed, axes, and whether unknown voxels are masked.
         steps: the requested steps.
         device: device for the tensors.
-        part: rank and number of processes that share each batch.
+        part: rank of this process, and number of processes that share each batch.
 
     Raises:
         ReleaseError: a pair is missing or changed.

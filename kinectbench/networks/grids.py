@@ -20,8 +20,8 @@ class TruthBatch:
     """The truth of a batch.
 
     Attributes:
-        full: (b, 1, 256, 256, 256) bool.
-        known: (b, 1, 256, 256, 256) bool, where the truth is known; None: every voxel counts.
+        full: (b, 1, 256, 256, 256) bool; a tile of it is smaller.
+        known: bool of the same shape, where the truth is known; None: every voxel counts.
     """
 
     full: Tensor
@@ -30,8 +30,8 @@ class TruthBatch:
     def at(self, cells: int) -> tuple[Tensor, Tensor]:
         """Return targets and weights, each (b, 1, cells, cells, cells) float32.
 
-        A target is the occupied share of a cell's known part; its weight is the known share of the cell. At
-        256^3 these are the grids themselves.
+        A target is the occupied share of a cell's known part, 0 if nothing of it is known; its weight is the
+        known share of the cell. At the grids' own resolution these are the grids themselves.
         """
         if self.known is None:
             return _shares(self.full, cells), self._ones(cells)
@@ -39,7 +39,7 @@ class TruthBatch:
         return _shares(self.full & self.known, cells) / weight.clamp(min=1e-6), weight
 
     def tile(self, index: int, place: tuple[int, ...], count: int) -> "TruthBatch":
-        """Return one tile of one pair's truth, (1, 1, n, n, n); a side is divided into `count` tiles."""
+        """Return the tile at `place` (3,) of pair `index`: (1, 1, n, n, n), with `count` tiles a side."""
         cells = self.full.shape[-1] // count
         box = tuple(slice(cells * k, cells * (k + 1)) for k in place)
         cut = (slice(index, index + 1), slice(None), *box)

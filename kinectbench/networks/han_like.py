@@ -93,7 +93,7 @@ class SixSides(nn.Module):
 
 
 class HanLike(Network):
-    """The whole network, 7.5 M parameters: `coarse` predicts at 32^3, `patch` refines 32^3 cells at 256^3."""
+    """The whole network, 7.5 M parameters: `coarse` predicts at 32^3, `patch` in parts of the 256^3 grid."""
 
     def __init__(self, divisor: int = 1) -> None:
         """Make the network; hidden channels and vectors are divided by `divisor`."""
@@ -135,7 +135,8 @@ class HanLike(Network):
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """Yield logits, targets and weights: of the coarse grid, then of some patches of each shape.
 
-        The patches are drawn from those that the shape's surface passes through.
+        At most eight patches are drawn from those that the shape's surface passes through; if there are none,
+        from all.
         """
         logits, structure = self.coarse(partial)
         target, weight = truth.at(GLOBAL_CELLS)

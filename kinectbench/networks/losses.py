@@ -13,10 +13,10 @@ TINY = 1e-8
 
 
 def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings: LossSettings) -> Tensor:
-    """Return the mean loss per voxel, in nats, summed over supervised parts.
+    """Return the sum, over the supervised outputs, of the mean loss per voxel, in nats: ().
 
     Args:
-        parts: (logits, targets in [0, 1], weights), of one shape in each part.
+        parts: (logits, targets in [0, 1], weights) of each output, three tensors of one shape.
         settings: the chosen loss.
     """
     losses = [

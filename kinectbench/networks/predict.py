@@ -81,6 +81,7 @@ def predict(
         PairError, ReleaseError: a pair cannot be read.
         SettingsError: these splits have no pair, or the folder holds predictions for another release, or
             files that `predict` did not write.
+        PredictionError: method.json or unfinished.json of an earlier run cannot be read.
         StorageError: the disk is full or read-only.
     """
     wanted = release.of_splits([split for split in SPLITS if split in splits])
@@ -224,7 +225,7 @@ def _write(
 
 
 def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
-    """Return a prediction's file content: probabilities, packed or float16, or packed bits at 256^3."""
+    """Return a prediction's file content: probabilities, packed or float16, or thresholded bits at 256^3."""
     if run.threshold is not None:
         planes = upsampled_planes(probability)
         return packed_npz_bytes({"prediction": np.stack([pack(p > run.threshold) for p in planes])})
@@ -258,7 +259,7 @@ def notes(trained: Trained, release: Release) -> list[str]:
 def method_of(
     trained: Trained, release: Release, run: UnfinishedFile, seconds: Sequence[float], device: str
 ) -> MethodFile:
-    """Return method.json of a run; `seconds` is the network's time per view."""
+    """Return method.json of a run; `seconds` are the network's times, one for each predicted view."""
     config, training = trained.config, trained.training
     return MethodFile(
         name=config.name,

@@ -90,7 +90,7 @@ class PredictionFolder:
         self._note([name])
 
     def finish(self, method: MethodFile) -> None:
-        """Finish the folder: write method.json with the run's hash and the digests of its files.
+        """Write method.json with the run's hash and the digests of its files; remove the records of the run.
 
         Args:
             method: method.json of this run; without new predictions, time and memory of the earlier run are

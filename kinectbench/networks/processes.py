@@ -12,12 +12,14 @@ from kinectbench.core.untrusted import printable
 
 
 def rank_and_size() -> tuple[int, int]:
-    """Return the index of this process and the number of processes, set by torchrun."""
+    """Return the index of this process and the number of processes, set by torchrun; (0, 1) without it."""
     return int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
 
 
 def chosen_device(asked: str | None) -> str:
-    """Return the network's device: as requested, else this process's GPU, else the CPU.
+    """Return the network's device: as requested, else the GPU, else the CPU.
+
+    "cuda" becomes this process's GPU, "cuda:<LOCAL_RANK>".
 
     Raises:
         SettingsError: unknown device.

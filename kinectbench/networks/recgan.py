@@ -65,7 +65,7 @@ def discriminator_loss(
     settings: AdversarialSettings,
     generator: Generator,
 ) -> Tensor:
-    """Return WGAN-GP's loss of the discriminator (equation 4 of the paper).
+    """Return WGAN-GP's loss of the discriminator, a scalar (equation 4 of the paper).
 
     Args:
         discriminator: the discriminator that is trained.

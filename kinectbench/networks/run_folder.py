@@ -35,8 +35,8 @@ class State:
         step: number of finished steps.
         rows: rows of the log so far.
         sums: each loss summed over the steps since the last row, and as `steps` the number of these steps.
-        best_iou: the best validation IoU so far; `best_step`: its step.
-        seconds: time of training so far.
+        best_iou: the best validation IoU so far, -1 before the first; `best_step`: its step, 0 before.
+        seconds: time of the steps so far, without validation and saving.
     """
 
     step: int = 0
@@ -89,7 +89,8 @@ def prepare_folder(folder: Path, config: MethodSettings) -> None:
     """Create the folder and write the configuration, or check that the folder has the same one.
 
     Raises:
-        SettingsError: the folder holds a training with another configuration.
+        SettingsError: the folder holds a training with another configuration, or one that cannot be read.
+        StorageError: the disk is full or read-only.
     """
     make_folder(folder)
     path = folder / CONFIG
@@ -198,7 +199,7 @@ def _damaged(path: Path) -> StorageError:
 
 
 def hardware(device: str) -> str:
-    """Return the network's hardware as text."""
+    """Return the GPU's name, or the processor's with torch's number of threads."""
     if device.startswith("cuda"):
         return str(torch.cuda.get_device_name(device))
     threads = torch.get_num_threads()

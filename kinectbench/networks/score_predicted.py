@@ -40,7 +40,7 @@ def score_predicted(
         release: the release that is predicted and scored.
         run: result of `run_of`: how predictions would be written.
         splits: some of "validation" and "test"; without "validation" the threshold is the network's own, or
-            0.5.
+            0.5; without "test" the table has no averages.
         surface: whether surface metrics are computed; they take most of the time.
         device: the network's device.
         progress: called with (pairs done, pairs in all).

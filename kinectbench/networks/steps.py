@@ -49,7 +49,7 @@ class Learner:
         self._rates = [optimiser.param_groups[0]["lr"] for optimiser in self.optimisers]
 
     def step(self, batch: Batch, number: int, epoch: int, share: float = 0.0) -> Losses:
-        """Learn from a batch; return the losses before the update.
+        """Learn from a batch; return the losses before the update: `loss`, and more in 3d-recgan++.
 
         Args:
             batch: the part of the batch for this process.
@@ -57,6 +57,9 @@ class Learner:
             epoch: determines the learning rate if it is halved every few epochs.
             share: finished share of the training, in [0, 1); determines the learning rate if it follows a
                 cosine.
+
+        Raises:
+            StepError: a loss is not finite.
         """
         self.network.train()
         for optimiser, rate in zip(self.optimisers, self._rates, strict=True):

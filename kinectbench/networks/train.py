@@ -113,9 +113,9 @@ def train(
 
     Raises:
         ReleaseError: a pair is missing or changed, or there is no training pair.
-        SettingsError: the folder belongs to another training, there is no such device, or weights cannot hold
-            a value of the network.
-        StorageError: the disk is full or read-only, or the checkpoint is damaged.
+        SettingsError: the folder belongs to another training, or `config` or `device` cannot be used.
+        StorageError: the disk cannot be written, the checkpoint is damaged, or another run has the folder.
+        StepError: memory is full, the loss is not finite, or another process has stopped.
     """
     asked = config.training
     targets = training_targets(releases, asked.leave_out, asked.category)
@@ -191,7 +191,10 @@ def _run(
     progress: Progress | None,
     watch: Callable[[TrainingRow], None] | None,
 ) -> None:
-    """Train until the steps or the time are used up; save the progress in any case."""
+    """Train until the steps or the time are used up, and save the progress.
+
+    It is also saved after an interrupt or an error of ours, but not after a `StepError`.
+    """
     config, state, device = training.config, training.state, training.device
     started = saved = time.monotonic()
     steps = range(state.step, training.steps)
@@ -233,7 +236,7 @@ def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
     """Run one step.
 
     Raises:
-        StepError: memory is full, or the loss is not a finite number.
+        StepError: memory is full, the loss is not a finite number, or another process has stopped.
     """
     step = training.state.step
     try:

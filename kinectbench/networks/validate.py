@@ -21,7 +21,7 @@ PROTOCOL = "known"
 def completed(
     network: Network, partial: NDArray[np.bool_], config: MethodSettings, device: str
 ) -> NDArray[np.float16]:
-    """Predict a partial view (64, 64, 64): (n, n, n) float16 in [0, 1], both in the pair's axes."""
+    """Complete a partial view (64, 64, 64): probabilities (n, n, n) float16; both in the pair's axes."""
     network.eval()
     with torch.inference_mode():
         tensor = as_tensor(turned_axes(partial, config)[None], device)
@@ -35,7 +35,7 @@ def completed(
 def validation_iou(
     network: Network, pairs: Sequence[PairFile], config: MethodSettings, device: str
 ) -> tuple[float, float]:
-    """Return the highest mean IoU over some pairs, protocol `known`, and its threshold.
+    """Return the mean IoU of some pairs, protocol `known`, at the best of 17 thresholds; and that threshold.
 
     Pairs of which nothing is known are left out, unless all are.
 

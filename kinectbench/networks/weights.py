@@ -186,7 +186,7 @@ def check_fit(wanted: Shapes, arrays: Mapping[str, NpyHeader], where: str) -> No
     """Refuse arrays whose headers do not match the network.
 
     Raises:
-        StorageError: a name or a shape does not fit; a line for each, beginning with `where`.
+        StorageError: a name or a shape does not fit; a line for each, at most 20, beginning with `where`.
     """
     if problems := list(misfits(wanted, arrays)):
         raise StorageError(*(f"{where}: {problem}" for problem in problems[:20]))

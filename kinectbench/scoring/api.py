@@ -68,9 +68,10 @@ class Scorer:
                 0.15, ... 0.9; same as `threshold` in a method.json.
 
         Raises:
-            ReleaseError: the path holds no release, or its truth is held back.
-            SettingsError: an unknown protocol, an object in two splits, an unusable threshold file, or an own
-                threshold outside that list.
+            ReleaseError: the path holds no release, it has no test pair, an object is in two splits, or the
+                truth is held back.
+            SettingsError: an option has an unknown value, the pairs do not allow a protocol, or the threshold
+                file is unusable.
             PredictionError: `method` cannot be a method's name.
         """
         release = dataset.release if isinstance(dataset, Dataset) else open_release(Path(dataset))
@@ -101,7 +102,7 @@ class Scorer:
 
         Raises:
             PredictionError: the prediction is unacceptable, the pair is unknown, or a validation pair comes
-                after the first test pair.
+                after the thresholds were fixed: by the first test pair, by `result` or by a threshold file.
             ReleaseError: the truth is missing or changed.
         """
         target = self._targets.get(pair_id)
@@ -125,8 +126,8 @@ class Scorer:
     def result(self) -> ScoreTable:
         """Return the table of scores; `kinectbench score` gives the same table for the same predictions.
 
-        The table has no averages while a test pair is missing, or while only some validation pairs were
-        counted.
+        Unless missing pairs count as empty grids, the table has no averages while a test pair is missing, or
+        while only some validation pairs were counted.
         """
         thresholds = self._fixed()
         empty = self._empty | self._as_empty("test", thresholds)

@@ -62,7 +62,7 @@ class ObjectMeans:
 
 
 def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
-    """Return {heading: {category: means of its objects}}; a heading is a protocol, with part and kind if any.
+    """Return {heading: {category: means of its objects}}; a heading is such as `known`, `aligned-t-visible`.
 
     Categories are sorted; one without a counted pair is left out. Views of one object are not independent:
     each object counts once, however many views it has. The protocols `paper` and `shell` weigh every pair
@@ -86,14 +86,14 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
 
 
 def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | None]) -> float | None:
-    """Return the mean of a value of each row that is no metric: over pairs, then objects, then categories.
+    """Return the mean of a figure that is no metric: over pairs, then objects, then categories.
 
     Args:
         rows: rows under one heading; rows without metrics are skipped.
-        value: returns the value of a row.
+        value: returns the figure of a row.
 
     Returns:
-        The mean; None if a counted row has no value.
+        The mean; None if a counted row lacks the figure, or no row counts.
     """
     groups: dict[str, dict[str, list[float | None]]] = {}
     for row in rows:
@@ -119,7 +119,7 @@ def category_averages(
     rates: Mapping[str, BaseRate],
     quality: Mapping[str, ObjectQuality],
 ) -> dict[str, dict[str, CategoryAverages]]:
-    """Return {protocol: {category: averages, their intervals, and the numbers of pairs and objects}}.
+    """Return {heading: {category: averages, their intervals, and the numbers of pairs and objects}}.
 
     Args:
         means: see `object_means`.
@@ -174,7 +174,7 @@ def overall_averages(
     by_category: Mapping[str, Mapping[str, CategoryAverages]],
     means: Mapping[str, Mapping[str, ObjectMeans]],
 ) -> dict[str, OverallAverages]:
-    """Return {protocol: macro mean over the counted categories, its intervals, sums of pairs and objects}.
+    """Return {heading: macro mean over the counted categories, its intervals, sums of pairs and objects}.
 
     Means of the truth's quality also include categories without a counted pair.
     """
@@ -197,7 +197,7 @@ def overall_averages(
 
 
 def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
-    """Return the pairs of the highest and of the lowest IoU under each protocol, at most three each."""
+    """Return {heading: pairs of the highest and of the lowest IoU}, at most three each, the extreme first."""
     by_protocol = {}
     for protocol in dict.fromkeys(row.heading for row in rows):
         rising = [
@@ -238,8 +238,8 @@ def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
 def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict[str, list[float]]] | None:
     """Return {protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}}.
 
-    The IoU is averaged like scores (`object_means`): over pairs, objects, categories; `paper` weighs every
-    pair equally. All-unknown pairs are left out.
+    The IoU is averaged like scores (`object_means`): over the pairs of each object, then over objects;
+    `paper` and `shell` weigh every pair equally. All-unknown pairs are left out.
 
     Args:
         rows: the rows of a table.

@@ -84,7 +84,7 @@ def find_files(
 
 
 def load_camera_shape(file: CameraPredictionFile, method: MethodFile) -> CameraShape:
-    """Read a prediction as a shape in its view's camera frame, metres, or in any unit if its scale is "free".
+    """Read a prediction in its view's camera frame, metres, or in any unit if method.json says scale "free".
 
     Raises:
         PredictionError: the file is unacceptable, or not of the declared form; one line.
@@ -149,10 +149,13 @@ def check_camera(
         release: the release that was predicted.
         folder: the folder of predictions.
         method: the method's method.json.
-        progress: called with (views done, views in all).
+        progress: called with (predictions done, predictions in all).
 
     Returns:
         A line for each problem; and notes on how well usable predictions fit their views' depth.
+
+    Raises:
+        ReleaseError: a depth image or a pair is missing or damaged.
     """
     problems = method_problems(folder, method, release)
     problems += [
@@ -200,9 +203,9 @@ def _open_lines(compared: Mapping[str, Agreement]) -> list[str]:
 
 
 def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], method: MethodFile) -> list[str]:
-    """Return a line if some predictions seem to be in another unit or other axes; else none.
+    """Return a line if a prediction seems to be in another unit or other axes, or far off; else none.
 
-    Only a few predictions are compared (0.1 s each): all of a method usually have the same error.
+    Only five predictions are compared (0.1 s each): all of a method usually have the same error.
     """
     if method.scale == "free" or _without_depth(release):
         return []

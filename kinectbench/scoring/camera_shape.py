@@ -52,7 +52,7 @@ class CameraShape:
         cells: (i, j, k) bool occupancy, or float32 signed distances in metres; None for meshes and points.
         T_camera_grid: (4, 4) similarity; the centre of cell (i, j, k) is at
             `T_camera_grid @ ((i + .5, j + .5, k + .5) * voxel_size_m)`.
-        voxel_size_m: edge of a cell, in the units of the grid.
+        voxel_size_m: edge of a cell in the grid's own frame, which `T_camera_grid` may scale.
     """
 
     form: str
@@ -193,7 +193,11 @@ def _checked_cells(cells: FileArray, key: str) -> FileArray:
 
 
 def occupancy_shape(cells: Bools, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
-    """Return cells as a solid; its points are the centres of occupied cells that have a free neighbour."""
+    """Return cells as a solid; its points are the centres of occupied cells that have a free neighbour.
+
+    Raises:
+        PredictionError: no cell is occupied, or too many cells are at the surface.
+    """
     padded = np.pad(cells, 1)
     inner = cells.copy()
     for axis in range(3):
@@ -203,7 +207,11 @@ def occupancy_shape(cells: Bools, T_camera_grid: Float64, voxel_size_m: float) -
 
 
 def distance_shape(cells: Float32, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
-    """Return signed distances (negative inside) as a shape; its points lie within a cell of the surface."""
+    """Return signed distances (negative inside) as a shape; its points lie within a cell of the surface.
+
+    Raises:
+        PredictionError: no cell, or too many, are so near.
+    """
     near = np.abs(cells) < voxel_size_m * similarity_scale(T_camera_grid)
     return _of_cells("sdf", cells, near, T_camera_grid, voxel_size_m)
 
@@ -223,9 +231,9 @@ def _of_cells(
 
 
 def write_shape(shape: CameraShape, stem: Path) -> Path:
-    """Write a shape as a prediction and return the file: `<stem>.ply` (mesh, points) or `.npz` (cells).
+    """Write a shape as a prediction and return the file: `<stem>.ply` (mesh, points) or `<stem>.npz`.
 
-    Coordinates are float32, in metres, in the camera frame.
+    Coordinates are metres in the camera frame, float32 in a .ply file.
     """
     stem.parent.mkdir(parents=True, exist_ok=True)
     if shape.cells is not None:

@@ -62,7 +62,11 @@ def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
 
 
 def in_cells(voxel_size_m: float, vertices_m: Float64) -> Float64:
-    """Convert vertices (n, 3) from metres to cells of the truth; refuse vertices that are too far away."""
+    """Convert vertices (n, 3) from metres to cells of the truth.
+
+    Raises:
+        PredictionError: a coordinate is beyond 16 sides of the grid.
+    """
     vertices = vertices_m / voxel_size_m
     if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
         far_m = MAX_FAR * FULL_CELLS * voxel_size_m

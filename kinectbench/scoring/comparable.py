@@ -46,7 +46,7 @@ def _left_out_line(name: str, table: ScoreTable) -> str:
 
 
 def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[str, ObjectMeans]]:
-    """Return {category: means of its objects} for each table.
+    """Return {category: means of its objects} of each table, in the order of `tables`.
 
     Args:
         tables: complete tables by the methods' names.
@@ -54,8 +54,8 @@ def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[st
         protocol: the protocol, with part and kind of registration if any, such as `aligned-t+s-visible`.
 
     Raises:
-        SettingsError: the tables are of different truth, or one lacks the protocol or the metric; the message
-            lists what all tables have.
+        SettingsError: the tables are of different truth, or one lacks the protocol, a counted pair or the
+            metric; the message lists the protocols or metrics that all tables have.
     """
     _check_truth(tables)
     of = {name: object_means(table.rows) for name, table in tables.items()}

@@ -48,7 +48,7 @@ class Difference:
         by_object: first minus second of each object, by name.
         p: p value of the two-sided sign-flip test.
         p_holm: p, corrected for all pairs of methods compared in this scope.
-        smallest_p: the smallest p that this many objects allow, with the same correction.
+        smallest_p: the smallest p that the exact test allows with as many objects, times the number of pairs.
         verdict: one sentence.
     """
 
@@ -106,7 +106,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
 
     Args:
         tables: at least two complete tables; incomplete ones are left out, with a note.
-        metric: one of the averaged metrics.
+        metric: one of `METRICS`, such as "iou".
         protocol: one under which all tables were scored.
 
     Raises:

@@ -50,7 +50,7 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
     Args:
         prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
         truth: the packed grids of the truth.
-        upsampling: see `upsampled_planes`.
+        upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
     """
     if len(prediction) != FULL_CELLS:
         planes = upsampled_planes(prediction, convention=upsampling)
@@ -164,11 +164,12 @@ def ceiling_tallies(
     Args:
         truth: the packed truth.
         side: below 256.
-        protocols: see `tallies`.
-        upsampling: see `upsampled_planes`.
+        protocols: names of `PROTOCOLS`.
+        upsampling: "half-pixel" or "corner-aligned".
 
     Returns:
-        As `tallies`.
+        The tally against the solid truth, and {protocol: tally} for protocols that compare with another
+        truth.
     """
     others = {}
     for name in protocols:

@@ -170,7 +170,7 @@ def load(
 
     Raises:
         ReleaseError: there is no release, or it was changed.
-        SettingsError: unknown key.
+        SettingsError: unknown key, or an unusable URL.
     """
     if problem := unusable(str(path)):
         raise SettingsError(problem, what="bad-url")

@@ -155,7 +155,7 @@ def agreement(
 
 
 def remedy(slip: str, method: MethodFile) -> str:
-    """Return the key of method.json that corrects an error, with its value.
+    """Return the keys of method.json that correct an error, with their values; else "'T_camera_prediction'".
 
     Args:
         slip: the error, in the words of `mends`.
@@ -242,7 +242,10 @@ def _both(unit: str, axes: str) -> str:
 
 
 def shape_points(shape: CameraShape) -> Float64:
-    """Return points (m, 3) of a shape's surface, at most `SHAPE_POINTS`; a mesh is sampled evenly by area."""
+    """Return at most `SHAPE_POINTS` points (m, 3) of a shape's surface.
+
+    A mesh is sampled at random, uniformly by area; of a mesh without area, all vertices are returned.
+    """
     rng = np.random.default_rng(SEED)
     if len(shape.faces):
         return _on_triangles(shape.points_m, shape.faces, rng)

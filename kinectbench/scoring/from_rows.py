@@ -30,7 +30,11 @@ from kinectbench.scoring.uncertainty import MIN_OBJECTS
 
 @dataclass(frozen=True)
 class FromRows:
-    """The fields of a `ScoreTable` that follow from its rows; None if incomplete."""
+    """The fields of a `ScoreTable` that follow from its rows.
+
+    `by_category`, `overall` and `iou_by_threshold` are None if a pair was not scored; the last also if rows
+    have no curves (older tables).
+    """
 
     by_category: dict[str, dict[str, CategoryAverages]] | None
     overall: dict[str, OverallAverages] | None

@@ -37,9 +37,10 @@ AS_WELL = 0.95
 
 
 def axes_problem(looked_at: Iterable[tuple[Prediction, Bools]]) -> str | None:
-    """Return a line if a method's grids fit the measured cells far better with other axes.
+    """Return a line if a method's grids fit the measured cells far better with other axes; else None.
 
     A prediction of a whole object contains the surface that its view measured, and nothing in front of it.
+    Fewer than ten predictions are not judged.
 
     Args:
         looked_at: predictions (n, n, n), each with its view's `partial_256`, bool (256, 256, 256), in the

@@ -37,7 +37,7 @@ def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Pa
         seen: (v / 8,) packed: the input view saw the voxel.
 
     Returns:
-        (0x3C01, 8) how many voxels have each pattern and code.
+        (0x3C01, 8) how many voxels have each pattern and code (1 occupied + 2 known + 4 seen).
     """
     # Two tables in turn: increments of the same cell would wait for each other.
     even = np.zeros(HALF_PATTERNS * CODES, np.uint32)
@@ -67,6 +67,8 @@ def _ones(word: np.uint64) -> np.uint64:
 @njit(cache=True, error_model="numpy", nogil=True)
 def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64:
     """Histogram a packed boolean prediction: (2, 8), how many voxels have each value and code.
+
+    A code is 1 if the truth is occupied, + 2 if it is known, + 4 if the input view saw the voxel.
 
     Args:
         occupied: (v / 64,) uint64, packed prediction.
@@ -109,8 +111,8 @@ def count_reals(
         steps: 20; thresholds are k / steps.
         clip: cross-entropy clips values to [clip, 1 - clip].
         bins: (21, 8) int64; row k counts values above k / 20 and up to (k + 1) / 20; row 0 counts values up
-            to 1 / 20, 0 included.
-        ce_sum: (8,) sum of -log(y) or -log(1 - y) per code.
+            to 1 / 20, 0 included; a column is a code: 1 occupied + 2 known + 4 seen.
+        ce_sum: (8,) sum of -log(y), if occupied, or -log(1 - y) per code.
     """
     # A sum of logarithms is the logarithm of a product: one logarithm suffices for some thirty voxels. Eight
     # tables are used in turn, as above. Unsigned indices need no test for negative values.

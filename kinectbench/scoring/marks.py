@@ -12,7 +12,7 @@ from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHO
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
-    """Return the marks that follow from a table's provenance; older tables state less.
+    """Return the caveats that follow from a table's thresholds, missing pairs, version and closing, as marks.
 
     Args:
         table: a score table; its stored `marks` are ignored.

@@ -31,12 +31,13 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
         voxel_size_m: edge of a voxel of the pair's 256-grid, metres.
 
     Returns:
-        (256, 256, 256) bool, without the parts beyond the grid; and the share of the volume cut off.
+        (256, 256, 256) bool, without the parts beyond the grid, and empty if the mesh is too thin to hold a
+        cell's centre; and the share of the volume cut off.
 
     Raises:
         OSError: the file cannot be read.
-        PredictionError: the mesh is unreadable, open, inconsistently oriented, too costly, or has no cell
-            inside the grid; the message lacks the file's name.
+        PredictionError: the mesh is unreadable, open, inconsistently oriented, too costly, too far away, or
+            lies outside the grid; the message lacks the file's name.
     """
     from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 

@@ -36,7 +36,7 @@ LEAST_CHECKED, CHECKED_SHARE = 4, 0.01
 
 
 def drawn(names: Iterable[str], of: str) -> frozenset[str]:
-    """Return a random sample of names of pairs, which are counted again as a check.
+    """Return a random sample of names of pairs, at least four and 1 %, which are counted again as a check.
 
     Args:
         names: the names of all pairs.
@@ -77,7 +77,7 @@ class PairJob:
         threshold: threshold of the surface metrics; None leaves these metrics out.
         counting: how the pair is counted.
         earlier: the pair's result in the journal of an interrupted run, or None.
-        check: whether the pair is counted again even so, and refused if `earlier` differs.
+        check: whether the pair is counted again in spite of `earlier`, and refused if the two differ.
     """
 
     target: Target
@@ -138,7 +138,7 @@ def count_job(job: PairJob) -> PairResult | str:
 def count(
     prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
 ) -> PairResult:
-    """Count a prediction in memory; `threshold` is for the surface metrics, None leaves them out."""
+    """Count a prediction in memory; without `threshold` there are no surface metrics, and ceilings are 1."""
     side = len(prediction)
     reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
     surface = surfaces(prediction, truth, counting, threshold)
@@ -157,7 +157,7 @@ def surfaces(
 
 
 def ceilings(truth: PackedTruth, side: int, counting: Counting) -> Mapping[str, float]:
-    """Return {protocol: the highest IoU that a prediction of this side can reach}; 1 for sides from 256."""
+    """Return {protocol: the best IoU of the truth itself, reduced to `side` cells}; 1 for sides from 256."""
     if side >= FULL_CELLS:
         return dict.fromkeys(counting.protocols, 1.0)
     best, others = ceiling_tallies(truth, side, counting.protocols, counting.upsampling)
@@ -185,7 +185,7 @@ class Journal:
         self._checked = drawn(self._earlier, whole)
 
     def earlier(self, pair: str) -> CountedPair | None:
-        """Return an earlier run's result of a pair."""
+        """Return an earlier run's result of a pair; None if there is none."""
         return self._earlier.get(pair)
 
     def is_checked(self, pair: str) -> bool:

@@ -32,7 +32,7 @@ class Loaded:
     Attributes:
         prediction: (n, n, n), as `load_prediction` returns it.
         digest: `blake3:` with the hash of the prediction's file.
-        outside_share: share of a mesh's volume that lies outside the grid and was cut off.
+        outside_share: share of a mesh's volume that lies outside the grid and was cut off; 0 for grids.
     """
 
     prediction: Prediction

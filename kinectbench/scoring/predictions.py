@@ -39,7 +39,7 @@ class FoundPredictions:
     Attributes:
         files: the file of each target that has one.
         missing: targets without a file.
-        problems: targets whose file is ambiguous or unsafe, and why.
+        problems: targets whose file cannot be used, and why: ambiguous, unsafe, or of another format.
         stray: files that match no target, relative to the folder, sorted.
         method: the folder's method.json; None if there is none.
     """
@@ -59,7 +59,8 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
         targets: the targets; their names are safe (see `parse_targets`).
 
     Raises:
-        PredictionError: the folder is missing, or its method.json is refused (`read_method`).
+        PredictionError: the folder is missing, cannot be listed or holds more than `MOST_FILES` files, or its
+            method.json is refused (`read_method`).
     """
     if not folder.is_dir():
         raise PredictionError(f"{folder}: no such folder of predictions", what="no-folder")
@@ -208,7 +209,9 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
 
 
 def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[Target]) -> list[str]:
-    """Return a line for each subfolder without a prediction beside the methods'; hidden ones are skipped.
+    """Return a line for each subfolder without a prediction beside several methods'; hidden ones are skipped.
+
+    At most 20 are named; the rest is one line.
 
     Args:
         folder: the folder that was given to `split_methods`.
@@ -244,7 +247,7 @@ def check_folder(folder: Path) -> None:
     """Refuse a folder that cannot hold predictions of any release.
 
     Raises:
-        PredictionError: the folder is missing, or is a release.
+        PredictionError: the folder is missing, is a release, or lies directly in one.
     """
     if not folder.is_dir():
         raise PredictionError(f"{folder}: no such folder of predictions", what="no-folder")
@@ -291,7 +294,7 @@ def check_grids(
     Args:
         release: the release that was predicted.
         folder: one method's predictions.
-        progress: called with (files done, files in all).
+        progress: called with (targets done, targets in all).
 
     Returns:
         A line for each problem: those of method.json first, then those of the targets in order, then swapped
@@ -300,6 +303,7 @@ def check_grids(
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
+        ReleaseError: a pair file is missing or changed.
     """
     predictions = find_predictions(folder, release.targets)
     answered = {target.split for target in (*predictions.files, *predictions.problems)}

@@ -77,12 +77,12 @@ def check_protocols(protocols: Sequence[str] | None) -> None:
 
 
 def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the requested protocols, else the usual ones that the pairs of a release allow.
+    """Return the requested protocols, else all but `shell` that the pairs of a release allow.
 
     All pairs of a recording have the same grids, so the first pair of each is read.
 
     Raises:
-        SettingsError: a protocol is not known, or the pairs lack a grid that it needs.
+        SettingsError: a protocol is not known or is one of space, or the pairs lack a grid that it needs.
         ReleaseError: a pair file is missing or changed.
     """
     check_protocols(asked)

@@ -52,7 +52,8 @@ def recheck(
         One line for each difference; none if the table is verified.
 
     Raises:
-        SettingsError: the table is of another truth or version, or its file of thresholds is not given.
+        SettingsError: the table is of another truth or version, its file of thresholds is not given, or
+            `predictions` holds several methods, none of its name.
         StorageError: the table is damaged or contradicts itself, or cannot be written.
         PredictionError, ReleaseError: as in `score`.
     """

@@ -23,7 +23,8 @@ def base_rates(
 ) -> dict[str, BaseRate]:
     """Return the base rate of every category, from the first of validation, train and test that has it.
 
-    A category whose truth is held back everywhere has no base rate.
+    It is the mean over pairs of the share of voxels that are occupied in the truth. A category whose truth is
+    held back everywhere has none.
 
     Args:
         release: the release whose truth is read.

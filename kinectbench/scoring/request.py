@@ -50,7 +50,7 @@ def check_request(request: Request, predictions: Path | None) -> Missing:
 
     Raises:
         SettingsError: an option is wrong, or contradicts another option or a method.json.
-        PredictionError: the folder is missing, or a method.json is refused.
+        PredictionError: the folder is missing or belongs to a release, or a method.json is refused.
     """
     rule = check_missing(request.missing)
     check_words(request.protocols, request.upsampling, request.close)

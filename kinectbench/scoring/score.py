@@ -56,8 +56,8 @@ def score(
         release: the release that was predicted.
         predictions: one method's folder, with a file `<recording>/<view>` for each view; untrusted.
         method: the method's name.
-        protocols: see `protocols_of`.
-        thresholds_file: see `read_thresholds`; if given, nothing is chosen on the validation split.
+        protocols: names of `PROTOCOLS`, or camera, aligned or both; default: those that apply, without shell.
+        thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
         surface: whether surface metrics are computed; they take most of the time.
@@ -72,7 +72,7 @@ def score(
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
         ReleaseError: no test pair, an object in two splits, a pair file missing or changed, truth held back.
-        SettingsError: an unknown protocol, one that the pairs do not allow, or an unusable threshold file.
+        SettingsError: an option is unknown, unusable or does not fit the pairs or method.json; too many rows.
     """
     here = jobs if isinstance(jobs, int) else 1
     check_declared(Request(protocols, thresholds_file, None, missing, upsampling, close, jobs), predictions)
@@ -168,8 +168,8 @@ def score_methods(
         predictions: one method's folder (its subfolders are recordings), or a folder of methods.
         out: folder for the results.
         method: name of a single method; default: the folder's name.
-        protocols: see `protocols_of`.
-        thresholds_file: see `read_thresholds`.
+        protocols: see `score`; tables of methods that they do not fit are returned last, without scores.
+        thresholds_file: a threshold file (`read_thresholds`).
         save_thresholds: a file for the thresholds, if any was chosen on the validation split.
         missing: "error" or "empty".
         upsampling: "half-pixel" or "corner-aligned".
@@ -180,7 +180,7 @@ def score_methods(
 
     Raises:
         SettingsError: an option contradicts another option, a method.json, or the number of methods.
-        PredictionError: no prediction can be scored; earlier scores are kept.
+        PredictionError, ReleaseError: as in `score`, or a single method has no prediction that can be scored.
     """
     request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)

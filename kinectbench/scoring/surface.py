@@ -34,7 +34,7 @@ class Distances:
     """Distances between the surface cells of two nonempty shapes.
 
     Attributes:
-        mm: (k,) all distances that occur between cells, millimetres.
+        mm: (k,) the distances of 0, 1, sqrt(2), sqrt(3), ... cells, millimetres.
         to_truth: (k,) number of cells of the prediction's surface at each distance from the truth's.
         to_prediction: (k,) number of cells of the truth's surface at each distance from the prediction's.
     """
@@ -73,8 +73,8 @@ def surface_metrics(
         protocols: names of `PROTOCOLS`.
 
     Returns:
-        Metrics by protocol. If both surfaces are empty, all metrics are perfect. If one is empty, every share
-        is 0 and the Chamfer distance is the grid's diagonal.
+        Metrics by protocol. If neither surface has a counted cell, all metrics are perfect. If only one has,
+        every share is 0 and the Chamfer distance is the grid's diagonal.
     """
     from kinectbench.scoring.surface_kernels import solid_surface, spreads
 
@@ -118,7 +118,7 @@ def _metrics(forward: "Spread", back: "Spread", truth: PackedTruth) -> SurfaceMe
 
 
 def size_cells(full: Packed) -> float:
-    """Return the diagonal of a packed shape's box, in cells; 0 if the shape is empty."""
+    """Return the diagonal of a packed shape's bounding box, in cells; 0 if the shape is empty."""
     bits = np.unpackbits(np.bitwise_or.reduce(full, axis=(0, 1)))
     sides = [
         np.flatnonzero(full.any(axis=(1, 2))),

@@ -36,7 +36,8 @@ class Thresholds:
 
     Attributes:
         of: {category: threshold}, each k / 20 with k from 2 to 18.
-        source: "file:<sha256 of the file>", or the first of `SOURCES` that any category has.
+        source: "file:<sha256>", or the first of "validation", "pooled", "method", "fixed" that any
+            category has.
         warnings: one line each.
         sources: {category: source of its threshold}.
         objects: objects whose pairs chose the thresholds; None if unknown, because a file does not name them

@@ -16,7 +16,7 @@ GRIDS = ("full", "known", "seen")
 
 @dataclass(frozen=True)
 class PackedTruth:
-    """Packed truth (see pair_file.py): each (256, 256, 32) uint8, C order.
+    """The truth of a pair; its grids are packed (see pair_file.py): (256, 256, 32) uint8, C order.
 
     Attributes:
         full: the solid true shape.

@@ -60,8 +60,8 @@ def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
         (m, 2) lower and upper end; None if a category has fewer than three objects, since resampling one or
         two says little about how objects differ. The seed is fixed, so equal values give equal intervals.
 
-    With more than 2000 objects in all, only categories with at most their share of 2000 are resampled. The
-    means of larger categories are drawn from a normal distribution, which suits so many objects.
+    With more than 2000 objects in all, only categories with at most 2000 / (number of categories)
+    are resampled. The means of larger ones are drawn from a normal distribution, which suits so many objects.
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; strata are added here.
     """
@@ -178,7 +178,10 @@ def samples(count: int) -> int:
 
 
 def smallest_p(count: int) -> float:
-    """Return the smallest p-value that n = `count` differences can give: 2^(1 - n), if all have one sign."""
+    """Return the smallest p-value of the exact test of n = `count` differences: 2^(1 - n).
+
+    Beyond 30 differences, drawn signs give no p below 1 / (`samples` + 1).
+    """
     return min(1.0, 2.0 ** (1 - count))
 
 

@@ -23,7 +23,7 @@ def run_tasks(
     progress: Progress | None = None,
     keep: Callable[[Task, Result], None] | None = None,
 ) -> list[Result]:
-    """Apply a module-level function to every task.
+    """Apply a module-level function to every task; return the results in the order of the tasks.
 
     Args:
         function: must not depend on the order of the tasks.

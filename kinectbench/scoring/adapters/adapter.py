@@ -27,7 +27,7 @@ class Adapter:
         read: reads that file; returns the shape in the method's own frame, which `T_camera_method` of
             camera.json maps to the camera; raises PredictionError, ValueError or one of `UNREADABLE`.
         form: what the method predicts: mesh, points or voxels.
-        inputs: the method's inputs.
+        inputs: the images that the method reads, some of "color", "depth", "mask".
         module: the package that `write` needs beyond the extra `build`; "" if none.
     """
 
@@ -44,6 +44,7 @@ def find_output(folder: Path, pattern: str) -> Path | None:
 
     Raises:
         PredictionError: the folder has several output files.
+        OSError: the folder cannot be listed, or holds more than `MOST_FILES` files.
     """
     if not folder.is_dir():
         return None

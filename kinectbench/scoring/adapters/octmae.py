@@ -76,9 +76,10 @@ def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
 
 
 def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
-    """Return the share of the object outside OctMAE's cube: of the true solid ("truth"), or "seen" points.
+    """Return the share of the object outside OctMAE's cube, and "truth" or "seen": what the share is of.
 
-    The measured points are used where the truth is held back; the second result says which was used.
+    It is of the cells of the true solid, or, where the truth is held back, of the measured points; 0 if there
+    are none, or no measured point places the cube.
     """
     seen_m, target = view.object_points_m, view.target
     if release.metadata.hides(target.recording):
@@ -97,7 +98,9 @@ def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
 
 
 def read_octmae(path: Path) -> CameraShape:
-    """Read points and normals from output.pts: a count, then `x y z 0 r g b`; rgb / 255 = (normal + 1) / 2.
+    """Read points and normals, camera frame, millimetres, from output.pts.
+
+    The file holds a count, then lines `x y z 0 r g b`; rgb / 255 = (normal + 1) / 2.
 
     Raises:
         PredictionError, ValueError, OSError: the file cannot be read, or is no output.pts.

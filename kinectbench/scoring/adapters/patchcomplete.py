@@ -42,9 +42,10 @@ def write_patchcomplete(release: Release, view: RgbdView, folder: Path) -> tuple
 
 
 def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
-    """Return each voxel centre's distance along z to the measured surface: (32, 32, 32), metres, clipped.
+    """Return each voxel centre's distance along z to the measured surface: (32, 32, 32) float32, metres.
 
-    The distance is positive in front of the surface, and where the object has no measured pixel.
+    It is positive in front of the surface, and clipped to +-2.5 voxels; where no pixel of the object is
+    measured, it is +2.5 voxels.
 
     Args:
         view: depth and mask of the object.

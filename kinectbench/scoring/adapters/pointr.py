@@ -26,7 +26,7 @@ SEED = 0
 
 
 def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
-    """Write points.npy: 2,048 measured points of the object, mean 0, largest norm 1, y up.
+    """Write points.npy: at most 2,048 measured points of the object, mean 0, largest norm 1, y up.
 
     Up is the floor's normal, or the image's up direction where no floor is known.
 
@@ -63,7 +63,7 @@ def _upright(release: Release, view: RgbdView) -> Float64:
 
 
 def read_pointr(path: Path) -> CameraShape:
-    """Read the points of fine.npy, in the frame of points.npy.
+    """Read the points of fine.npy, in the normalised frame of points.npy.
 
     Raises:
         PredictionError, NpyError, OSError: the file cannot be read, or is no array of points.

@@ -19,7 +19,7 @@ MOST_M, STEPS = 10.0, 65535
 
 
 def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
-    """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m) and intrinsics.pt.
+    """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m; farther depth becomes 10 m), intrinsics.pt.
 
     Without cam2world.pt, RaySt3R's output is in the camera frame.
     """

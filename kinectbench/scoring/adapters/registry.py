@@ -49,10 +49,15 @@ def adapter_of(name: str) -> Adapter:
 def export_for(
     release: Release, out: Path, name: str, progress: Progress | None = None
 ) -> tuple[int, list[str]]:
-    """Write the views of a release in the format that a method's own loader reads; see `export_rgbd`.
+    """Write the views of a release in the format that a method's own loader reads.
+
+    Returns:
+        As `export_rgbd`: the number of views, and notes, a line each.
 
     Raises:
-        SettingsError: there is no adapter of this name, or a package for it is not installed.
+        SettingsError: there is no adapter of this name, a package for it is not installed, or `out` holds
+            something else.
+        ReleaseError, StorageError: as in `export_rgbd`, or the adapter cannot write a view.
     """
     adapter = adapter_of(name)
     if adapter.module and find_spec(adapter.module) is None:
@@ -70,7 +75,7 @@ def adapt(
         name: the method's name.
         output: a folder `<recording>/<view>/` for each view, with the method's output and the camera.json
             of `export --for`.
-        out: a new folder of predictions, or an earlier one, which is replaced.
+        out: a new or empty folder; a folder with a method.json is replaced.
         progress: called with (views done, views in all).
 
     Returns:
@@ -78,7 +83,8 @@ def adapt(
 
     Raises:
         SettingsError: unknown method, or `out` holds something else.
-        PredictionError: nothing there can be used.
+        PredictionError: no output can be used.
+        ReleaseError: a pair of the release cannot be read.
         StorageError: the disk is full or read-only.
     """
     adapter = adapter_of(name)
@@ -116,7 +122,11 @@ def adapt(
 def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
-    """Write the prediction of one view, and return its camera.json; None if the method wrote nothing."""
+    """Write the prediction of one view, and return its camera.json; None if the method wrote nothing.
+
+    Raises:
+        PredictionError: the output or camera.json cannot be used.
+    """
     view_folder = output / target.recording / target.view
     try:
         path = find_output(view_folder, adapter.output)

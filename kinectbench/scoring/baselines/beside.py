@@ -44,7 +44,8 @@ def baselines_beside(
     Args:
         release: the release that is scored.
         out: folder of the scores.
-        protocols: names of `PROTOCOLS` that the pairs allow; or protocols of space.
+        protocols: names of `PROTOCOLS` that the pairs allow; or protocols of space, of which only `camera` is
+            scored.
         upsampling: "half-pixel" or "corner-aligned".
         without: names of baselines that are left out.
         jobs: number of processes.
@@ -83,7 +84,7 @@ def baselines_beside(
 
 
 def _kept(folder: Path, name: str, release: Release, settings: ScoreSettings) -> ScoreTable | None:
-    """Return the kept table of a baseline, if it is still valid."""
+    """Return the kept table of a baseline if it is still valid, else None."""
     try:
         table = read_table(folder / ScoreTable.FILE)
     except StorageError:  # there is none, or it is damaged or contradicts itself

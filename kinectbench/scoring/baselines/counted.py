@@ -43,14 +43,14 @@ def score_baselines(
 ) -> list[ScoreTable]:
     """Score every baseline that a release allows as a method, and write `out/<name>/scores.json`.
 
-    The tables are those that `write_baselines` and `score_methods` would give, without hashes of prediction
-    files, as there are none.
+    The tables, which are returned, too, are those that `write_baselines` and `score_methods` would give,
+    without hashes of prediction files, as there are none.
 
     Args:
         release: the release that is predicted.
         out: folder for the results.
-        protocols: see `protocols_of`.
-        thresholds_file: see `read_thresholds`; if given, nothing is chosen on the validation split.
+        protocols: names of `PROTOCOLS`, or protocols of space; default: the usual ones that the pairs allow.
+        thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
         upsampling: "half-pixel" or "corner-aligned".
         surface: whether surface metrics are computed.
         jobs: number of processes; the result does not depend on it.
@@ -91,8 +91,8 @@ def counted_baselines(
         release: the release that is predicted.
         names: baselines that the release allows (`possible_baselines`).
         counting: how pairs are counted; surface metrics on the test split only.
-        thresholds_file: see `read_thresholds`; default: thresholds are chosen per baseline on the validation
-            split; without one they are 0.5.
+        thresholds_file: a threshold file (`read_thresholds`); default: thresholds are chosen per baseline on
+            the validation split; without one they are 0.5.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -131,7 +131,7 @@ def baselines_that_differ(
 
     Args:
         release: the release that was predicted.
-        tables: by baseline, made with `release` and `counting`, without surface metrics.
+        tables: {baseline: its table}, made with `release` and `counting`, without surface metrics.
         counting: how pairs are counted.
         jobs: number of processes that read the truth.
 

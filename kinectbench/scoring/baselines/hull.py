@@ -30,7 +30,7 @@ def carved_hull(inputs: Inputs) -> Bools:
 
 
 def silhouette(inputs: Inputs) -> Bools:
-    """Return the cells whose ray from the camera has met the partial: (256, 256, 256) bool.
+    """Return the cells of the partial, and those behind it as seen by the camera: (256, 256, 256) bool.
 
     Rays go from the camera's centre to 512 x 512 points on the grid's far side. A cell takes the ray that
     passes nearest to its centre.

@@ -43,8 +43,8 @@ def space_baselines(
         release: the release that is predicted.
         names: baselines that the release allows (`possible_baselines`).
         protocols: camera, aligned or both.
-        thresholds_file: see `read_thresholds`; default: thresholds are chosen per baseline on the validation
-            split; without one they are 0.5.
+        thresholds_file: a threshold file (`read_thresholds`); default: thresholds are chosen per baseline on
+            the validation split; without one they are 0.5.
         jobs: number of processes.
         progress: called with (views done, views in all).
 

@@ -24,7 +24,7 @@ class TrainingTruth:
     Attributes:
         mean: (64, 64, 64) float32, the mean occupancy of the true shapes.
         partials: (n, 64, 64, 8) uint8, packed partial views of the pairs.
-        files: (n,) (pair file, SHA-256) of each pair.
+        files: of each of the n pairs (path of the pair file, SHA-256).
     """
 
     mean: NDArray[np.float32]

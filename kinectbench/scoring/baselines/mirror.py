@@ -17,8 +17,8 @@ SAMPLED = 1500
 def mirror(inputs: Inputs) -> Bools:
     """Return the partial and its mirror image: (256, 256, 256) bool.
 
-    The mirror plane is the best of 36 x 49 vertical planes through the grid: its mirror image has the most
-    cells on the partial, minus those in observed free space. Of equally good ones, the first is taken.
+    The mirror plane is the best by `best_plane` of 36 directions x 49 offsets, all vertical: its mirror image
+    has the most cells on the partial, minus those in observed free space or outside the grid.
     """
     partial = inputs.partial
     points = np.argwhere(partial).astype(np.float64) + 0.5
@@ -37,11 +37,12 @@ def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) 
     """Return the best mirror plane n . x = offset: unit normal (3,), and offset in cells of the 256-grid.
 
     The score of a plane is the number of mirrored points on the partial view, minus the number of those in
-    observed free space or outside the grid.
+    observed free space or outside the grid. Every k-th point is mirrored, so that at most 3,000 are. Of
+    equally good planes, the first is taken.
 
     Args:
-        points: (n, 3) occupied cells of the partial view, in cells of the 256-grid.
-        partial: (64, 64, 64) bool.
+        points: (n, 3) centres of the partial view's cells, in cells of the 256-grid.
+        partial: (64, 64, 64) bool, the partial view.
         seen_empty: (64, 64, 64) bool, observed free space.
         up: (3,) unit vector in grid axes.
     """

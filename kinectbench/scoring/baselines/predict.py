@@ -112,7 +112,7 @@ def write_baselines(
         The names written.
 
     Raises:
-        SettingsError: no such baseline, one that learns without training pairs, or no pair to predict.
+        SettingsError: no such baseline, one that this release does not allow, or no pair to predict.
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
     """

@@ -95,7 +95,7 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
     Args:
         truth: the truth of the view.
         surface: the predicted surface, in the truth's grid frame.
-        kind: what the registration may change, one of `KINDS`.
+        kind: what the registration may change: "t" a shift, "t+s" also the scale, "R+t+s" also the rotation.
     """
     return register_kinds(truth, surface, (kind,))[kind]
 
@@ -103,7 +103,10 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
 def register_kinds(
     truth: SpaceTruth, surface: Surface, kinds: Sequence[str]
 ) -> dict[str, SurfaceRegistration]:
-    """Return {kind: registration}, as `register_surface` gives it for each kind; shared work is done once."""
+    """Return {kind: registration}, as `register_surface` gives it for each kind; shared work is done once.
+
+    Without a known true surface, it is the identity, and not ok.
+    """
     known = truth.known_surface
     if not len(known):
         return dict.fromkeys(kinds, SurfaceRegistration(np.eye(4), ok=False))

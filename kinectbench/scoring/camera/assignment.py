@@ -25,15 +25,15 @@ LEAST = 1e-6
 
 
 def assigned_mean_m(points_m: Float64, others_m: Float64) -> float | None:
-    """Return the mean distance of the best one-to-one assignment, metres, with relative error `WITHIN`.
+    """Return the mean distance of the best one-to-one assignment, metres, to within 0.5 %.
 
     Args:
         points_m: (n, 3), n above `NEAR`.
         others_m: (n, 3).
 
     Returns:
-        The mean, which may be too large, never too small; None if the auction does not end within a bounded
-        number of bids.
+        The mean, which may be too large, never too small: by at most 0.5 % of it, or 1e-6 of the diagonal of
+        both sets; None if the auction does not end within a bounded number of bids.
     """
     n = len(points_m)
     size_m = float(np.linalg.norm(np.ptp(np.concatenate([points_m, others_m]), axis=0)))

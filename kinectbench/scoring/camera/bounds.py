@@ -18,7 +18,7 @@ PCN_FACTOR, PCN_TOLERANCE = 1000.0, 0.01
 def ceiling(
     sigma_m: float, tolerances_m: dict[str, float], area_m2: float, volume_m3: float
 ) -> Ceiling | None:
-    """Return the best scores that a truth with surface error `sigma_m` allows; None if it has no error.
+    """Return the best scores that a truth with surface error `sigma_m` allows; None if that is 0.
 
     These are the scores of a prediction that equals the real surface. The truth deviates from that surface
     along the normal by a distance d, which is normally distributed with standard deviation sigma. So the mean
@@ -30,7 +30,7 @@ def ceiling(
         sigma_m: standard deviation of the truth's surface, metres.
         tolerances_m: {name of an F-score: its tolerance}, metres.
         area_m2: area of the part's known true surface.
-        volume_m3: volume of the part's known true cells.
+        volume_m3: volume of the part's known true cells; if 0, there is no best IoU.
     """
     if not sigma_m > 0:
         return None
@@ -77,7 +77,7 @@ def as_papers(
 
 
 def points_by_area(surface: Surface) -> Float64:
-    """Return `POINTS` of a surface's samples, (n, 3), drawn in proportion to area with a fixed seed."""
+    """Return 16,384 samples of a surface, (16384, 3), drawn by area with replacement and a fixed seed."""
     area = np.cumsum(surface.areas)
     places = np.sort(np.random.default_rng(SEED).random(POINTS)) * area[-1]
     found: Float64 = surface.points_m[np.minimum(np.searchsorted(area, places), len(area) - 1)]

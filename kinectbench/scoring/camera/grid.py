@@ -25,7 +25,7 @@ class GridJob:
         truth: the files that hold its truth.
         file: the prediction's file; None for an empty prediction.
         threshold: cells with a value above it are occupied.
-        asked: the rows to compute (`asked_rows`).
+        asked: (protocol, kind of registration) of the rows to compute (`asked_rows`).
     """
 
     target: Target

@@ -24,11 +24,11 @@ SEARCHING = Counting(("paper",), surface=False)
 def space_alone(
     protocols: Sequence[str] | None, upsampling: str, close: str | None = None
 ) -> tuple[str, ...]:
-    """Return those of the requested protocols that are protocols of space; () if none is.
+    """Return those of the requested protocols that are of space (camera, aligned); () if none is.
 
     Raises:
-        SettingsError: protocols of space are mixed with others or with another upsampling than half-pixel, or
-            `close` is given.
+        SettingsError: protocols of space are mixed with others or with another upsampling than half-pixel; or
+            a way to close meshes is requested by `close`, which predictions in grids do not need.
     """
     if close is not None:
         raise SettingsError(
@@ -61,13 +61,13 @@ def score_grid_in_space(
         asked: the method's files, and the thresholds or how to choose them.
         method: the method's name.
         protocols: protocols of space (`space_alone`).
-        missing: see `score`.
+        missing: "error" or "empty", for the table's settings; `asked` already treats missing files so.
         jobs: number of processes.
-        progress: called with (views done, views in all).
+        progress: called with (test views done, test views in all).
 
     Raises:
         ReleaseError: a pair file is missing or changed.
-        SettingsError: see `refuse_many_rows`.
+        SettingsError: the table would have too many rows.
     """
     rows = tuple(asked_rows(protocols, "metric"))
     refuse_many_rows(len(release.split("test")), rows)

@@ -40,9 +40,12 @@ class PartFigures:
         voxels: voxel metrics; all None in that case, too, and if there is no solid.
         coverage_voxels: share of the grid's cells that are counted.
         coverage_shape: share of the true shape's cells that are counted; 1 if the shape is empty.
-        surface_unknown_share: share of the part's true surface area that is unknown and left out.
-        ceiling: the best scores that the truth's uncertainty allows; None if the truth states none.
-        as_papers: metrics as other papers compute them; only for the part "whole" under `camera`.
+        surface_unknown_share: share of the part's true surface area that is unknown and left out; None if the
+            part has no true surface.
+        ceiling: the best scores that the truth's uncertainty allows; None if the truth states none, or no
+            true surface of the part is known.
+        as_papers: metrics as other papers compute them; only for the part "whole" under `camera`, and None if
+            no true or no predicted surface is in known space.
     """
 
     surface: SurfaceMetrics
@@ -83,9 +86,9 @@ class Way:
     def mean(self, values: Float64, worse: Callable[[float, float], float] = min) -> float:
         """Return the area-weighted mean of values (n,).
 
-        For a mesh, return the worse of this mean and the unweighted one. Otherwise a mesh could gain by
-        scattering tiny triangles: each has a sample that may be near the truth, and has almost no area that
-        counts as wrong.
+        For a mesh, return the worse of this mean and the unweighted one (`worse`: min, or max of distances).
+        Otherwise a mesh could gain by scattering tiny triangles: each has a sample that may be near the
+        truth, and has almost no area that counts as wrong.
         """
         by_sample, area = float(values.mean()), float(self.areas.sum())
         if not area > 0:
@@ -160,7 +163,7 @@ def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
 
 
 def _drawn(surface: Surface, most: int) -> Int64:
-    """Return the indices of `most` samples, drawn at random with a seed that is a hash of all samples.
+    """Return the indices of at most `most` samples, drawn at random; the seed is a hash of all samples.
 
     So nobody can choose which samples are measured. A transformed surface keeps the draw of the original.
     """
@@ -228,7 +231,8 @@ def counted_cells(truth: SpaceTruth, part: str) -> Packed:
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
     """Return IoU, precision, recall and F1 over a part's known cells, and two shares of counted cells.
 
-    These are the share of the grid's cells and the share of the true shape's cells that are counted.
+    These are the share of the grid's cells and the share of the true shape's cells that are counted. What is
+    predicted outside the grid counts as wrong, except for the part "visible".
     """
     if part not in truth.counted:
         counted = counted_cells(truth, part)

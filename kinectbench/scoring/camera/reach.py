@@ -10,7 +10,7 @@ from kinectbench.scoring.camera_shape import CameraShape
 
 
 def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -> float | None:
-    """Return the share of the known true solid outside the method's volume; None without a volume or a solid.
+    """Return the share of the known true solid outside the method's volume; None if either is missing.
 
     Args:
         truth: the truth of the view.

@@ -69,7 +69,7 @@ def score_in_camera(
     Raises:
         ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
             is held back.
-        SettingsError: see `refuse_many_rows`.
+        SettingsError: the table would have too many rows.
     """
     check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, validation=False, solid=False)
@@ -102,7 +102,7 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
 
     Args:
         views: number of views to score.
-        asked: see `asked_rows`.
+        asked: the (protocol, kind of registration) pairs to score (`asked_rows`).
         hypotheses: number of predictions per view; if there are several, each row is repeated for the first,
             the best and the mean.
 
@@ -124,7 +124,7 @@ def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tup
     """Return the protocols for predictions in the camera frame: those asked for, else all that apply.
 
     Raises:
-        SettingsError: see `unfit`.
+        SettingsError: they do not fit these predictions (`unfit`).
     """
     if reason := unfit(asked, declared):
         raise SettingsError(reason)

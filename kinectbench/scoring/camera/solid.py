@@ -34,7 +34,7 @@ class Solid:
 
 
 def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
-    """Return a mesh to take as the solid of an open mesh or of points; None if there is none.
+    """Return a mesh to take as the solid of an open mesh or of points; None if none can be made.
 
     Args:
         shape: an open mesh, or points.
@@ -132,7 +132,7 @@ def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
 
 
 def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:
-    """Return the volume of a prediction's occupied cells outside the truth's grid, in cells of the truth."""
+    """Return the volume, in cells of the truth, of predicted cells centred outside the truth's grid."""
     assert shape.cells is not None and shape.voxel_size_m is not None
     limit_m, outside = FULL_CELLS * truth.voxel_size_m, 0
     for number, plane in enumerate(shape.cells):  # memory stays at one plane

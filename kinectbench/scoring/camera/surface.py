@@ -125,7 +125,7 @@ class Surface:
     def nearest(self, points_m: Float64) -> tuple[Float64, Int64]:
         """Return each point's distance from the surface (n,), metres, and its nearest sample's index (n,).
 
-        The distance is measured to the patch that the nearest sample lies on.
+        The distance is measured to the patch that the nearest sample lies on; of a cloud, to the sample.
         """
         from kinectbench.scoring.camera.kernels import mapped, to_patches
 
@@ -139,7 +139,11 @@ class Surface:
 
 
 def surface_of(shape: CameraShape) -> Surface:
-    """Return the surface of a predicted shape, in the shape's frame."""
+    """Return the surface of a predicted shape, in the shape's frame.
+
+    Raises:
+        PredictionError: cells or distances have more than `MOST_SAMPLES` faces at the surface.
+    """
     if shape.form == "mesh":
         return mesh_surface(shape.points_m, shape.faces)
     if shape.cells is None or shape.T_camera_grid is None or shape.voxel_size_m is None:

@@ -41,7 +41,7 @@ class SpaceTruth:
         T_grid_camera: (4, 4) from the camera's frame to the grid's.
         voxel_size_m: edge of a cell.
         size_m: diagonal of the bounding box of the true shape.
-        sigma_m: standard deviation of the true surface; 0 if it is exact or not known.
+        sigma_m: standard deviation of the true surface's position; 0 if it is exact or not known.
         K: (3, 3) intrinsics of the view, pixels; None where they are not needed.
         mask: (height, width) bool, the object in the view; None if the release has no masks.
         is_open: whether the truth is an open mesh: then it has no inside, and `full` is empty.

@@ -39,7 +39,7 @@ Asked = tuple[str, str | None]
 
 @dataclass(frozen=True)
 class Scored:
-    """The content of one row: scores of one part of a view under one protocol.
+    """Scores of one part of a view under one protocol: the values of a row of the table.
 
     Attributes:
         protocol: camera or aligned.
@@ -96,10 +96,11 @@ class ViewResult:
     """The result of scoring a view.
 
     Attributes:
-        rows: the content of its rows.
+        rows: scores, one for each protocol, kind of registration and part; of several predictions those of
+            the first, then the best and the mean.
         unknown_share: share of the true shape's cells that are not known.
         digest: BLAKE3 of the prediction's file, or of several files' digests; None without a prediction.
-        cells: side of the prediction's grid; 0 without a prediction.
+        cells: side of the prediction's grid; 256 in the camera frame; 0 without a prediction.
     """
 
     rows: tuple[Scored, ...]
@@ -150,14 +151,15 @@ def score_shape(
     Args:
         truth: the truth of the view.
         shape: the predicted shape, camera frame.
-        asked: see `asked_rows`.
+        asked: the (protocol, kind of registration) pairs to score (`asked_rows`).
         volume_m: (2, 3), lowest and highest corner of the volume that the method covers, camera frame; None:
             unlimited, except by the shape's own grid.
         close: how an open mesh or points are made solid; None: not at all.
         votes: collects the shape's solids; None: they are not needed.
 
     Raises:
-        PredictionError: the shape is empty, or its solid cannot be made in the truth's cells.
+        PredictionError: the shape is empty, has too many faces of cells, or its solid cannot be made in the
+            truth's cells.
     """
     surface, mesh = surface_of(shape), closed_mesh(shape)
     if not len(surface):
@@ -242,7 +244,8 @@ def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
 def _over(truth: SpaceTruth, found: Sequence[tuple[Scored, ...]], votes: Votes) -> list[Scored]:
     """Return the rows that combine several predictions of a view: the best prediction's, and the means.
 
-    The best prediction is the one with the smallest Chamfer distance of the whole shape.
+    The best prediction has the smallest Chamfer distance (L1) of the whole shape, under each protocol and
+    kind of registration.
     """
     k = len(found)
     if k == 1:
@@ -262,7 +265,10 @@ def _over(truth: SpaceTruth, found: Sequence[tuple[Scored, ...]], votes: Votes) 
 
 
 def _mean(rows: Sequence[Scored]) -> Scored:
-    """Return a row with the mean of each metric, None if a row lacks it; all else is from the first row."""
+    """Return a row with the mean of each metric and share, None if a row lacks it.
+
+    `solid` is whether all rows are solid, `as_papers` is None; all else is from the first row.
+    """
     figures = [row.figures for row in rows]
     surface = SurfaceMetrics(**_means([vars_of(of.surface) for of in figures]))
     voxels = VoxelMetrics(**_means([vars_of(of.voxels) for of in figures]))

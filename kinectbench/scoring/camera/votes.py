@@ -47,6 +47,8 @@ class Votes:
 def calibration_of(cells: Int64, solid: Int64) -> Calibration | None:
     """Return the calibration in ten bins of the share of predictions that call a cell solid.
 
+    Cells that no prediction calls solid are left out.
+
     Args:
         cells: (k + 1,) number of cells that are solid in 0, 1, ... k predictions.
         solid: (k + 1,) number of these cells that are solid in the truth.

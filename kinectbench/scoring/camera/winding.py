@@ -40,8 +40,8 @@ def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, f
         side: number of cells of the grid along each axis.
 
     Returns:
-        (side, side, side) bool, and the volume inside the mesh but outside the grid, in cells. None if it
-        would take more than `MOST_STEPS` steps.
+        (side, side, side) bool, and the volume inside the mesh but outside the grid, in cells, accurate to
+        blocks of about 1/64 of the mesh's box. None if it would take more than `MOST_STEPS` steps.
     """
     corners = vertices[faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
