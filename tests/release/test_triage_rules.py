@@ -205,6 +205,19 @@ def test_a_box_against_a_chair_stands_alone_and_the_chair_does_without_it() -> N
     assert share is not None and share == pytest.approx(joined[58:90].sum() / joined.sum(), abs=0.05)
 
 
+def test_a_thin_chair_beside_a_large_box_is_not_lost_in_it() -> None:
+    """The chair is 8 % of the solid: less than scraps of a part's corners may be."""
+    solid = np.zeros((130, 60, 100), bool)
+    for x in (2, 54):
+        for y in (2, 54):
+            solid[x : x + 4, y : y + 4, :50] = True
+    solid[2:58, 2:58, 50:52] = solid[2:58, 2:4, 50:] = True
+    chair = solid.sum()
+    solid[58:128, 2:58, :70] = True
+    share = share_standing_alone(solid)
+    assert chair / solid.sum() < 0.1 and share is not None and share > 0.9
+
+
 def test_a_box_that_shares_a_side_of_a_couch_stands_alone() -> None:
     couch = np.zeros((140, 100, 80), bool)
     couch[10:100, 10:90, :40] = couch[10:100, 10:30] = True
