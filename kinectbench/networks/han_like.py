@@ -212,7 +212,11 @@ def _cut(grid: Tensor, corners: Tensor, cells: int = PATCH_CELLS, more: int = 0)
 
 
 def _undecided(probability: Tensor) -> Tensor:
-    """Return the patches (8, 8, 8) where a coarse grid (32, 32, 32), dilated by a cell, is undecided."""
+    """Return which of the 8 x 8 x 8 patches a coarse grid (32, 32, 32) leaves undecided: (8, 8, 8) bool.
+
+    A patch is decided if its 4 x 4 x 4 coarse cells, and those one cell around it, are all at most `DECIDED`,
+    or all at least 1 - `DECIDED`.
+    """
     cells = GLOBAL_CELLS // PATCHES
     highest = functional.max_pool3d(probability[None, None], cells + 2, cells, 1)[0, 0]
     lowest = -functional.max_pool3d(-probability[None, None], cells + 2, cells, 1)[0, 0]

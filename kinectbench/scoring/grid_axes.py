@@ -8,7 +8,7 @@ import numpy as np
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.scoring.counts import Prediction
 
-# The source of each axis of a grid (a permutation), and whether each axis is flipped.
+# For each axis of a prediction, which axis of the pair it is; for each axis of the pair, whether it is flipped.
 Axes = tuple[tuple[int, ...], tuple[bool, ...]]
 
 
@@ -90,13 +90,13 @@ def _fits(prediction: Prediction, partial: Bools) -> Float64:
 
 
 def _mean(prediction: Prediction, cells: Int64, side: int, axes: Axes) -> float:
-    """Return the mean of a prediction over some cells, with its axes read as `axes`; 0 without cells.
+    """Return the mean of a prediction over some cells if its axes are `axes`; 0 without cells.
 
     Args:
         prediction: (n, n, n).
-        cells: (k, 3) indices into a grid of the same cube with `side` cells an edge.
+        cells: (k, 3) indices, in the pair's axes, into a grid of the same cube.
         side: number of cells along an edge of that grid.
-        axes: permutation and flips of the prediction's axes.
+        axes: see `Axes`.
     """
     order, turned = axes
     there = np.where(turned, side - 1 - cells, cells)[:, list(order)]

@@ -282,7 +282,7 @@ def _view(row: ViewRow, folder: Path) -> View:
 
 
 def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
-    """Read the images of a view as `pictures_of` makes them.
+    """Read the stored images of a view: {"depth.png": PNG file, "color.jpg": JPEG file if there is one}.
 
     Raises:
         StorageError: the depth image is missing, or an image cannot be read.

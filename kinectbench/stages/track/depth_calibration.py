@@ -66,11 +66,12 @@ def calibrate(views: Iterable[CalibrationView]) -> DepthCalibration:
 
 
 def calibrate_posed(maps: MapCache, T_world_camera: Float64, frames: NDArray[np.int64]) -> DepthCalibration:
-    """Estimate the correction under which pairs of frames agree best; their given relative poses may adjust.
+    """Estimate the depth correction of a recording whose poses are given; `NO_CALIBRATION` if not accepted.
 
-    Given poses may contain the error of a hand-eye calibration, or come from the same distorted depth. Then
-    correct depth fits them worse. The correction is therefore accepted only if it also lowers the squared
-    residuals at the given poses, by more than 2 %.
+    The correction is fitted as in `calibrate`, with the relative pose of each pair free. The given poses
+    choose the pairs and judge the result: it is accepted only if it also lowers the squared residuals at the
+    given poses by more than 2 %. Poses from an inexact hand-eye calibration, or from the same distorted
+    depth, fit corrected depth worse than recorded depth, and then it is not used.
 
     Args:
         maps: maps of the recording, depth as recorded.

@@ -158,12 +158,18 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, nogil=True)
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_observability):  # type: ignore[no-untyped-def]
-    """Sums of w J J^T: geometry (7, 7: twist, residual), photometry (9, 9: gain, offset, twist, residual).
+    """Sum the normal equations of a pair of frames over the source's points, at the pose T.
 
-    If requested, also sums over inliers: the twist's part divided by the noise of normals (6, 6), and
-    positions (4, 4). Further results: the numbers of inliers, violations and compared intensities, and the
-    inliers' sums of squared residuals and of variances. Rows are gathered in blocks that stay in the cache; a
-    block is stored row by row, so that its products are vectorised.
+    Returns:
+        A, P, S, M, each symmetric, then the numbers of inliers, violations and compared intensities, then
+        sums over inliers of the squared residuals and of their expected variances:
+        A: (7, 7) sum of w J J^T of the point-to-plane residuals, J = (twist, residual).
+        P: (9, 9) the same of photometry, J = (gain, offset, twist, residual).
+        S: (6, 6) sum over inliers of J J^T of A's twist, divided by the squared noise of the normal.
+        M: (4, 4) sum over inliers of p p^T, p = (x, y, z, 1). S and M are 0 without `with_observability`.
+
+    The vectors J are gathered in blocks that stay in the cache, one contiguous array a component, so that
+    the products are vectorised.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

@@ -176,8 +176,9 @@ def fit_box(
 ) -> OrientedBox:
     """The upright box around points (n, 3), from the floor to their top.
 
-    Without a yaw, the box has the least ground area; its yaw is in [-pi/4, pi/4), which makes it unique. A
-    share of the points is left out on every side, so that specks do not move it.
+    Without a yaw, it is that of the least rectangle on the ground around all points, in [-pi/4, pi/4), which
+    makes it unique. A share of the points is left out on each side and at the top, so that specks do not
+    enlarge the box; they may turn it.
     """
     import cv2
 
