@@ -8,7 +8,7 @@ import numpy as np
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.scoring.counts import Prediction
 
-# For each axis of a prediction, which axis of the pair it is; for each axis of the pair, whether it is flipped.
+# Which axis of the pair each axis of a prediction is, and for each axis of the pair whether it is flipped.
 Axes = tuple[tuple[int, ...], tuple[bool, ...]]
 
 
