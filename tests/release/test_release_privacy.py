@@ -177,3 +177,19 @@ def test_a_folder_that_is_no_release_stays(tmp_path: Path) -> None:
     with raises(ReleaseError, "release.other-content"):
         publish(synthetic_settings(), tmp_path / "build", out, NAMES)
     assert (out / "thesis.txt").read_text() == "precious"
+    (out / "benchmark.json").write_text("{}")  # without SHA256SUMS nobody knows what is of the release
+    with raises(ReleaseError, "release.other-content", match="SHA256SUMS"):
+        publish(synthetic_settings(), tmp_path / "build", out, NAMES)
+    assert (out / "thesis.txt").read_text() == "precious"
+
+
+def test_a_hidden_file_beside_a_release_stays(tmp_path: Path) -> None:
+    write_build(tmp_path / "build")
+    out = tmp_path / "b"
+    publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
+    (out / ".lock").touch()  # of a killed fetch
+    publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
+    (out / ".env").write_text("precious")
+    with raises(ReleaseError, "release.other-content", match=r"\.env"):
+        publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
+    assert (out / ".env").read_text() == "precious"
