@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from urllib.parse import unquote
 
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.errors import ReleaseError
@@ -148,7 +149,7 @@ def _store_of(url: str) -> tuple[Store, str]:
     scheme, _, place, *tail = url.split("/", 3)
     if not tail:  # no bucket: the store refuses it
         return Store(f"{scheme}//"), place
-    name = tail[0]
+    name = unquote(tail[0])  # as a store does with its own URL
     return Store(f"{scheme}//{place}" if place else f"{scheme}///"), name
 
 
