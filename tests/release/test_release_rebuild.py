@@ -212,6 +212,9 @@ def test_where_recordings_are_looked_for(tmp_path: Path) -> None:
         "b": "b.bag",
         "c.v2": "c.v2",
     }
+    for name in ("b.txt", "b.zip"):
+        (tmp_path / name).write_bytes(b"")
+    assert find_sources(tmp_path, (".bag", ".klg"))["b"].path.name == "b.bag"
     (tmp_path / "benchmark.yaml").write_text(
         "name: x\nrecordings:\n  - {id: one, path: rec/one, category: chair, masks: m}\n"
     )

@@ -135,7 +135,7 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
         StorageError: the disk is full or read-only.
     """
     release.require_truth(SPLIT_NAMES)
-    views = max(Counter(target.recording for target in release.targets).values())
+    views = max(Counter(target.recording for target in release.targets).values(), default=0)
     rows = []
     with new_folder(out) as folder:
         for done, target in enumerate(release.targets, start=1):
