@@ -187,6 +187,13 @@ def test_missing_recordings_and_other_releases(
             released(views={"colour": True})
         with raises(ReleaseError, "release.not-rebuildable"):
             released(recordings=[])
+        lacking = json.loads(text)
+        del lacking["recordings"]["chair_02"]
+        content = json.dumps(lacking).encode()
+        entry = Entry(len(content), lambda: io.BytesIO(content))
+        reader = replace(contents, entries={**contents.entries, "benchmark.json": entry})
+        with raises(ReleaseError, "release.damaged", match="chair_02"):
+            rebuild_plan(reader, everything)
 
 
 def test_versions(analytic: Path) -> None:
