@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -290,3 +290,7 @@ def test_a_folder_that_is_a_link_to_itself_is_a_line(tmp_path: Path, command: Co
     (tmp_path / "loop").symlink_to("loop")
     result = command(tmp_path, "import", "loop", "out")
     assert result.status in (1, 2) and "internal error" not in result.err and result.err.count("\n") == 1
+
+
+def test_a_release_without_pairs_is_exported(release: Path, tmp_path: Path) -> None:
+    assert export_recgan(replace(open_release(release), targets=()), tmp_path / "out") == 0
