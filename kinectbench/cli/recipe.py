@@ -1,5 +1,6 @@
 """`kinectbench fetch` for a recipe: download its scans, or with --stream build and delete them one by one."""
 
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -62,50 +63,62 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
     import shutil
 
     from kinectbench.cli import console
-    from kinectbench.cli.build import build_jobs
     from kinectbench.core.errors import SettingsError
     from kinectbench.core.extras import missing_extra
     from kinectbench.core.storage import storage_errors
     from kinectbench.engine.artefact import whole_manifest
     from kinectbench.engine.failures import forget_failure, stored_failure, would_fail_again
     from kinectbench.engine.pipeline import STAGE_NAMES
-    from kinectbench.engine.slim import is_slim, keep_failed_source, slim
-    from kinectbench.engine.stages import Job
+    from kinectbench.engine.slim import is_slim, slim
     from kinectbench.release.recipe import BENCHMARK, FetchedScan, remove_scan
-    from kinectbench.settings.file import load_benchmark
 
     if missing := missing_extra("build"):
         raise SettingsError(missing, what="no-package")
-    rows = []
+    rows, left, used = [], Counter(scan.scan for scan in scans), set[str]()
     for number, scan in enumerate(scans, 1):
         build = recipe.out / "build" / scan.id
         failed, has_frames = stored_failure(build), not is_slim(build / "sequence")
         if not has_frames and whole_manifest(build / "pairs") is not None:
             forget_failure(build, STAGE_NAMES)  # of a later run, such as one that was killed
             slim(build)  # a killed run may have left some
-            remove_scan(recipe.out, scan)
-            rows.append(FetchedScan(scan, False))
-            continue
-        if failed is not None and would_fail_again(failed):
-            rows.append(FetchedScan(scan, False, f"{scan.id}: failed before: {failed.error}"))
-            continue
-        console.lines("fetch", [f"{scan.id}, {number} of {len(scans)}"], "cyan")
-        row = recipe.fetch(scan, partial(_refuse_beyond, recipe.out))
-        if row.error is None:
-            if not has_frames:  # a build would refuse what is left
-                with storage_errors(build):
-                    shutil.rmtree(build)
-            recipe.add_to_benchmark([scan])
-            settings = load_benchmark(recipe.out / BENCHMARK)
-            job = Job(settings, settings.by_id()[scan.id], recipe.out)
-            (built,) = build_jobs([job], "pairs", common.workers)
-            if built.error is not None:
-                row = FetchedScan(scan, True, f"{scan.id}: not built: {built.error}")
-            slim(build)
-            keep_failed_source(build)
-            remove_scan(recipe.out, scan)
+            used.add(scan.scan)
+            row = FetchedScan(scan, False)
+        elif failed is not None and would_fail_again(failed):
+            row = FetchedScan(scan, False, f"{scan.id}: failed before: {failed.error}")
+        else:
+            console.lines("fetch", [f"{scan.id}, {number} of {len(scans)}"], "cyan")
+            row = recipe.fetch(scan, partial(_refuse_beyond, recipe.out))
+            if row.error is None:
+                used.add(scan.scan)
+                if not has_frames:  # a build would refuse what is left
+                    with storage_errors(build):
+                        shutil.rmtree(build)
+                row = _built(common, recipe, row)
         rows.append(row)
+        left[scan.scan] -= 1
+        if not left[scan.scan] and scan.scan in used:  # of several cameras all are built
+            remove_scan(recipe.out, scan)
     return _tell(common, recipe, rows, f"next: kinectbench publish -c {recipe.out / BENCHMARK}")
+
+
+def _built(common: Common, recipe: "Recipe", row: "FetchedScan") -> "FetchedScan":
+    """Build a fetched scan and delete its frames; return the outcome."""
+    from dataclasses import replace
+
+    from kinectbench.cli.build import build_jobs
+    from kinectbench.engine.slim import keep_failed_source, slim
+    from kinectbench.engine.stages import Job
+    from kinectbench.release.recipe import BENCHMARK
+    from kinectbench.settings.file import load_benchmark
+
+    recipe.add_to_benchmark([row.scan])
+    settings, build = load_benchmark(recipe.out / BENCHMARK), recipe.out / "build" / row.scan.id
+    job = Job(settings, settings.by_id()[row.scan.id], recipe.out)
+    (built,) = build_jobs([job], "pairs", common.workers)
+    slim(build)
+    keep_failed_source(build)
+    error = None if built.error is None else f"{row.scan.id}: not built: {built.error}"
+    return replace(row, error=error)
 
 
 def _refuse_beyond(out: Path, size: int) -> None:

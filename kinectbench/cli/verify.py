@@ -85,8 +85,9 @@ def _rebuild(
     from kinectbench.engine.stages import Job
     from kinectbench.release.check.rebuild import differences, find_sources, rebuild_plan
     from kinectbench.release.opening import open_contents
+    from kinectbench.stages.ingest.readers import name_suffixes
 
-    sources = find_sources(recordings)
+    sources = find_sources(recordings, name_suffixes())
     with ExitStack() as stack:
         contents = stack.enter_context(open_contents(release))
         plan = rebuild_plan(contents, sources, objects)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Set
 from contextlib import suppress
+from glob import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -12,7 +13,8 @@ from kinectbench.core.artefacts.targets import SHA256SUMS, benchmark_sha256, par
 from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
 from kinectbench.core.extras import missing_extra
 from kinectbench.core.untrusted import printable
-from kinectbench.release.published import release_text
+from kinectbench.release.contents import release_files
+from kinectbench.release.published import listed_files, release_text
 from kinectbench.release.put import PutSummary
 
 if TYPE_CHECKING:
@@ -43,21 +45,22 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
     """Make a dataset of the hub equal to a release: upload the folder, delete files of an earlier release.
 
     The dataset is created if missing. The hub itself skips the upload of files that it already has.
-    Files in the folder that SHA256SUMS does not list are uploaded, too.
+    Files in the folder that SHA256SUMS does not list are not uploaded.
 
     Args:
         folder: the release's folder on this machine.
         name: the dataset, user/name.
 
     Raises:
-        ReleaseError: the dataset holds files that belong to no release, or SHA256SUMS or benchmark.json in
-            the folder is missing or damaged.
+        ReleaseError: the dataset holds files that belong to no release, or a file in the folder is
+            missing, damaged or not that of SHA256SUMS.
         StorageError: the hub does not answer, or refuses.
     """
     from huggingface_hub import HfApi
 
-    text = release_text(folder / SHA256SUMS)
-    names = {SHA256SUMS, *parse_sums(text, str(folder / SHA256SUMS))}
+    text, names = release_text(folder / SHA256SUMS), {SHA256SUMS, *listed_files(folder)}
+    there_too = (path.relative_to(folder).as_posix() for path in release_files(folder))
+    others = [escape(name) for name in there_too if name not in names]
     info = ReleaseInfo.read(folder)
     identity = benchmark_sha256(text, release_text(folder / BENCHMARK_JSON))
     message = f"{' '.join(part for part in (info.name, info.version) if part)}, benchmark_sha256 {identity}"
@@ -69,7 +72,8 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
         listed = _listed(api, name) if {SHA256SUMS, BENCHMARK_JSON} <= there else set[str]()
         _refuse_other(name, there - ITS_OWN - listed - (names if BENCHMARK_JSON in there else set()))
         gone = sorted((there & listed) - names - ITS_OWN)
-        api.upload_folder(**where, folder_path=folder, commit_message=message, delete_patterns=gone)
+        what: dict[str, object] = {"folder_path": folder, "ignore_patterns": others, "delete_patterns": gone}
+        api.upload_folder(**where, **what, commit_message=message)
     except ReleaseError:
         raise
     except Exception as error:  # the hub and its HTTP library raise many kinds

@@ -38,6 +38,7 @@ from kinectbench.release.contents import (
     Entry,
     release_files,
 )
+from kinectbench.release.unpack import TarMember
 
 ZIP, GZIP = b"PK", b"\x1f\x8b"
 # Most bytes of a tar member's headers: its block, names of 4096 characters, times, attributes.
@@ -200,7 +201,7 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
     """
     members = list[tuple[str, Entry]]()
     headers = _Headers(file)
-    with tarfile.open(fileobj=headers, mode="r:") as archive:
+    with tarfile.open(fileobj=headers, mode="r:", tarinfo=TarMember) as archive:
         before = -1
         while info := archive.next():
             headers.read_bytes = 0
@@ -219,11 +220,6 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
                 problem = "not a plain file"
             opener = partial(_member, file, info.offset_data, info.size)
             members.append((info.name, Entry(info.size, opener, problem)))
-        end = archive.offset
-    # tarfile stops without error at a damaged header or a missing end.
-    file.seek(end)
-    if file.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
-        raise tarfile.ReadError("a header is damaged, or the end is missing")
     return members
 
 

@@ -5,13 +5,14 @@ import errno
 import fcntl
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import open_to_add, storage_errors
+from kinectbench.release.contents import release_files
 from kinectbench.release.published import release_text
 
 LOCK = ".lock"
@@ -29,31 +30,41 @@ def remains(folder: Path) -> list[Path]:
     return [Path(place, name) for place, _, names in os.walk(folder) for name in names if is_ours(name)]
 
 
+def unknown_file(folder: Path, known: Set[str]) -> str | None:
+    """Return the first file or link of a folder that is neither in `known` nor ours; None if there is none.
+
+    Raises:
+        ReleaseError: as in `release_files`.
+    """
+    others = (p for p in release_files(folder) if p.relative_to(folder).as_posix() not in known)
+    return next((path.relative_to(folder).as_posix() for path in others if not is_ours(path.name)), None)
+
+
 def refuse_other_content(out: Path) -> None:
     """Raise an error unless a folder may be replaced: it is missing, empty, or holds only a release.
 
-    A folder that holds benchmark.json, and whose SHA256SUMS is missing or damaged, may be replaced whatever
-    else it holds. Hidden files are ignored.
-
     Raises:
-        ReleaseError: the folder holds something else; the message names a file.
+        ReleaseError: the folder holds something else, which the message names, or its SHA256SUMS is missing
+            or damaged, so that nobody knows what is of the release.
     """
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not (out.is_dir() and (out / BENCHMARK_JSON).is_file()):
         raise ReleaseError(
-            f"{out}: holds something else than a release; move it away, then publish again",
+            f"{out}: holds something else than a release; move it away, then run the command again",
             what="other-content",
         )
     try:
-        listed = {SHA256SUMS, *parse_sums(release_text(out / SHA256SUMS), str(out / SHA256SUMS))}
-    except ReleaseError:  # a damaged release, which is made again
-        return
-    there = (path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file())
-    others = [name for name in there if name not in listed and not Path(name).name.startswith(".")]
-    if others:
+        listed = set(parse_sums(release_text(out / SHA256SUMS), SHA256SUMS))
+    except ReleaseError as error:
         raise ReleaseError(
-            f"{out / min(others)}: is not of the release; move it out of {out.name}/, then publish again",
+            f"{out}: its {SHA256SUMS} is missing or damaged, so what is of the release is unknown; move the "
+            "folder away, then run the command again",
+            what="other-content",
+        ) from error
+    if other := unknown_file(out, listed):
+        raise ReleaseError(
+            f"{out / other}: is not of the release; move it out of {out.name}/, then run the command again",
             what="other-content",
         )
 

@@ -13,7 +13,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from urllib.parse import unquote
 
+from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.address import shown, url_of
 from kinectbench.core.store.attempts import MissingObjectError
@@ -61,10 +63,23 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
         raise ReleaseError(f"{shown(path)}: cannot be read ({reason}); download the release again") from error
     if hashlib.sha256(content).hexdigest() != sha256:
         raise ReleaseError(
-            f"{shown(path)}: changed since it was published (SHA-256 differs); download it again",
+            f"{shown(path)}: changed since it was published (SHA-256 differs); download it again, or publish "
+            "it again with --force",
             what="changed",
         )
     return content
+
+
+def listed_files(folder: Path) -> dict[str, str]:
+    """Return {file: SHA-256} of a release's SHA256SUMS, after a check that the folder's files are those.
+
+    Raises:
+        ReleaseError: SHA256SUMS is missing or damaged, or a file is missing or another one.
+    """
+    sums = parse_sums(release_text(folder / SHA256SUMS), str(folder / SHA256SUMS))
+    for name, sha256 in sums.items():
+        published_bytes(folder / name, sha256)
+    return sums
 
 
 def release_store(url: str) -> Store:
@@ -134,7 +149,7 @@ def _store_of(url: str) -> tuple[Store, str]:
     scheme, _, place, *tail = url.split("/", 3)
     if not tail:  # no bucket: the store refuses it
         return Store(f"{scheme}//"), place
-    name = tail[0]
+    name = unquote(tail[0])  # as a store does with its own URL
     return Store(f"{scheme}//{place}" if place else f"{scheme}///"), name
 
 

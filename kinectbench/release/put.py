@@ -16,7 +16,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import TEXT_BYTES
-from kinectbench.release.published import release_store, release_text
+from kinectbench.release.published import listed_files, release_store, release_text
 
 
 @dataclass(frozen=True)
@@ -82,12 +82,11 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
 
     Raises:
         ReleaseError: the store holds files that belong to neither a release nor a stopped upload, its URL has
-            a query, or the folder's SHA256SUMS is missing or damaged.
+            a query, or a file in the folder is missing, damaged or not that of SHA256SUMS.
         StorageError: the store fails.
     """
     release_store(store.url)
-    text = release_text(folder / SHA256SUMS)
-    sums = parse_sums(text, str(folder / SHA256SUMS))
+    text, sums = release_text(folder / SHA256SUMS), listed_files(folder)
     place = _look(store)
     _refuse_other(store, place, sums)
     same = {

@@ -139,7 +139,7 @@ class Recipe:
             StoreGoneError: no server answers any more.
         """
         folder = self.out / scan.folder
-        archive = self.out / (f"{scan.folder}.tgz" if scan.unpacked else scan.path)
+        archive = self.out / scan.archive
         is_zip = archive.suffix == ".zip"
         try:
             if (scan.unpacked or is_zip) and folder.is_dir() and scan.file in self._locked:
@@ -334,8 +334,8 @@ def _no_check(path: Path) -> None:
 
 def remove_scan(out: Path, scan: Scan) -> None:
     """Delete a scan's files and its partial downloads from the benchmark's folder `out`."""
-    path = out / scan.path
-    for each in (path, out / scan.folder, *partial_downloads(path)):
+    archive = out / scan.archive
+    for each in (out / scan.path, out / scan.folder, archive, *partial_downloads(archive)):
         if each.is_dir():
             shutil.rmtree(each)
         else:

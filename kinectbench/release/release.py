@@ -135,16 +135,14 @@ class Release:
     def floor(self, recording: str) -> FloorFile | None:
         """Read a recording's floor.json; None if there is none, as for synthetic objects.
 
-        Its hash is not checked.
-
         Raises:
-            ReleaseError: the floor's file is damaged.
+            ReleaseError: the floor's file is missing, damaged or not the published one.
         """
-        path = self.folder / "objects" / recording / FloorFile.FILE
-        if not is_there(path):
+        name = f"objects/{recording}/{FloorFile.FILE}"
+        if name not in self.sums:
             return None
         try:
-            return FloorFile.parse(release_text(path), shown(path))
+            return FloorFile.parse(self.text(name), shown(self.folder / name))
         except StorageError as error:
             raise ReleaseError(f"{error}, or download the release again") from error
 

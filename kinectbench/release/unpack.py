@@ -38,17 +38,26 @@ DAMAGED = (
 )
 
 
-class _Member(tarfile.TarInfo):
-    """A tar member; reading it raises an error if its extended headers are large."""
+class TarMember(tarfile.TarInfo):
+    """A tar member; reading it raises an error if a header is damaged or missing, or announces a large one.
+
+    tarfile itself takes the first such header for the end of the archive.
+    """
 
     @classmethod
     def frombuf(cls, buf: bytes | bytearray, encoding: str | None, errors: str) -> Self:
         """Parse the header block of a member.
 
         Raises:
-            tarfile.ReadError: the block announces an extended header that is too large.
+            tarfile.EOFHeaderError: the block is the end of the archive.
+            tarfile.ReadError: the block is damaged or missing, or announces too large an extended header.
         """
-        member = super().frombuf(buf, encoding or "utf-8", errors)
+        try:
+            member = super().frombuf(buf, encoding or "utf-8", errors)
+        except tarfile.EOFHeaderError:
+            raise
+        except tarfile.HeaderError as error:
+            raise tarfile.ReadError("a header is damaged, or the end is missing") from error
         plain = member.type in tarfile.REGULAR_TYPES or member.type not in tarfile.SUPPORTED_TYPES
         if not plain and member.size > HEADER_BYTES:
             raise tarfile.ReadError(f"a header of {member.size} bytes")
@@ -62,8 +71,8 @@ def unpack_archive(archive: Path, folder: Path) -> None:
     `folder` appears whole or not at all. Links, devices and hidden files are skipped.
 
     Raises:
-        StorageError: the archive is damaged, leads out of the folder or unpacks to too much; or the disk is
-            full.
+        StorageError: the archive is damaged, holds no such file, leads out of the folder or unpacks to too
+            much; or the disk is full.
     """
     try:
         with replaced_folder(folder) as temporary:
@@ -74,6 +83,8 @@ def unpack_archive(archive: Path, folder: Path) -> None:
                 members = _of_zip(file) if is_zip else _of_tar(file)
                 _unpack(members, temporary, unpacked_bound(size_of(file)))
             inside = list(temporary.iterdir())
+            if not inside:
+                raise ValueError("it holds no file")
             while len(inside) == 1 and inside[0].is_dir():
                 alone = inside[0].rename(temporary / ".alone")
                 for each in alone.iterdir():
@@ -98,10 +109,14 @@ def _of_tar(file: BinaryIO) -> Iterator[_Part]:
     packed = file.read(2) == GZIP
     file.seek(0)
     content = gzip.GzipFile(fileobj=file) if packed else file
-    with tarfile.open(fileobj=content, mode="r|", tarinfo=_Member) as members:
+    with tarfile.open(fileobj=content, mode="r|", tarinfo=TarMember) as members:
         for member in members:
             opened = partial(members.extractfile, member) if member.isreg() else None
             yield _Part(member.name, member.size, opened)
+    most = unpacked_bound(size_of(file))
+    while packed and content.read(COPIED_BYTES):  # gzip's checksum stands at the end
+        if content.tell() > most:
+            raise ValueError(f"it unpacks to more than {most} bytes")
 
 
 def _of_zip(file: BinaryIO) -> Iterator[_Part]:

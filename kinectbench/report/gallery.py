@@ -18,7 +18,7 @@ from kinectbench.core import images
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import ReleaseError
+from kinectbench.core.errors import PredictionError, ReleaseError
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.listing import inert_json
 from kinectbench.core.pictures import block_density
@@ -32,7 +32,7 @@ from kinectbench.scoring.camera.surface import Surface
 from kinectbench.scoring.camera.truth import SpaceTruth, files_of, read_space_truth
 from kinectbench.scoring.counts import Prediction, occupied
 from kinectbench.scoring.mesh_prediction import MESHES
-from kinectbench.scoring.prediction_file import load_prediction
+from kinectbench.scoring.prediction_file import load_hashed
 from kinectbench.scoring.predictions import find_predictions
 from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.truth import read_parts, read_voxel_size
@@ -84,7 +84,7 @@ def gallery_cells(
         progress: called with (pairs done, pairs in all).
 
     Raises:
-        PredictionError: a file cannot be read as a prediction; whether it is the scored one is not checked.
+        PredictionError: a file cannot be read as a prediction, or is not the scored one.
         ReleaseError: the pair of a predicted mesh, whose cell size is needed, is missing or not the published
             one.
     """
@@ -97,7 +97,10 @@ def gallery_cells(
             return None
         mesh = file.suffix in MESHES
         size_m = read_voxel_size(release.pair_path(target), target.sha256) if mesh else None
-        return load_prediction(file, target.name + file.suffix, size_m)
+        found, scored = load_hashed(file, target.name + file.suffix, size_m), table.hashes.get(target.name)
+        if scored is not None and scored.prediction != found.digest:
+            raise PredictionError(f"{file}: changed after it was scored; score again", what="changed")
+        return found.prediction
 
     return loaded_cells(release, load, table, upsampling, progress)
 
@@ -257,7 +260,10 @@ def _picture(release: Release, target: Target) -> str:
         return ""
     try:
         depth = images.depth_picture((depth_m(release, target) * 1000).astype(np.uint16))
-        shown = [images.overlay_mask(depth, mask(release, target))]
+        seen = mask(release, target)
+        if seen.shape != depth.shape[:2]:
+            return ""
+        shown = [images.overlay_mask(depth, seen)]
     except ReleaseError:  # synthesised views have none
         return ""
     with contextlib.suppress(ReleaseError):

@@ -91,7 +91,7 @@ def _tables(
     of_methods = []
     for name, table in zip(method_names(tables), tables, strict=True):
         rows = table.pairs(protocol)
-        if not rows or not table.complete:
+        if not rows or not table.complete or any(None in (row.iou, row.ce) for row in rows):
             why = "some of its pairs are not scored" if rows else f"not scored under '{protocol}'"
             raise SettingsError(f"{name}: {why}; score it again", what="other-scores")
         of_methods.append((name, rows))

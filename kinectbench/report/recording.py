@@ -15,6 +15,7 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
+from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.medians import known_median
@@ -161,8 +162,14 @@ def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction:
 
 
 def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
-    """Read the object's closed mesh, floor frame, and a mask (m,) of its faces that were not measured."""
+    """Read the object's closed mesh, floor frame, and a mask (m,) of its faces that were not measured.
+
+    Raises:
+        StorageError: a file is missing or damaged, or the mesh has no faces.
+    """
     mesh_world = read_own_ply(folder / "mesh.ply")
+    if not len(mesh_world.faces):
+        raise StorageError(f"{folder / 'mesh.ply'}: has no faces; delete the folder and build it again")
     volume = ObjectVolume.read(folder)
     unseen = unmeasured_faces(mesh_world, volume.grid, volume.labels)
     return mesh_world.transformed(T_floor_world), unseen

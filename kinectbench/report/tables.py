@@ -231,7 +231,7 @@ def _best(choose: Callable[[list[float]], float], values: list[float | None], de
 
 def shown_figure(value: float | None, decimals: int = DECIMALS) -> str:
     """Return a figure as text with this number of decimals, or "–" for None."""
-    return "–" if value is None else f"{value:.{decimals}f}"
+    return "–" if value is None else f"{value:z.{decimals}f}"
 
 
 def _cell(value: float | None, best: float | None, interval: Sequence[float] | None, decimals: int) -> Cell:

@@ -100,7 +100,7 @@ def _figures(row: TriageRow, quality: QualityFile | None) -> str:
 def _pictures(folder: Path) -> list[str]:
     """Return pictures (`data:` URLs) of views with the object's mask, or else of the middle frame.
 
-    Without views and a sequence, there are none.
+    Without views and frames, there are none.
     """
     views = ViewsFile.read_if_there(folder / "views")
     if views is not None and views.views:
@@ -108,6 +108,8 @@ def _pictures(folder: Path) -> list[str]:
     if not (folder / "sequence").is_dir():
         return []
     sequence = read_sequence(folder / "sequence")
+    if not len(sequence):
+        return []
     middle = len(sequence) // 2
     picture = sequence.color_rgb(middle)
     if picture is None:

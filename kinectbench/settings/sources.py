@@ -161,6 +161,11 @@ class Scan(Settings):
         return self.folder if self.unpacked else f"{self.folder}{PurePosixPath(self.file).suffix}"
 
     @property
+    def archive(self) -> str:
+        """Path of the file as it comes, relative to benchmark.yaml."""
+        return f"{self.folder}.tgz" if self.unpacked else self.path
+
+    @property
     def folder(self) -> str:
         """Folder that an archive is unpacked into, relative to benchmark.yaml."""
         return f"scans/{self.scan}"

@@ -283,19 +283,6 @@ def test_a_wrong_lock_is_a_line(command: Command, server: ScanServer, tmp_path: 
     assert done.status == 2 and "sources.lock" in done.err and len(done.err.strip().splitlines()) == 1
 
 
-def test_an_unknown_category_and_options_of_releases(
-    command: Command, server: ScanServer, tmp_path: Path
-) -> None:
-    write_recipe(tmp_path / "r", server.url)
-    assert (
-        "--category sofa: the recipe has chair, table"
-        in command(tmp_path, "fetch", "r", "--category", "sofa").err
-    )
-    assert "are of a release" in " ".join(command(tmp_path, "fetch", "r", "--views", "3").err.split())
-    (tmp_path / "empty").mkdir()
-    assert "no recipe" in " ".join(command(tmp_path, "fetch", "empty", "--stream").err.split())
-
-
 def tgz(members: dict[str, bytes | str]) -> bytes:
     """An archive; a text is where a link leads."""
     packed = io.BytesIO()

@@ -1,4 +1,4 @@
-"""What `fetch` of a recipe says: entries of another licence, and scans of another camera."""
+"""What `fetch` of a recipe says: entries of another licence, scans of another camera, wrong options."""
 
 import io
 import tarfile
@@ -50,3 +50,16 @@ def test_a_camera_that_a_scan_contradicts_is_said(
     assert done.status == 0 and f"one: the recipe says fx 525, the recording says {FX:g}" in line
     assert "two: the recipe" not in line
     assert "the recipe says" not in command(tmp_path, "fetch", "r").err  # nothing came
+
+
+def test_an_unknown_category_and_options_of_releases(
+    command: Command, server: ScanServer, tmp_path: Path
+) -> None:
+    write_recipe(tmp_path / "r", server.url)
+    assert (
+        "--category sofa: the recipe has chair, table"
+        in command(tmp_path, "fetch", "r", "--category", "sofa").err
+    )
+    assert "are of a release" in " ".join(command(tmp_path, "fetch", "r", "--views", "3").err.split())
+    (tmp_path / "empty").mkdir()
+    assert "no recipe" in " ".join(command(tmp_path, "fetch", "empty", "--stream").err.split())

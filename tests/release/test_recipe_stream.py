@@ -24,7 +24,8 @@ from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.engine.artefact import Artefact
 from kinectbench.engine.failures import keep_failure
 from kinectbench.engine.slim import is_slim, slim
-from kinectbench.release.recipe import FetchedScan
+from kinectbench.release.recipe import FetchedScan, remove_scan
+from kinectbench.settings.sources import Scan
 
 Command = Callable[..., Run]
 HERE = {"no_proxy": "*", "KINECTBENCH_STORE_PATIENCE_S": "2"}
@@ -177,7 +178,7 @@ def test_only_what_would_fail_again_is_not_fetched_again(
         stored = Failed.read(build)
         if stored.package_version is not None:
             stored.model_copy(update={"package_version": version}).write(build)
-    scan: Any = SimpleNamespace(id="a", path="scans/a", folder="scans/a")
+    scan: Any = SimpleNamespace(id="a", scan="a", path="scans/a", folder="scans/a", archive="scans/a.tgz")
     asked = []
     files = sorted(build.rglob("*"))
 
@@ -204,7 +205,7 @@ def test_what_was_slimmed_is_deleted_once_its_scan_is_there(
     with Artefact(build / "sequence", "sequence", 1, {}, {}).write() as folder:
         (folder / "000000.png").write_bytes(b"depth")
     slim(build)
-    scan: Any = SimpleNamespace(id="a", path="scans/a", folder="scans/a")
+    scan: Any = SimpleNamespace(id="a", scan="a", path="scans/a", folder="scans/a", archive="scans/a.tgz")
 
     def add(scans: object) -> None:
         raise StorageError(str(build.exists()))
@@ -214,3 +215,35 @@ def test_what_was_slimmed_is_deleted_once_its_scan_is_there(
     )
     with pytest.raises(StorageError, match="False"):
         cli_recipe._stream(Common(), recipe, [scan])
+
+
+def test_a_scan_by_several_cameras_comes_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    places = {"path": "scans/x", "folder": "scans/x", "archive": "scans/x.tgz", "scan": "x"}
+    scans: Any = [SimpleNamespace(id=f"x_{number}", **places) for number in range(3)]
+    came = []
+
+    def fetch(scan: Any, room: object) -> FetchedScan:
+        came.append((scan.id, (tmp_path / scan.path).exists()))
+        (tmp_path / scan.path).mkdir(parents=True, exist_ok=True)
+        return FetchedScan(scan, True)
+
+    settings = SimpleNamespace(by_id=lambda: {scan.id: None for scan in scans})
+    monkeypatch.setattr("kinectbench.settings.file.load_benchmark", lambda path: settings)
+    monkeypatch.setattr(
+        "kinectbench.cli.build.build_jobs", lambda jobs, until, workers: [SimpleNamespace(error=None)]
+    )
+    monkeypatch.setattr(cli_recipe, "_tell", lambda *words: 0)
+    recipe: Any = SimpleNamespace(out=tmp_path, fetch=fetch, add_to_benchmark=lambda scans: None)
+    assert cli_recipe._stream(Common(), recipe, scans) == 0
+    assert came == [("x_0", False), ("x_1", True), ("x_2", True)]
+    assert not (tmp_path / "scans" / "x").exists()
+
+
+def test_partial_downloads_of_another_scan_stay(tmp_path: Path) -> None:
+    scan = Scan(id="x", scan="x", file="x.tgz", category="c", object="x", split="test")
+    (tmp_path / "scans").mkdir()
+    names = ("x.tgz.0123abcd.part", "x.1.tgz.0123abcd.part")
+    for name in names:
+        (tmp_path / "scans" / name).touch()
+    remove_scan(tmp_path, scan)
+    assert [path.name for path in (tmp_path / "scans").iterdir()] == [names[1]]

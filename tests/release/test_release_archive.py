@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from file_damage import flip
 from raising import raises
 from small_benchmark import Run, hashes
 from synthetic_release import synthetic_settings, write_build
@@ -47,6 +48,20 @@ def test_content(release: Release, tmp_path: Path) -> None:
             assert (entry.date_time, entry.external_attr >> 16) == ((1980, 1, 1, 0, 0, 0), 0o100644)
         archive.extractall(tmp_path / "out")
     assert hashes(tmp_path / "out" / path.stem) == hashes(release.folder)
+
+
+def test_only_the_files_of_a_whole_release_are_packed(release: Release, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(release.folder, tmp_path / "copy"))
+    (copy / ".env").write_text("of nobody else")
+    inside, beside = write_archive(copy, copy), write_archive(release.folder, tmp_path)
+    assert inside.read_bytes() == beside.read_bytes()
+    flip(copy / release.targets[0].file)
+    with raises(ReleaseError, "release.changed", match=release.targets[0].file):
+        write_archive(copy, tmp_path / "out")
+    (copy / "SHA256SUMS").unlink()
+    with raises(ReleaseError, "release.missing-file", match="SHA256SUMS"):
+        write_archive(copy, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_names_of_versions_and_parts(tmp_path: Path) -> None:

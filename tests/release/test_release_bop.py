@@ -22,9 +22,10 @@ from raising import raises
 from read_pictures import read_picture
 
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.release.exchange.bop import export_bop
-from kinectbench.release.exchange.bop_object import object_in_view
+from kinectbench.release.exchange.bop_object import model_info, object_in_view
 from kinectbench.release.release import open_release
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.readers.bop import BopRecording
@@ -199,6 +200,14 @@ def test_masks_of_a_whole_view(bop: Path) -> None:
             ys, xs = np.nonzero(mask)
             box = [xs.min(), ys.min(), np.ptp(xs), np.ptp(ys)]
             assert rows[0]["bbox_obj"] == rows[0]["bbox_visib"] == box
+
+
+def test_a_flat_mesh_has_a_diameter() -> None:
+    square = np.array([[0.0, 0, 0], [3, 0, 0], [3, 4, 0], [0, 4, 0], [1, 1, 0]])
+    faces = np.array([[0, 1, 2], [2, 1, 0]], np.int32)
+    for vertices in (square, square[:3], np.zeros((6, 3)), square * [1, 0, 0]):
+        largest = float(np.linalg.norm(vertices[:, None] - vertices, axis=-1).max())
+        assert model_info(TriangleMesh(vertices, faces))["diameter"] == pytest.approx(largest, abs=1e-9)
 
 
 def test_what_is_hidden_missing_or_beyond_the_image() -> None:

@@ -171,3 +171,13 @@ def test_an_empty_folder_is_reported_like_a_file_that_was_added(
         path = Path(shutil.make_archive(str(tmp_path / "packed"), kind, tmp_path, "benchmark"))
     assert verify(path) == ["pairs/extra/inner/: not part of the release"]
     assert verify(path, checksums_only=True) == ["pairs/extra/inner/: not part of the release"]
+
+
+def test_another_floor_is_not_read(analytic: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(analytic / "benchmark", tmp_path / "copy"))
+    first = open_release(copy).targets[0].recording
+    assert open_release(copy).floor(first) is not None
+    path = copy / "objects" / first / "floor.json"
+    path.write_text(path.read_text() + " ")
+    with raises(ReleaseError, "release.changed", match=r"floor\.json"):
+        open_release(copy).floor(first)

@@ -5,14 +5,17 @@ import shutil
 import sys
 import types
 from collections.abc import Callable
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import pytest
+from file_damage import flip
 from raising import raises
 from small_benchmark import Run, copied, hashes
 
 from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
+from kinectbench.core.storage import write_below
 from kinectbench.release.hub import hub_name, put_on_hub
 from kinectbench.release.release import Release
 
@@ -42,11 +45,22 @@ class Hub:
         return shutil.copy(self.folder / repo_id / filename, local_dir)
 
     def upload_folder(
-        self, repo_id: str, repo_type: str, folder_path: Path, commit_message: str, delete_patterns: list[str]
+        self,
+        repo_id: str,
+        repo_type: str,
+        folder_path: Path,
+        commit_message: str,
+        delete_patterns: list[str],
+        ignore_patterns: list[str],
     ) -> None:
         for name in delete_patterns:
             (self.folder / repo_id / name).unlink()
-        shutil.copytree(folder_path, self.folder / repo_id, dirs_exist_ok=True)
+        names = [
+            path.relative_to(folder_path).as_posix() for path in folder_path.rglob("*") if path.is_file()
+        ]
+        for name in names:
+            if not any(fnmatch(name, pattern) for pattern in ignore_patterns):
+                write_below(self.folder / repo_id / name, (folder_path / name).read_bytes())
         self.commits.append(commit_message)
 
 
@@ -72,6 +86,18 @@ def test_a_release_becomes_a_data_set_in_one_commit(hub: Hub, release: Release) 
     (message,) = hub.commits
     assert release.metadata.name in message and release.metadata.benchmark_sha256 in message
     assert on_the_hub(hub) == hashes(release.folder)
+
+
+def test_only_the_files_of_a_whole_release_go_to_the_hub(hub: Hub, release: Release, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(release.folder, tmp_path / "copy"))
+    for name in (".env", "notes [1].txt"):
+        (copy / name).write_text("of nobody else")
+    put_on_hub(copy, "lab/chairs")
+    assert on_the_hub(hub) == hashes(release.folder)
+    flip(copy / release.targets[0].file)
+    with raises(ReleaseError, "release.changed", match=release.targets[0].file):
+        put_on_hub(copy, "lab/chairs")
+    assert len(hub.commits) == 1
 
 
 def test_another_release_takes_its_place_on_the_hub(hub: Hub, release: Release, analytic: Path) -> None:

@@ -48,6 +48,23 @@ def test_jpeg() -> None:
     assert without_metadata(clean) == (clean, [])
 
 
+def segment(marker: int, payload: bytes) -> bytes:
+    return bytes((0xFF, marker)) + (len(payload) + 2).to_bytes(2, "big") + payload
+
+
+def test_only_what_decodes_the_pixels_is_kept_of_a_segment() -> None:
+    plain, _ = without_metadata(photo())
+    jfif, adobe = plain[6:20], b"Adobe" + bytes((0, 100, 0, 0, 0, 0, 1))
+    assert plain[:6] + jfif == plain[:2] + segment(0xE0, jfif)
+    with_thumbnail = segment(0xE0, jfif[:12] + bytes((2, 1)) + b"FACE!!") + segment(0xE0, b"JFXX\0\x13FACE")
+    data = plain[:2] + with_thumbnail + segment(0xEE, adobe + b"Anna") + plain[20:]
+    clean, removed = without_metadata(data)
+    assert removed == ["thumbnail", "thumbnail", "APP14"]
+    assert clean == plain[:20] + segment(0xEE, adobe) + plain[20:]
+    np.testing.assert_array_equal(decoded(clean), decoded(data))
+    assert without_metadata(clean) == (clean, [])
+
+
 def test_what_follows_the_picture_is_taken_out() -> None:
     """A telephone puts a second picture behind the first; a comment may stand between scans."""
     buffer = io.BytesIO()
@@ -96,6 +113,10 @@ def test_what_is_no_jpeg(data: bytes) -> None:
             {"w": "no (path removed) and no (path removed)"},
             ["a path in 'w'"],
         ),
+        ({"w": "/Users/Anna Smith"}, {"w": "(path removed)"}, ["a path in 'w'"]),
+        ({"w": "in '/home/Anna B Smith', bad"}, {"w": "in '(path removed)', bad"}, ["a path in 'w'"]),
+        ({"w": r"C:\Users\Anna Smith"}, {"w": "(path removed)"}, ["a path in 'w'"]),
+        ({"to": {"jo@example.org": 1, "n": 2}}, {"to": {"n": 2}}, ["the key '(address removed)'"]),
         # What only looks alike stays.
         ({"w": "https://example.org/home/x.html"}, {"w": "https://example.org/home/x.html"}, []),
         ({"w": "one of a/b.c and 3/4.5"}, {"w": "one of a/b.c and 3/4.5"}, []),
@@ -177,3 +198,19 @@ def test_a_folder_that_is_no_release_stays(tmp_path: Path) -> None:
     with raises(ReleaseError, "release.other-content"):
         publish(synthetic_settings(), tmp_path / "build", out, NAMES)
     assert (out / "thesis.txt").read_text() == "precious"
+    (out / "benchmark.json").write_text("{}")  # without SHA256SUMS nobody knows what is of the release
+    with raises(ReleaseError, "release.other-content", match="SHA256SUMS"):
+        publish(synthetic_settings(), tmp_path / "build", out, NAMES)
+    assert (out / "thesis.txt").read_text() == "precious"
+
+
+def test_a_hidden_file_beside_a_release_stays(tmp_path: Path) -> None:
+    write_build(tmp_path / "build")
+    out = tmp_path / "b"
+    publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
+    (out / ".lock").touch()  # of a killed fetch
+    publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
+    (out / ".env").write_text("precious")
+    with raises(ReleaseError, "release.other-content", match=r"\.env"):
+        publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
+    assert (out / ".env").read_text() == "precious"

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from fault_proxy import FaultProxy
+from file_damage import flip
 from raising import raises
 from slow import slow
 from small_benchmark import Run, hashes
@@ -178,6 +179,18 @@ def test_wherever_a_put_is_stopped_the_next_one_is_right(
         fetched = tmp_path / f"got-{folder.name}"
         fetch_release(store.url, fetched, None)
         assert hashes(fetched) == hashes(folder) == hashes(tmp_path / "store")
+
+
+def test_a_folder_with_a_damaged_file_is_not_put(release: Release, tmp_path: Path) -> None:
+    store, copy = Store(f"file://{tmp_path}/store"), tmp_path / "copy"
+    shutil.copytree(release.folder, copy)
+    flip(copy / release.targets[0].file)
+    with raises(ReleaseError, "release.changed", match=release.targets[0].file):
+        put_release(copy, store)
+    (copy / release.targets[0].file).unlink()
+    with raises(ReleaseError, "release.damaged", match=release.targets[0].file):
+        put_release(copy, store)
+    assert store.objects() == []
 
 
 def test_a_url_with_a_query_is_refused(release: Release) -> None:

@@ -187,6 +187,13 @@ def test_missing_recordings_and_other_releases(
             released(views={"colour": True})
         with raises(ReleaseError, "release.not-rebuildable"):
             released(recordings=[])
+        lacking = json.loads(text)
+        del lacking["recordings"]["chair_02"]
+        content = json.dumps(lacking).encode()
+        entry = Entry(len(content), lambda: io.BytesIO(content))
+        reader = replace(contents, entries={**contents.entries, "benchmark.json": entry})
+        with raises(ReleaseError, "release.damaged", match="chair_02"):
+            rebuild_plan(reader, everything)
 
 
 def test_versions(analytic: Path) -> None:
@@ -212,6 +219,9 @@ def test_where_recordings_are_looked_for(tmp_path: Path) -> None:
         "b": "b.bag",
         "c.v2": "c.v2",
     }
+    for name in ("b.txt", "b.zip"):
+        (tmp_path / name).write_bytes(b"")
+    assert find_sources(tmp_path, (".bag", ".klg"))["b"].path.name == "b.bag"
     (tmp_path / "benchmark.yaml").write_text(
         "name: x\nrecordings:\n  - {id: one, path: rec/one, category: chair, masks: m}\n"
     )

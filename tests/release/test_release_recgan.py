@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from synthetic_release import publish_synthetic
 from typer.testing import CliRunner
 
 from kinectbench.cli.main import app
-from kinectbench.core.errors import PairError, SettingsError
+from kinectbench.core.errors import PairError, ReleaseError, SettingsError
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import Pair, read_pair, unpack
 from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_bytes
@@ -125,7 +125,7 @@ def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path) 
     (tmp_path / "mine" / "thesis.txt").write_text("precious")
     with raises(SettingsError, "settings.other-content"):
         export_recgan(open_release(release), tmp_path / "mine")
-    with raises(SettingsError, "settings.other-content"):
+    with raises(ReleaseError, "release.other-content"):
         import_recgan(exported, tmp_path / "mine")
     path = tmp_path / "bad.npz"
     for content in (
@@ -138,6 +138,20 @@ def test_wrong_folders_and_files(release: Path, exported: Path, tmp_path: Path) 
         path.write_bytes(content)
         with raises(PairError, "pair.malformed", match=r"bad\.npz"):
             read_recgan_file(path)
+
+
+def test_own_files_beside_an_export_or_an_import_stay(release: Path, exported: Path, tmp_path: Path) -> None:
+    mine, imported = tmp_path / "mine", tmp_path / "imported"
+    for _ in range(2):  # its own output is replaced
+        export_recgan(open_release(release), mine)
+        import_recgan(exported, imported)
+    for folder in (mine, imported):
+        (folder / "notes.txt").write_text("precious")
+    with raises(SettingsError, "settings.other-content", match=r"notes\.txt"):
+        export_recgan(open_release(release), mine)
+    with raises(ReleaseError, "release.other-content", match=r"notes\.txt"):
+        import_recgan(exported, imported)
+    assert all((folder / "notes.txt").read_text() == "precious" for folder in (mine, imported))
 
 
 def test_a_damaged_list_is_refused(exported: Path, tmp_path: Path) -> None:
@@ -276,3 +290,7 @@ def test_a_folder_that_is_a_link_to_itself_is_a_line(tmp_path: Path, command: Co
     (tmp_path / "loop").symlink_to("loop")
     result = command(tmp_path, "import", "loop", "out")
     assert result.status in (1, 2) and "internal error" not in result.err and result.err.count("\n") == 1
+
+
+def test_a_release_without_pairs_is_exported(release: Path, tmp_path: Path) -> None:
+    assert export_recgan(replace(open_release(release), targets=()), tmp_path / "out") == 0

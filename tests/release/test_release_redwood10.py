@@ -1,11 +1,13 @@
 """Import of SDS-Complete's ten scans: a replica of its layout, of our own making, and its metrics by hand."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from file_damage import seal
 from numpy.typing import NDArray
 from raising import raises
 from reference_models import drawn, moved
@@ -112,6 +114,15 @@ def test_the_release_has_inputs_and_open_meshes(
         release.require_truth(["test"])
     card = (release.folder / "README.md").read_text()
     assert "is open meshes" in card and "non-commercial" in card
+
+
+def test_a_damaged_open_mesh_is_named_once(release: Release, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(release.folder, tmp_path / "copy"))
+    first = release.targets[0]
+    shutil.copy(copy / first.file, copy / first.file.replace("000", "001"))
+    (copy / f"surfaces/{first.recording}.ply").write_bytes(b"no mesh")
+    seal(copy)
+    assert sum("not a readable mesh" in line for line in verify(copy)) == 1
 
 
 def test_it_is_exported_as_inputs(release: Release, tmp_path: Path) -> None:

@@ -225,6 +225,13 @@ TWICE: dict[str, tuple[Change, str]] = {
 }
 
 
+def test_a_damaged_views_json_hides_no_later_contradiction(copy: Path) -> None:
+    TWICE["frame"][0](copy)
+    (copy / "views/chair_01/views.json").write_text("{}")
+    seal(copy)
+    assert TWICE["frame"][1] in verify(copy)
+
+
 @pytest.mark.parametrize("name", TWICE)
 def test_what_a_recording_states_twice_is_compared(copy: Path, name: str) -> None:
     with_sigma = json_of(

@@ -4,19 +4,22 @@ import base64
 import io
 import json
 import re
+import shutil
 import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from file_damage import seal
 from raising import raises
 from read_pictures import decoded_picture
 from report_fake_build import parsed_tables
 from synthetic_release import RECORDINGS, ball, synthetic_settings, write_build
 
+from kinectbench.core import images
 from kinectbench.core.artefacts.gallery import GALLERY, read_gallery, write_gallery
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import PredictionError, StorageError
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.publish.publish import publish
@@ -243,3 +246,23 @@ def test_a_missing_prediction_is_an_empty_grid(release: Release, tmp_path: Path)
     # Of those that cannot be scored nothing is kept.
     (table,) = score_methods(release, tmp_path / "one", tmp_path / "scores", surface=False)
     assert list(gallery_cells(release, tmp_path / "one", table)) == [first.name]
+
+
+def test_what_is_not_what_was_scored_is_not_drawn(release: Release, tmp_path: Path) -> None:
+    first = release.split("test")[0]
+    path = tmp_path / "one" / first.recording / f"{first.view}.npy"
+    path.parent.mkdir(parents=True)
+    np.save(path, np.ones((1, 1, 1), bool))
+    (table,) = score_methods(release, tmp_path / "one", tmp_path / "scores", surface=False)
+    np.save(path, np.zeros((1, 1, 1), bool))
+    with raises(PredictionError, "prediction.changed", match="score again"):
+        gallery_cells(release, tmp_path / "one", table)
+
+
+def test_a_mask_of_another_size_gives_no_picture(release: Release, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(release.folder, tmp_path / "copy"))
+    target = release.split("test")[0]
+    mask = copy / f"views/{target.recording}/{target.view}.mask.png"
+    mask.write_bytes(images.png(np.ones((7, 9), np.uint8)))
+    seal(copy)
+    assert read_pair_truth(open_release(copy), target).picture == ""

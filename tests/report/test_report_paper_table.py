@@ -87,6 +87,10 @@ def test_what_is_no_such_table_is_told() -> None:
         paper_tables([only_known])
     with raises(SettingsError, "settings.other-scores", match="scored; score"):
         paper_tables([scored("net", 0.2).model_copy(update={"complete": False})])
+    lacking = scored("net", 0.2)
+    rows = (replace(lacking.rows[0], ce=None), *lacking.rows[1:])
+    with raises(SettingsError, "settings.other-scores", match="scored; score"):
+        paper_tables([lacking.model_copy(update={"rows": rows})])
 
 
 def test_the_command_prints_it_or_writes_it(

@@ -41,6 +41,10 @@ def rows(method: str, ious: dict[str, float], occluded: dict[str, float] | None 
     return {"method": method, "rows": listed}
 
 
+def test_a_zero_has_no_sign() -> None:
+    assert [tables.shown_figure(value) for value in (-0.0001, -0.0, -0.0006)] == ["0.000", "0.000", "-0.001"]
+
+
 def test_best_of_a_column_is_marked_by_what_is_shown() -> None:
     parsed = parsed_tables([made("a", 0.41001, 12.5), made("c", None, None), made("b", 0.40999, 2.25)])
     table = tables.protocol_table(parsed, "known")

@@ -1,13 +1,15 @@
 """`kinectbench triage`: triage.json, its page, and what is printed."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from small_benchmark import Run, copied
 
-from kinectbench.core.artefacts.triage import TriageFile
+from kinectbench.core.artefacts.triage import TriageFile, TriageRow
+from kinectbench.report.triage import write_triage_page
 
 Command = Callable[..., Run]
 
@@ -65,3 +67,13 @@ def test_a_review_decides_and_a_strangers_words_are_text(two: Path, command: Com
     assert (row.decision, row.review) == ("reject", "<b>a cloth</b>")
     page = (two / "triage/index.html").read_text(encoding="utf-8")
     assert "&lt;b&gt;a cloth&lt;/b&gt;" in page and "<b>a cloth" not in page
+
+
+def test_a_sequence_without_frames_has_no_picture(small: Path, tmp_path: Path) -> None:
+    shutil.copytree(small / "build/chair/sequence", tmp_path / "chair/sequence")
+    (tmp_path / "chair/sequence/frames.json").write_text("[]")
+    row = TriageRow(
+        recording="chair", object="chair", split="test", decision="reject", reasons=(), built=False
+    )
+    write_triage_page("x", TriageFile(rows=(row,)), tmp_path, tmp_path / "index.html")
+    assert "There is no picture of it." in (tmp_path / "index.html").read_text()

@@ -8,17 +8,19 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from raising import raises
 from read_pictures import decoded_picture
 from report_fake_build import FRONTIER, cameras_floor
 
 from kinectbench.core import pictures
 from kinectbench.core.artefacts.object import FrontierPart, QualityFile, with_interval
 from kinectbench.core.artefacts.object_grids import Label, ObjectVolume, unmeasured_faces
+from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Grid, TriangleMesh, rigid
 from kinectbench.core.geometry.boxes import OrientedBox
-from kinectbench.core.geometry.mesh import box_mesh
+from kinectbench.core.geometry.mesh import box_mesh, write_ply
 from kinectbench.engine.stages import Job
-from kinectbench.report import figures, unseen
+from kinectbench.report import figures, recording, unseen
 from kinectbench.report.page import write_report
 from kinectbench.report.plan import draw_plan, look_arrows
 from kinectbench.report.recording import RecordingPart, collect
@@ -64,6 +66,12 @@ def cube_mesh() -> TriangleMesh:
 
 def unmeasured(mesh: TriangleMesh, volume: ObjectVolume) -> np.ndarray:
     return unmeasured_faces(mesh, volume.grid, volume.labels)
+
+
+def test_a_mesh_without_faces_is_a_line(tmp_path: Path) -> None:
+    write_ply(TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), tmp_path / "mesh.ply")
+    with raises(StorageError, "storage.damaged", match=r"mesh\.ply: has no faces"):
+        recording._mesh(tmp_path, np.eye(4))
 
 
 def test_what_is_near_no_measured_voxel_was_not_seen() -> None:

@@ -128,7 +128,8 @@ def download(
 def partial_downloads(path: Path) -> list[Path]:
     """The partial downloads of a file, which lie beside its final path."""
     names = path.parent.glob("*" + ENDING) if path.parent.is_dir() else ()
-    return [each for each in names if each.name.startswith(f"{path.name}.")]
+    # The name between is a hash: x.1.tgz.HASH.part is no part of x.
+    return [each for each in names if each.name.removesuffix(ENDING).rpartition(".")[0] == path.name]
 
 
 @dataclass(frozen=True)

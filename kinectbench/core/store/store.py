@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -170,15 +171,23 @@ class Store:
             return None
 
     def delete(self, names: Iterable[str]) -> None:
-        """Delete files, in any order.
+        """Delete files, in any order; missing ones are passed over.
 
         Raises:
-            MissingObjectError: a file is missing, and the store says so (s3:// and memory:// do not).
             StorageError: a file cannot be deleted.
         """
         found = list(names)
+
+        def delete() -> None:
+            try:
+                _obstore().delete(self._opened(), found)
+            except FileNotFoundError:  # a file:// store stops at the first one that is missing
+                for name in found:
+                    with suppress(FileNotFoundError):
+                        _obstore().delete(self._opened(), name)
+
         if found:
-            self._try("", lambda: _obstore().delete(self._opened(), found))
+            self._try("", delete)
 
     def _try(self, name: str, call: Callable[[], T]) -> T:
         """Run a call that writes, with retries; if it fails for too long, the store counts as gone."""
@@ -258,6 +267,12 @@ class Store:
         result = _obstore().get(self._opened(), name, options=options or None)
         self._check_size(name, result.meta["size"], most_bytes)
         first[:] = first or [result.meta]
+        is_same = all(result.meta[key] == first[0][key] for key in ("size", "last_modified"))
+        if not first[0]["e_tag"] and not is_same:
+            raise StorageError(
+                f"{self.place(name)}: was replaced during the download; run the command again",
+                what="refused",
+            )
         for part in result.stream():
             out.write(bytes(part))
             if out.tell() > most_bytes:

@@ -3,7 +3,7 @@
 import hashlib
 import io
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -63,11 +63,12 @@ class RebuildPlan:
     notes: tuple[str, ...]
 
 
-def find_sources(path: Path) -> dict[str, LocalRecording]:
+def find_sources(path: Path, suffixes: Sequence[str] = ()) -> dict[str, LocalRecording]:
     """Return {recording id: its paths}, read from a benchmark.yaml or from the names in a folder.
 
     Args:
         path: a benchmark.yaml, a folder with one, or a folder of recordings (`<id>/`, `<id>.bag`, ...).
+        suffixes: endings of recordings, such as ".bag"; of several files `<id>.*`, one of these counts.
 
     Raises:
         SettingsError: the folder does not exist, or benchmark.yaml is wrong.
@@ -86,12 +87,9 @@ def find_sources(path: Path) -> dict[str, LocalRecording]:
         }
     if not path.is_dir():
         raise SettingsError(f"{path}: no such benchmark.yaml or folder of recordings", what="no-file")
-    by_id = {
-        entry.stem: LocalRecording(entry)
-        for entry in sorted(path.iterdir())
-        if not entry.name.startswith(".")
-    }
-    return by_id | {entry.name: LocalRecording(entry) for entry in sorted(path.iterdir()) if entry.is_dir()}
+    entries = sorted(path.iterdir(), key=lambda each: (each.name.lower().endswith(tuple(suffixes)), each))
+    by_id = {each.stem: LocalRecording(each) for each in entries if not each.name.startswith(".")}
+    return by_id | {each.name: LocalRecording(each) for each in entries if each.is_dir()}
 
 
 def rebuild_plan(
@@ -106,7 +104,7 @@ def rebuild_plan(
 
     Raises:
         ReleaseError: the release was not made from recordings, or by a version with other settings; or all
-            its truth is held back, or all its views are isolated.
+            its truth is held back, or all its views are isolated; or benchmark.json lacks a recording.
         SettingsError: recordings are missing (the message names all), or the reference mesh that is the
             truth of one.
     """
@@ -126,6 +124,8 @@ def rebuild_plan(
             what="no-recording",
         )
     for name in sorted(wanted):
+        if name not in metadata.recordings:
+            raise ReleaseError(f"{BENCHMARK_JSON}: lacks the recording {name}; make or download it again")
         if metadata.recordings[name].quality.truth is not None and sources[name].reference is None:
             raise SettingsError(
                 f"{name}: its truth is a reference mesh; give a benchmark.yaml that names it as `reference`",

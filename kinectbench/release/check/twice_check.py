@@ -1,13 +1,13 @@
 """Check facts that a recording's files state twice: the frames of its views, and the plane of its floor."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 
 import numpy as np
 
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
-from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
+from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.geometry.rigid import ORTHONORMAL_TOLERANCE, is_rigid
@@ -17,15 +17,16 @@ from kinectbench.release.contents import Contents
 
 def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
     """Yield a message for each view with another frame or timestamp in views.json than in lineage.json."""
-    names = {name: f"views/{name}/{ViewsFile.FILE}" for name in metadata.recordings}
-    if LINEAGE_JSON not in whole:
-        return
-    with suppress(ReleaseError, StorageError):  # reported as not of their schema
-        recordings = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
-        for name, file in names.items():
-            of_lineage = recordings[name].views if name in recordings else None
-            if of_lineage is None or file not in whole:
-                continue
+    recordings: Mapping[str, LineageRecording] = {}
+    with suppress(ReleaseError, StorageError):  # reported as not of its schema
+        if LINEAGE_JSON in whole:
+            recordings = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
+    for name in metadata.recordings:
+        file = f"views/{name}/{ViewsFile.FILE}"
+        of_lineage = recordings[name].views if name in recordings else None
+        if of_lineage is None or file not in whole:
+            continue
+        with suppress(ReleaseError, StorageError):  # reported as not of its schema
             rows = {row.view: row for row in ViewsFile.parse(contents.text(file), file).views}
             for view in of_lineage:
                 row = rows.get(view.view)

@@ -97,6 +97,10 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
             if progress:
                 progress(done, total)
         lines += objects.share_lines(metadata)
+        if metadata is not None:
+            for recording in sorted({name.split("/")[1] for name in pairs if name not in damaged}):
+                if not metadata.hides(recording) and not metadata.has_solid(recording):
+                    lines += surface_lines(contents, recording)
     return lines
 
 
@@ -273,8 +277,6 @@ def _pair_lines(
         held_back = [key for key in values if key in TRUTH_KEYS]
         why = "is held back" if metadata.hides(recording) else "an open mesh does not have"
         lines = [f"{name}: holds {', '.join(held_back)}, which {why}"] if held_back else []
-        if not metadata.hides(recording):
-            lines += surface_lines(contents, recording)
         given = checked_pair(PairInput, values, name)
         problems = [*input_problems(given, **rules), *_view_problems(given, stated.shown.row)]
         lines += [f"{name}: {problem}" for problem in problems]

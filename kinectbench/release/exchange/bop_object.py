@@ -16,6 +16,8 @@ from kinectbench.release.release import Release
 
 # Rows of the distance matrix that are held at once.
 CHUNK = 512
+# Fewest points, less one, of a hull that Qhull computes of flat meshes: a simplex and a point.
+MIN_HULL = 4
 # A model's pixel is visible if it lies at most this far behind the measured depth (BOP: delta).
 DELTA_MM = 15.0
 NO_BOX = (-1, -1, -1, -1)
@@ -81,10 +83,15 @@ def model_info(mesh: TriangleMesh) -> dict[str, float]:
 
 def _diameter(vertices: Float64) -> float:
     """Return the largest distance between two of the vertices (n, 3); only hull corners are compared."""
-    from scipy.spatial import ConvexHull
+    from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import cdist
 
-    corners = vertices[ConvexHull(vertices).vertices]
+    corners = vertices
+    try:
+        corners = vertices[ConvexHull(vertices).vertices]
+    except QhullError:  # flat: corners of the hull of vertices that are moved by rounding errors
+        if len(vertices) > MIN_HULL:
+            corners = vertices[ConvexHull(vertices, qhull_options="QJ").vertices]
     return max(float(cdist(corners[i : i + CHUNK], corners).max()) for i in range(0, len(corners), CHUNK))
 
 

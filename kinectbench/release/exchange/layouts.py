@@ -9,6 +9,8 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.storage import pretty_json, replaced_folder
 from kinectbench.core.voxels.pair_file import Pair, PairInput
+from kinectbench.release.contents import release_files
+from kinectbench.release.own_folder import unknown_file
 from kinectbench.release.release import Release
 
 EXPORT_JSON = "export.json"
@@ -38,14 +40,12 @@ SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
 def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
     """Yield an empty temporary folder, which replaces `out` if the `with` block succeeds.
 
-    Everything in an `out` that holds the file `known_by` is deleted.
-
     Args:
-        out: a new or an empty folder, or a folder that may be replaced.
+        out: a new or an empty folder, or one that may be replaced.
         known_by: the file that marks a folder as replaceable; default: export.json of an earlier export.
 
     Raises:
-        SettingsError: `out` holds something else.
+        SettingsError: `out` holds something else: no `known_by`, or a file that the new folder lacks.
         StorageError: the disk is full or read-only.
     """
     if out.exists() and not (out.is_dir() and ((out / known_by).is_file() or not any(out.iterdir()))):
@@ -54,6 +54,12 @@ def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
         )
     with replaced_folder(out) as folder:
         yield folder
+        written = {path.relative_to(folder).as_posix() for path in release_files(folder)}
+        if out.exists() and (other := unknown_file(out, written)):
+            raise SettingsError(
+                f"{out / other}: would be deleted; move it away, or choose a new or empty folder",
+                what="other-content",
+            )
 
 
 def write_export_json(folder: Path, release: Release, rows: Mapping[str, object]) -> None:

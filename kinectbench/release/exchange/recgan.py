@@ -9,13 +9,13 @@ from typing import Annotated, Any, ClassVar, Literal, cast
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
+from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPart
 from kinectbench.core.artefacts.targets import Target, check_names
 from kinectbench.core.artefacts.views import ViewName
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
-from kinectbench.core.storage import NAME, sha256_file, write_below
+from kinectbench.core.storage import NAME, replaced_folder, sha256_file, write_below
 from kinectbench.core.types import Framing, PartialRule, Progress, Split
 from kinectbench.core.untrusted import below, followed, lies_below
 from kinectbench.core.voxels.morphology import packed_shell
@@ -42,6 +42,7 @@ from kinectbench.release.exchange.layouts import (
     recgan_path,
     write_export_json,
 )
+from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import Head, write_small_files
 from kinectbench.release.release import Release
@@ -134,7 +135,7 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
         StorageError: the disk is full or read-only.
     """
     release.require_truth(SPLIT_NAMES)
-    views = max(Counter(target.recording for target in release.targets).values())
+    views = max(Counter(target.recording for target in release.targets).values(), default=0)
     rows = []
     with new_folder(out) as folder:
         for done, target in enumerate(release.targets, start=1):
@@ -171,11 +172,10 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
         The number of pairs.
 
     Raises:
-        SettingsError: there are no such files, there are several numbers of views and none is chosen, or
-            `out` holds something else.
+        SettingsError: there are no such files, or there are several numbers of views and none is chosen.
         PairError: a file or export.json is damaged; a file has another name than the layout's, lacks its
             counterpart, or is a link out of the folder.
-        ReleaseError: names of models and categories contradict each other.
+        ReleaseError: names of models and categories contradict each other, or `out` holds something else.
         StorageError: the disk is full or read-only.
     """
     exported, root = folder / EXPORT_JSON, followed(folder)
@@ -189,7 +189,8 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
             f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there", what="no-file"
         )
     check_names([one.target for one in pairs], str(folder))
-    with new_folder(out, BENCHMARK_JSON) as temporary:
+    refuse_other_content(out)
+    with replaced_folder(out) as temporary:
         targets = []
         for done, one in enumerate(pairs, start=1):
             path = temporary / one.target.file

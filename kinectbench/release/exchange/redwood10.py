@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
+from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
@@ -21,7 +21,7 @@ from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.images import png
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_ply
-from kinectbench.core.storage import sha256_file, write_below
+from kinectbench.core.storage import replaced_folder, sha256_file, write_below
 from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float64, Progress
 from kinectbench.core.untrusted import IMAGE_BYTES, followed, lies_below, read_plain
 from kinectbench.core.voxels.npy import read_npy
@@ -29,7 +29,7 @@ from kinectbench.core.voxels.pair_file import PairInput, pair_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import partial_grids, view_cube
 from kinectbench.release.contents import surface_name
-from kinectbench.release.exchange.layouts import new_folder
+from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import Head, write_small_files
 from kinectbench.release.view_images import DEPTH, MASK, depth_mm
@@ -96,15 +96,16 @@ def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) 
         The number of pairs.
 
     Raises:
-        SettingsError: the folder has no mask of any scan, or `out` holds something else.
+        SettingsError: the folder has no mask of any scan.
         PairError: a file is missing or damaged, or is a link out of the folder.
-        ReleaseError: a depth image is damaged.
+        ReleaseError: a depth image is damaged, or `out` holds something else.
         StorageError: the disk is full or read-only.
     """
     there = [scan for scan in SCANS if (folder / MASK_FILE.format(scan=scan)).is_file()]
     if not there:
         raise SettingsError(f"{folder}: no {MASK_FILE.format(scan='<scan>')} there", what="no-file")
-    with new_folder(out, BENCHMARK_JSON) as temporary:
+    refuse_other_content(out)
+    with replaced_folder(out) as temporary:
         targets = []
         for done, name in enumerate(there, start=1):
             targets.append(_written(name, _scan(folder, name), temporary))

@@ -103,10 +103,9 @@ def framed(view: RgbdView, width: int, height: int) -> RgbdView:
     size_px = np.array(view.depth_mm.shape[::-1])
     extent = -(-size_px // step)
     middle = (spots.min(axis=1) + spots.max(axis=1)) // (2 * step)
-    # The window: inside a larger image; around the whole of a smaller one, which is centred.
-    first = np.where(
-        extent >= size, np.clip(middle - size // 2, 0, np.maximum(extent - size, 0)), (extent - size) // 2
-    )
+    # The window: around the object, inside a larger image; around the whole of a smaller one, centred.
+    around = np.clip(middle - size // 2, spots.max(axis=1) // step - size + 1, -(-spots.min(axis=1) // step))
+    first = np.where(extent >= size, np.clip(around, 0, np.maximum(extent - size, 0)), (extent - size) // 2)
 
     def cut(image: NDArray[_Pixel]) -> NDArray[_Pixel]:
         """Return the cropped part of an image (h, w, ...), with zeros beyond the image."""

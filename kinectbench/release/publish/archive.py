@@ -9,8 +9,8 @@ from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import replaced_file, sha256_file
-from kinectbench.release.contents import release_files
 from kinectbench.release.publish.attribution import reasons_against_distribution
+from kinectbench.release.published import listed_files
 from kinectbench.settings.models import BenchmarkSettings
 
 # Files that are stored, as they are already compressed.
@@ -58,25 +58,24 @@ def _refuse(reasons: Sequence[str]) -> None:
 def write_archive(release: Path, out: Path) -> Path:
     """Pack a release as `out/<stem>.zip`, with its checksum in `<stem>.zip.sha256`; return the zip's path.
 
-    Entries are sorted, with fixed times and permissions. npz files and pictures are stored uncompressed, all
-    other files are deflated.
+    Only SHA256SUMS and the files in it are packed. Entries are sorted, with fixed times and permissions. npz
+    files and pictures are stored uncompressed, all other files are deflated.
 
     Args:
         release: the release's folder.
         out: the folder for the archive, which is made if missing.
 
     Raises:
-        ReleaseError: there is no release, or it must not be distributed.
+        ReleaseError: there is no release, it must not be distributed, or a file is missing or another one.
         StorageError: the disk is full or read-only.
     """
     info = ReleaseInfo.read(release)
     _refuse(info.distribution.reasons if info.distribution else ())
-    stem = archive_stem(info)
+    stem, names = archive_stem(info), [SHA256SUMS, *listed_files(release)]
     path = out / f"{stem}.zip"
     with replaced_file(path) as temporary:
         with zipfile.ZipFile(temporary, "w") as archive:
-            files = [*release_files(release), release / SHA256SUMS]
-            for name in sorted(file.relative_to(release).as_posix() for file in files):
+            for name in sorted(names):
                 _add(archive, release / name, f"{stem}/{name}")
         sha256 = sha256_file(temporary)
     with replaced_file(path.with_name(f"{path.name}.sha256")) as temporary:

@@ -19,8 +19,8 @@ KEYS = re.compile(
     r"(?i)(^|_)(gps|latitude|longitude|altitude|location|serial|serial_number|serialnumber|device_id|imei|"
     r"mac_address|hostname|user|username|owner|email|phone)($|_)"
 )
-# Paths on somebody's disk, which name people: only the last part is kept. A folder with blanks counts where
-# more follows: below `home` or `users`, and in a path of Windows. A topic of ROS, /camera/depth/image_raw, is
+# Paths on somebody's disk, which name people: only the last part is kept. A folder with blanks counts below
+# `home` or `users`, and in a path of Windows where more follows. A topic of ROS, /camera/depth/image_raw, is
 # no path: it begins with no known folder, and its last part has no dot.
 _PART = r"[^\s\"'<>|:;,/\\]"
 _ROOTS = (
@@ -29,14 +29,17 @@ _ROOTS = (
 )
 # Bounded, as a text of many slashes would take the square of its length.
 _FOLDER = rf"/{_PART}{{1,255}}"
-_OF_USER = rf"(?:{_FOLDER}){{0,9}}/(?i:homes?|users){_FOLDER}(?: {_PART}{{1,255}}){{1,2}}(?=/)"
+_MORE = rf"(?: {_PART}{{1,255}}){{1,2}}(?=[\"'<>|:;,/\\\n]|$)"
+_OF_USER = rf"(?:{_FOLDER}){{0,9}}/(?i:homes?|users){_FOLDER}{_MORE}"
 PATHS = re.compile(
     rf"(?:\bfile://|(?<![\w./]))(?:{_OF_USER}(?:/{_PART}*)*|/(?i:{_ROOTS})\d*(?![\w-])(?:/{_PART}*)*"
     rf"|(?:{_FOLDER}){{1,30}}/{_PART}*\.{_PART}+)"
-    rf"|(?:\b[A-Za-z]:[\\/]|(?<!\\)\\\\(?=\w))(?:{_PART}+(?: {_PART}+){{0,2}}\\|{_PART}+/)*{_PART}*"
+    rf"|(?:\b[A-Za-z]:[\\/]|(?<!\\)\\\\(?=\w))(?:{_PART}+(?: {_PART}+){{0,2}}\\|{_PART}+/)*"
+    rf"(?:(?<=(?i:users)[\\/]){_PART}+{_MORE}|{_PART}*)"
 )
 HOMES = ("home", "homes", "users")
 EMAIL = re.compile(r"\b[\w.+-]+@[\w-]+(\.[\w-]+)+\b")
+_ADDRESS = "(address removed)"
 StoredFile = TypeVar("StoredFile", bound=Stored)
 LOOKED_FOR = (
     "GPS positions",
@@ -57,9 +60,17 @@ KEPT = (
     "depth images and masks: they show the shape of whatever stood before the camera",
 )
 Order = Literal["little", "big"]
-# Kept segments: JFIF, the colour profile and Adobe's mark, which say how pixels are decoded.
-KEPT_SEGMENTS = ((0xE0, b"JFIF\0"), (0xE0, b"JFXX\0"), (0xE2, b"ICC_PROFILE\0"), (0xEE, b"Adobe"))
-NAMES = ((b"Exif\0\0", "EXIF"), (b"http://ns.adobe.com/xap/1.0/\0", "XMP"), (b"Photoshop 3.0\0", "IPTC"))
+# Kept segments: JFIF, the colour profile and Adobe's mark, which say how pixels are decoded; the number of
+# kept bytes, and what stands for the rest: JFIF's thumbnail of 0 x 0 pixels. ITU-T T.871 and T.872.
+KEPT_SEGMENTS = (
+    (0xE0, b"JFIF\0", 12, b"\0\0"),
+    (0xE2, b"ICC_PROFILE\0", 1 << 16, b""),
+    (0xEE, b"Adobe", 12, b""),
+)
+NAMES = (
+    *((b"JFIF\0", "thumbnail"), (b"JFXX\0", "thumbnail")),
+    *((b"Exif\0\0", "EXIF"), (b"http://ns.adobe.com/xap/1.0/\0", "XMP"), (b"Photoshop 3.0\0", "IPTC")),
+)
 # Markers of ITU-T T.81, table B.1.
 APP0, APP15, COMMENT, START_OF_SCAN, END_OF_IMAGE = 0xE0, 0xEF, 0xFE, 0xDA, 0xD9
 # Those that may follow a scan: tables, the next scan, the end, application segments, comments.
@@ -144,8 +155,9 @@ def _scrubbed(value: object, key: str, removed: list[str], model: object) -> obj
     if isinstance(value, Mapping):
         result, declared = {}, _declared(model)
         for name, child in value.items():
-            if name not in declared and KEYS.search(str(name)):
-                removed.append(f"the key '{name}'")
+            said = EMAIL.sub(_ADDRESS, PATHS.sub(_last_part, str(name)))
+            if name not in declared and (KEYS.search(str(name)) or said != str(name)):
+                removed.append(f"the key '{said}'")
             else:
                 result[name] = _scrubbed(child, str(name), removed, declared.get(name))
         return result
@@ -157,7 +169,7 @@ def _scrubbed(value: object, key: str, removed: list[str], model: object) -> obj
     text = PATHS.sub(_last_part, value)
     if text != value:
         removed.append(f"a path in '{key}'")
-    clean = EMAIL.sub("(address removed)", text)
+    clean = EMAIL.sub(_ADDRESS, text)
     if clean != text:
         removed.append(f"an e-mail address in '{key}'")
     return clean
@@ -192,7 +204,7 @@ def _below(value: object) -> object:
 def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
     """Remove metadata from a JPEG file: application segments, comments, and data after the picture.
 
-    The pixels and the segments of `KEPT_SEGMENTS` (JFIF, colour profile, Adobe) are unchanged. Phones append
+    The pixels and what `KEPT_SEGMENTS` keeps (of JFIF, colour profile, Adobe) are unchanged. Phones append
     a second picture or a film, which has metadata of its own.
 
     Args:
@@ -208,11 +220,16 @@ def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
     """
     kept, removed, end = [data[:2]], list[str](), 2
     for marker, start, end, payload in _segments(data):
-        is_metadata = APP0 <= marker <= APP15 or marker == COMMENT
-        if is_metadata and not any(marker == m and payload.startswith(head) for m, head in KEPT_SEGMENTS):
-            removed.append(_name(marker, payload))
-        else:
+        if not (APP0 <= marker <= APP15 or marker == COMMENT):
             kept.append(data[start:end])
+            continue
+        rows = (row for row in KEPT_SEGMENTS if marker == row[0] and payload.startswith(row[1]))
+        left = next((payload[:most] + rest for _, _, most, rest in rows), b"")
+        if left != payload:
+            removed.append(_name(marker, payload))
+        if left:
+            head = data[start : end - len(payload) - 2]
+            kept.append(head + (len(left) + 2).to_bytes(2, "big") + left)
     if data[end:].strip(b"\0"):  # zeros alone say nothing
         removed.append("data after the picture")
     return b"".join(kept), removed

@@ -31,6 +31,8 @@ ADAPTERS: Mapping[str, Adapter] = {
     "pointr": POINTR,
     "patchcomplete": PATCHCOMPLETE,
 }
+# The key of method.json's settings that marks adapted predictions.
+ADAPTED_BY = "adapted_by"
 # Two poses of one view that differ by less are equal: writing and reading JSON changes far less.
 SAME_POSE = 1e-6
 
@@ -75,7 +77,7 @@ def adapt(
         name: the method's name.
         output: a folder `<recording>/<view>/` for each view, with the method's output and the camera.json
             of `export --for`.
-        out: a new or empty folder; a folder with a method.json is replaced.
+        out: a new or empty folder, or an earlier output of `adapt`, which is replaced.
         progress: called with (views done, views in all).
 
     Returns:
@@ -83,13 +85,18 @@ def adapt(
 
     Raises:
         SettingsError: unknown method, or `out` holds something else.
-        PredictionError: no output can be used.
+        PredictionError: no output can be used, or the method.json in `out` is damaged.
         ReleaseError: a pair of the release cannot be read.
         StorageError: the disk is full or read-only.
     """
     adapter = adapter_of(name)
     if not output.is_dir():
         raise PredictionError(f"{output}: no such folder", what="no-folder")
+    if (out / MethodFile.FILE).is_file() and ADAPTED_BY not in (MethodFile.read(out).settings or {}):
+        raise SettingsError(
+            f"{out}: holds predictions that `adapt` did not write; choose a new or empty folder",
+            what="other-content",
+        )
     problems, volumes, written = list[str](), dict[str, Float64](), 0
     with new_folder(out, MethodFile.FILE) as folder:
         for done, target in enumerate(release.targets, start=1):
@@ -113,7 +120,7 @@ def adapt(
             axes="cv",
             volume_m=volumes or None,
             inputs=adapter.inputs,
-            settings={"adapted_by": f"kinectbench {__version__}"},
+            settings={ADAPTED_BY: f"kinectbench {__version__}"},
         )
         method_file.write(folder)
     return written, problems

@@ -74,6 +74,15 @@ def test_what_is_put_is_read_and_listed(url: str) -> None:
     assert [each.name for each in store.objects()] == ["ab/two words, ä"]
 
 
+def test_a_missing_file_does_not_keep_the_others_from_being_deleted(url: str) -> None:
+    store, names = Store(url), [f"a/{number:03d}" for number in range(40)]
+    for name in names:
+        store.put(name, b"1")
+    store.delete(["a/missing", *names, "b"])
+    assert store.objects() == []
+    store.delete(names)
+
+
 def test_put_new_writes_once(url: str) -> None:
     store = Store(url)
     assert store.put_new("manifest.json", b"{}")

@@ -171,6 +171,22 @@ def test_nothing_that_can_be_used(published: Release, tmp_path: Path) -> None:
         adapt(published, "octmae", tmp_path, tmp_path / "mine")
 
 
+def test_only_adapted_predictions_are_replaced(published: Release, tmp_path: Path) -> None:
+    export_for(published, tmp_path / "in", "octmae")
+    target = published.targets[0]
+    fake("octmae", target, tmp_path / "in" / target.recording / target.view)
+    out = tmp_path / "out"
+    for _ in range(2):
+        adapt(published, "octmae", tmp_path / "in", out)
+    (out / "notes.txt").write_text("dear")
+    with raises(SettingsError, "settings.other-content", match=r"notes\.txt"):
+        adapt(published, "octmae", tmp_path / "in", out)
+    (out / "notes.txt").unlink()
+    MethodFile(name="mine", benchmark_sha256=published.benchmark_sha256, frame="camera").write(out)
+    with raises(SettingsError, "settings.other-content"):
+        adapt(published, "octmae", tmp_path / "in", out)
+
+
 def test_outputs_of_another_release_or_method_are_refused(
     published: Release, release: Release, tmp_path: Path
 ) -> None:
