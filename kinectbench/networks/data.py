@@ -57,9 +57,9 @@ def training_targets(
         category: the only category that is trained on; None: all.
 
     Raises:
-        ReleaseError: there is no release, or one has no training pairs (of the category), their truth is held back, or it is
-            given twice; or an object is for training in one release, and for validation or testing in
-            another.
+        ReleaseError: there is no release; or one has no training pairs (of the category), their truth is held
+            back, or it is given twice; or an object is for training in one release, and for validation or
+            testing in another.
     """
     pairs: list[tuple[Release, Target]] = []
     if not releases:

@@ -88,8 +88,8 @@ def _own_class(path: str) -> "Callable[..., Network]":
     except (Exception, SystemExit) as error:  # a module runs as it is imported
         why = printable(f"{type(error).__name__}: {error}")
         raise SettingsError(
-            f"network.class_path {path}: cannot be imported ({why}); mend or install it, or name the folder it "
-            "lies in by PYTHONPATH"
+            f"network.class_path {path}: cannot be imported ({why}); mend or install it, or name the "
+            "folder it lies in by PYTHONPATH"
         ) from error
     if not (isinstance(attribute, type) and issubclass(attribute, Network)):
         raise SettingsError(
