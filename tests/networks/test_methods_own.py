@@ -160,7 +160,7 @@ def test_a_network_is_refused_before_its_training_or_can_be_read_after_it(
     [
         (
             "no_such_module:Mine",
-            "cannot be imported .*No module named 'no_such_module'.*; install it, or name",
+            "cannot be imported .*No module named 'no_such_module'.*install it, or name",
         ),
         ("broken_nets:Mine", "cannot be imported"),
         ("failing_nets:Mine", r"cannot be imported \(ZeroDivisionError: division by zero\); mend"),

@@ -175,8 +175,8 @@ def test_options_of_textures_are_no_names(tmp_path: Path) -> None:
     (tmp_path / "model.obj").write_text("  mtllib here.mtl\n")
     names = ["wood.png", "my wood.png", "-s.png"]
     lines = [
-        "-s 1 1.5 -1e-3 -clamp on wood.png",
-        "-type cube_top -imfchan r my wood.png",
+        "-s 1 2.5 -1e-3 -cc on wood.png",
+        "-type sphere -imfchan r my wood.png",
         "-s.png",
         "gone.png",
     ]
