@@ -8,6 +8,7 @@ import typer
 from kinectbench.cli.common import Common, takes
 from kinectbench.core.errors import SettingsError
 
+PRESET = "orbit-v1"
 OBJECT = "such as chair:seed=3, of --families; default: the preset's, most chair:seed=0"
 FRAMES = "number of frames; default: the preset's, most have 300"
 SEED = "draws everything but the object; default: the preset's, most 0"
@@ -20,7 +21,7 @@ def simulate_command(
     out: Annotated[Path | None, typer.Argument(help="the recording: a folder, or a .bag")] = None,
     object_name: Annotated[str | None, typer.Option("--object", help=OBJECT)] = None,
     mesh: Annotated[Path | None, typer.Option(help="a mesh file in metres, instead of an object")] = None,
-    preset: Annotated[str, typer.Option(help="see --presets")] = "orbit-v1",
+    preset: Annotated[str, typer.Option(help="see --presets")] = PRESET,
     frames: Annotated[int | None, typer.Option(min=1, help=FRAMES)] = None,
     seed: Annotated[int | None, typer.Option(min=0, help=SEED)] = None,
     form: Annotated[str | None, typer.Option("--format", help=FORMAT)] = None,
@@ -48,15 +49,22 @@ def simulate_command(
         return
     if mesh is not None and object_name is not None:
         raise SettingsError("simulate: give --object or --mesh, not both")
+    given = {"object": object_name, "mesh": None if mesh is None else str(mesh), "seed": seed, "format": form}
+    changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
+    if frames is not None:
+        changes["path"] = {"frames": frames}
+    folders = {"--contact-sheets": contact_sheets, "--samples": samples, "--demo": demo}
+    alone = [name for name, folder in folders.items() if folder is not None]
+    others = out is not None or changes or common.overrides or preset != PRESET
+    if len(alone) > 1 or (alone and others):
+        raise SettingsError(
+            f"simulate: {alone[0]} stands alone: leave out OUT, the options of a recording and --set"
+        )
     if contact_sheets is not None:
         from kinectbench.lab.simulate.objects.contact_sheets import write_contact_sheets
 
         common.tell_written(*write_contact_sheets(contact_sheets))
         return
-    given = {"object": object_name, "mesh": None if mesh is None else str(mesh), "seed": seed, "format": form}
-    changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
-    if frames is not None:
-        changes["path"] = {"frames": frames}
     if out is not None and is_truth(truth_folder(out)):
         console.lines("note", [f"{out}: replaces the simulated recording that is there"], "yellow")
     with console.recording_bars() as progress:

@@ -5,6 +5,7 @@ from importlib.metadata import entry_points
 from typing import TypeVar
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import printable
 
 Kind = TypeVar("Kind")
 
@@ -34,9 +35,10 @@ def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, 
         where = f"plug-in '{point.name}' of {group} ({point.value})"
         try:
             given = point.load()
-        except (ImportError, AttributeError) as error:
+        except (Exception, SystemExit) as error:  # a module runs as it is imported
+            why = printable(f"{type(error).__name__}: {error}")
             raise SettingsError(
-                f"{where}: cannot be imported ({error}); mend or uninstall it", what="bad-plugin"
+                f"{where}: cannot be imported ({why}); mend or uninstall it", what="bad-plugin"
             ) from error
         if not isinstance(given, Mapping) or not all(isinstance(value, kind) for value in given.values()):
             raise SettingsError(

@@ -57,11 +57,13 @@ def training_targets(
         category: the only category that is trained on; None: all.
 
     Raises:
-        ReleaseError: a release has no training pairs (of the category), their truth is held back, or it is
-            given twice; or an object is for training in one release, and for validation or testing in
-            another.
+        ReleaseError: there is no release; or one has no training pairs (of the category), their truth is held
+            back, or it is given twice; or an object is for training in one release, and for validation or
+            testing in another.
     """
     pairs: list[tuple[Release, Target]] = []
+    if not releases:
+        raise ReleaseError("--data: no release to train on; name one", what="no-pairs")
     for release in releases:
         release.require_truth(("train",))
         targets = [target for target in release.split("train") if target.object not in leave_out]

@@ -81,7 +81,8 @@ def predict(
         PairError, ReleaseError: a pair cannot be read.
         SettingsError: these splits have no pair, or the folder holds predictions for another release, or
             files that `predict` did not write.
-        PredictionError: method.json or unfinished.json of an earlier run cannot be read.
+        PredictionError: method.json or unfinished.json of an earlier run cannot be read, or an output of the
+            network is no probability.
         StorageError: the disk is full or read-only.
     """
     wanted = release.of_splits([split for split in SPLITS if split in splits])
@@ -210,6 +211,7 @@ def completed_target(
 
     Raises:
         PairError, ReleaseError: the pair cannot be read.
+        PredictionError: an output of the network is no probability.
     """
     where = str(release.pair_path(target))
     pair = checked_pair(PairInput, pair_values(release.pair_content(target), where), where)

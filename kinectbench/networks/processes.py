@@ -49,6 +49,8 @@ def joined_processes(device: str) -> Iterator[tuple[int, int]]:
     if size == 1:
         yield 0, 1
         return
+    if device.startswith("cuda"):
+        torch.cuda.set_device(device)  # else the barriers of all ranks use the first GPU
     distributed.init_process_group("nccl" if device.startswith("cuda") else "gloo")
     try:
         yield rank, size

@@ -85,10 +85,11 @@ def _own_class(path: str) -> "Callable[..., Network]":
     module, _, name = path.partition(":")
     try:
         attribute = getattr(import_module(module), name, None)
-    except (ImportError, SyntaxError) as error:
+    except (Exception, SystemExit) as error:  # a module runs as it is imported
+        why = printable(f"{type(error).__name__}: {error}")
         raise SettingsError(
-            f"network.class_path {path}: cannot be imported ({printable(str(error))}); install it, or name "
-            "the folder it lies in by PYTHONPATH"
+            f"network.class_path {path}: cannot be imported ({why}); mend or install it, or name the "
+            "folder it lies in by PYTHONPATH"
         ) from error
     if not (isinstance(attribute, type) and issubclass(attribute, Network)):
         raise SettingsError(

@@ -18,6 +18,7 @@ from kinectbench.networks.recgan import RecGAN, discriminator_loss
 
 # Means of each step's losses, by name.
 Losses = dict[str, float]
+DIVERGED = "the loss or a weight is no number any more; choose a lower learning rate, and train again"
 
 
 class StepError(KinectBenchError):
@@ -59,7 +60,7 @@ class Learner:
                 cosine.
 
         Raises:
-            StepError: a loss is not finite.
+            StepError: a loss or a weight is not finite.
         """
         self.network.train()
         for optimiser, rate in zip(self.optimisers, self._rates, strict=True):
@@ -115,7 +116,7 @@ class Learner:
     def _descend(self, loss: Tensor, index: int) -> None:
         """Update the parameters of one optimiser by the gradients of `loss`; discard other gradients."""
         if not torch.isfinite(loss):
-            raise StepError("the loss is no number any more; choose a lower learning rate, and train again")
+            raise StepError(DIVERGED)
         optimiser = self.optimisers[index]
         self.network.zero_grad(set_to_none=True)
         loss.backward()
@@ -123,6 +124,8 @@ class Learner:
         average_gradients(parameters, self._size)
         optimiser.step()
         average_buffers(self.network, self._size)
+        if not all(torch.isfinite(values).all() for values in self.network.state_dict().values()):
+            raise StepError(DIVERGED)
 
     def _autocast(self) -> torch.autocast:
         wanted = self._config.training.precision == "bfloat16"

@@ -115,7 +115,8 @@ def train(
         ReleaseError: a pair is missing or changed, or there is no training pair.
         SettingsError: the folder belongs to another training, or `config` or `device` cannot be used.
         StorageError: the disk cannot be written, the checkpoint is damaged, or another run has the folder.
-        StepError: memory is full, the loss is not finite, or another process has stopped.
+        StepError: memory is full, a loss or a weight is not finite, or another process has stopped.
+        PredictionError: an output of the network is no probability.
     """
     asked = config.training
     targets = training_targets(releases, asked.leave_out, asked.category)
@@ -236,7 +237,7 @@ def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
     """Run one step.
 
     Raises:
-        StepError: memory is full, the loss is not a finite number, or another process has stopped.
+        StepError: memory is full, a loss or a weight is not finite, or another process has stopped.
     """
     step = training.state.step
     try:

@@ -13,6 +13,7 @@ from kinectbench.networks.data import PairFile, as_tensor, turned_axes
 from kinectbench.networks.network import Network
 from kinectbench.scoring.counts import THRESHOLDS, is_all_unknown, protocol_counts, tally
 from kinectbench.scoring.metrics import ious
+from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.truth import read_packed_truth, read_parts
 
 PROTOCOL = "known"
@@ -21,7 +22,11 @@ PROTOCOL = "known"
 def completed(
     network: Network, partial: NDArray[np.bool_], config: MethodSettings, device: str
 ) -> NDArray[np.float16]:
-    """Complete a partial view (64, 64, 64): probabilities (n, n, n) float16; both in the pair's axes."""
+    """Complete a partial view (64, 64, 64): probabilities (n, n, n) float16; both in the pair's axes.
+
+    Raises:
+        PredictionError: an output of the network is no probability.
+    """
     network.eval()
     with torch.inference_mode():
         tensor = as_tensor(turned_axes(partial, config)[None], device)
@@ -29,6 +34,8 @@ def completed(
         with torch.autocast(device.partition(":")[0], torch.bfloat16, enabled=wanted):
             probability = network.completed(tensor)
     values: NDArray[np.float16] = probability[0, 0].half().cpu().numpy()
+    # Counting and thresholds rely on numbers from 0 to 1.
+    checked(values, f"the output of network '{config.name}'")
     return np.ascontiguousarray(turned_axes(values, config))
 
 
@@ -44,6 +51,10 @@ def validation_iou(
         pairs: validation pairs, at least one.
         config: gives axes and precision.
         device: the network's device.
+
+    Raises:
+        PredictionError: an output of the network is no probability.
+        ReleaseError: a pair is missing or changed.
     """
     curves, unknown = list[Float64](), list[Float64]()
     for path, sha256 in pairs:

@@ -114,13 +114,11 @@ class Scorer:
             raise PredictionError(
                 f"{pair_id}: thresholds are fixed already; update validation pairs first", what="order"
             )
-        threshold = None
-        if target.split == "test":
-            threshold = self._fixed().of[target.category]
         values = checked(np.asarray(prediction), pair_id)
         truth = read_packed_truth(
             self._release.pair_path(target), target.sha256, self._counting.further_grids
         )
+        threshold = self._fixed().of[target.category] if target.split == "test" else None
         self._results[target] = count(values, truth, self._counting, threshold)
 
     def result(self) -> ScoreTable:

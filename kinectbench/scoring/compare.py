@@ -48,7 +48,7 @@ class Difference:
         by_object: first minus second of each object, by name.
         p: p value of the two-sided sign-flip test.
         p_holm: p, corrected for all pairs of methods compared in this scope.
-        smallest_p: the smallest p that the exact test allows with as many objects, times the number of pairs.
+        smallest_p: the smallest p that the test allows with as many objects, times the number of pairs.
         verdict: one sentence.
     """
 

@@ -114,13 +114,12 @@ def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
     """Return files that are not expected, relative to the folder, sorted; hidden files are left out.
 
     Raises:
-        PredictionError: the folder has more than `MOST_FILES` files.
-        OSError: a folder cannot be listed.
+        PredictionError: the folder has more than `MOST_FILES` files, or a folder cannot be listed.
     """
     strays, waiting, seen = list[str](), [(folder, "")], 0
     while waiting:
         inside, way = waiting.pop()
-        with os.scandir(inside) as entries:
+        with _readable(inside), os.scandir(inside) as entries:
             for entry in entries:
                 seen += 1
                 if seen > MOST_FILES:

@@ -178,11 +178,11 @@ def samples(count: int) -> int:
 
 
 def smallest_p(count: int) -> float:
-    """Return the smallest p-value of the exact test of n = `count` differences: 2^(1 - n).
+    """Return the smallest p-value of the test of n = `count` differences: 2^(1 - n).
 
-    Beyond 30 differences, drawn signs give no p below 1 / (`samples` + 1).
+    Beyond 30 differences, where signs are drawn, it is 1 / (`samples` + 1).
     """
-    return min(1.0, 2.0 ** (1 - count))
+    return min(1.0, 2.0 ** (1 - count)) if count <= MAX_EXACT else 1 / (samples(count) + 1)
 
 
 def holm(p_values: list[float]) -> list[float]:

@@ -1,8 +1,10 @@
 """Packages add families and formats by entry points; one that cannot be used is named in one line."""
 
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 
 import pytest
+from raising import raises
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.lab import plugins as module
@@ -45,6 +47,15 @@ def test_a_package_that_cannot_be_used_is_named(
     with pytest.raises(SettingsError) as caught:
         with_entry_point(monkeypatch, value)
     assert says in str(caught.value) and f"'mine' of {GROUP}" in str(caught.value)
+
+
+def test_a_package_that_fails_as_it_is_imported_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "failing_families.py").write_text("1 / 0")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with raises(SettingsError, "settings.bad-plugin", match="ZeroDivisionError: division by zero"):
+        with_entry_point(monkeypatch, "failing_families:FAMILIES")
 
 
 def test_the_plug_ins_of_a_checkout_are_there() -> None:

@@ -2,20 +2,24 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from raising import raises
 from slow import slow
 from synthetic_release import synthetic_pair
 
+from kinectbench.core.errors import PredictionError
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks import han_like
 from kinectbench.networks.config import MethodSettings, NetworkName, NetworkSettings
 from kinectbench.networks.data import Batch, as_tensor, bits_tensor
 from kinectbench.networks.grids import TruthBatch
+from kinectbench.networks.network import Network
 from kinectbench.networks.recae import RecAE
 from kinectbench.networks.registry import NETWORKS, make_network
 from kinectbench.networks.steps import Learner, StepError
+from kinectbench.networks.validate import completed
 
 ADVERSARIAL = {"beta": 0.8, "loss_scale": 100.0, "epsilon": "voxel", "penalty_on": "sum"}
 # Hidden channels divided by, side of the generators' output, learning rate, most steps until it is learnt.
@@ -165,6 +169,26 @@ def test_a_loss_that_is_no_number_is_told() -> None:
         next(network.parameters()).fill_(float("nan"))
     with raises(StepError, "training.diverged"):
         Learner(network, config, "cpu", (0, 1)).step(random_batch(1), 0, 0)
+
+
+def test_a_gradient_that_is_no_number_is_told() -> None:
+    """The loss is a number, and the weights after the step are none."""
+    config = config_of("3d-epn")
+    network = make_network(config.network)
+    next(network.parameters()).register_hook(lambda gradient: gradient * float("nan"))
+    with raises(StepError, "training.diverged"):
+        Learner(network, config, "cpu", (0, 1)).step(random_batch(1), 0, 0)
+
+
+@pytest.mark.parametrize("value", [float("nan"), 2.0])
+def test_an_output_that_is_no_probability_is_refused(value: float) -> None:
+    class Wrong(Network):
+        def completed(self, partial: torch.Tensor) -> torch.Tensor:
+            return torch.full((1, 1, 64, 64, 64), value)
+
+    network, partial = Wrong(input_cells=64, output_cells=64), np.zeros((64, 64, 64), bool)
+    with raises(PredictionError, "prediction.bad-values", match=f"'reduced': {value} at"):
+        completed(network, partial, config_of("3d-epn"), "cpu")
 
 
 def test_patches_see_what_the_whole_grid_would_show() -> None:

@@ -50,6 +50,8 @@ def nets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder on Python's path with the module, and the configuration beside it."""
     (tmp_path / "my_nets.py").write_text(CODE)
     (tmp_path / "broken_nets.py").write_text("class Mine(:")
+    (tmp_path / "failing_nets.py").write_text("1 / 0")
+    (tmp_path / "ending_nets.py").write_text("raise SystemExit(3)")
     (tmp_path / "mine.yaml").write_text(CONFIG)
     monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path
@@ -158,9 +160,11 @@ def test_a_network_is_refused_before_its_training_or_can_be_read_after_it(
     [
         (
             "no_such_module:Mine",
-            "cannot be imported .*No module named 'no_such_module'.*; install it, or name",
+            "cannot be imported .*No module named 'no_such_module'.*install it, or name",
         ),
         ("broken_nets:Mine", "cannot be imported"),
+        ("failing_nets:Mine", r"cannot be imported \(ZeroDivisionError: division by zero\); mend"),
+        ("ending_nets:Mine", r"cannot be imported \(SystemExit: 3\)"),
         ("my_nets:Other", "no class of that name there that is a subclass of kinectbench"),
         ("my_nets:called", "no class of that name there"),
         ("my_nets:Path", "no class of that name there"),

@@ -10,12 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from raising import raises
 from torch import distributed
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.networks.config_file import read_config
-from kinectbench.networks.processes import chosen_device
+from kinectbench.networks.processes import chosen_device, joined_processes
 from kinectbench.networks.train import train
 from kinectbench.release.release import Release
 
@@ -75,6 +76,16 @@ def test_a_batch_that_cannot_be_shared_is_told(
     monkeypatch.setattr(module, "joined_processes", lambda device: nullcontext((0, 3)))
     with raises(SettingsError, "settings.wrong-value", match=r"2.*3"):
         train(read_config(tiny()), [learning], tmp_path / "run", device="cpu")
+
+
+def test_each_process_uses_its_own_gpu_before_it_joins(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = list[object]()
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setattr(torch.cuda, "set_device", calls.append)
+    monkeypatch.setattr(distributed, "init_process_group", calls.append)
+    monkeypatch.setattr(distributed, "destroy_process_group", lambda: None)
+    with joined_processes("cuda:1"):
+        assert calls == ["cuda:1", "nccl"]
 
 
 @pytest.mark.parametrize("name", ["cuda:77", "gpu", "meta", "a\x1bb"])

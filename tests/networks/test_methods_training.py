@@ -216,6 +216,11 @@ def test_a_release_without_training_pairs_is_told(release: Release, tiny: Tiny, 
         training.train(read_config(tiny()), [release], tmp_path / "run", device="cpu")
 
 
+def test_no_release_is_refused(tiny: Tiny, tmp_path: Path) -> None:
+    with raises(ReleaseError, "release.no-pairs", match="no release to train on"):
+        training.train(read_config(tiny()), [], tmp_path / "run", device="cpu")
+
+
 def test_every_epoch_sees_every_pair_once() -> None:
     seen = [index for step in range(10) for index in pairs_of_step(step, 5, 3, seed=7)]
     assert all(sorted(seen[5 * epoch : 5 * epoch + 5]) == [0, 1, 2, 3, 4] for epoch in range(6))

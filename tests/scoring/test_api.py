@@ -121,6 +121,13 @@ def test_scorer_refuses(release: Release) -> None:
         kinectbench.Scorer(release.folder, protocols=["all"])
 
 
+def test_a_refused_test_pair_fixes_no_thresholds(release: Release) -> None:
+    scorer = kinectbench.Scorer(release.folder, surface=False)
+    with raises(PredictionError, "prediction.bad-values"):
+        scorer.update("chair_01/000", np.full((4, 4, 4), np.nan, np.float32))
+    scorer.update(release.split("validation")[0].name, np.zeros((4, 4, 4), bool))
+
+
 class StandIn:
     """What `kinectbench.load` uses of torch's Dataset."""
 

@@ -104,6 +104,7 @@ def test_no_assignment_of_signs_counts_in_both_tails(count: int) -> None:
 
 def test_sign_flips_of_many_objects() -> None:
     assert sign_flip_p(np.ones(5)) == smallest_p(5) == 0.0625
+    assert sign_flip_p(np.ones(40)) == smallest_p(40) == 1 / 1_000_001
     assert sign_flip_p(np.zeros(4)) == 1
     assert sign_flip_p(np.ones(30)) == 2**-29
     # 30 equal differences, 20 positive: a binomial test

@@ -1,16 +1,21 @@
 """What a stranger does wrong with predictions in the camera frame is said, and spoils nothing."""
 
 import json
+import os
 from pathlib import Path
 
 import analytic_release
 import numpy as np
 import pytest
 import trimesh
+from raising import raises
 from small_benchmark import run_here
 
-from kinectbench.core.errors import PredictionError
+from kinectbench.core.errors import PredictionError, ReleaseError
 from kinectbench.release.release import Release, open_release
+from kinectbench.scoring import camera_predictions
+from kinectbench.scoring.camera import score as camera_score
+from kinectbench.scoring.camera import surface
 from kinectbench.scoring.camera_predictions import check_camera
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
 from kinectbench.scoring.declared import read_in_camera
@@ -121,6 +126,40 @@ def test_check_names_a_closed_mesh_whose_solid_score_refuses(published: Release,
     assert not any(target.name in note for note in notes)
     failures = score(published, folder, method="n", protocols=["camera"]).failures
     assert [f"{one.recording}/{one.view}" for one in failures] == [target.name]
+
+
+def test_what_refuses_all_does_so_before_hours_of_scoring(
+    published: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A damaged depth image, and a subfolder that cannot be listed."""
+    folder, scandir, scored = written(published, tmp_path / "net"), os.scandir, list[str]()
+
+    def damaged(*_: object) -> None:
+        raise ReleaseError("views/a/000.depth.png: damaged")
+
+    def locked(path: Path) -> object:
+        if Path(path).name == "locked":
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(camera_score, "run_tasks", lambda *_: scored.append("all"))
+    with monkeypatch.context() as patched, raises(ReleaseError, "release.damaged"):
+        patched.setattr(camera_predictions, "view_agreement", damaged)
+        score(published, folder, method="n", protocols=["camera"])
+    (folder / "locked").mkdir()
+    monkeypatch.setattr(os, "scandir", locked)
+    with raises(PredictionError, "prediction.unreadable", match="locked: cannot be looked into"):
+        score(published, folder, method="n", protocols=["camera"])
+    assert not scored
+
+
+def test_a_truth_with_too_many_faces_is_named(
+    published: Release, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = written(published, tmp_path / "net")
+    monkeypatch.setattr(surface, "MOST_SAMPLES", 10)
+    with raises(ReleaseError, "release.too-large", match=f"{published.targets[0].name}.npz: the truth has"):
+        score(published, folder, method="n", protocols=["camera"])
 
 
 def test_a_mesh_in_the_camera_frame_without_a_declaration_is_answered(

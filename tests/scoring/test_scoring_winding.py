@@ -75,6 +75,15 @@ def test_volume_outside_the_grid_counts() -> None:
     assert half.sum() == pytest.approx(whole / 2, rel=0.02) and outside == pytest.approx(whole / 2, rel=0.05)
 
 
+@pytest.mark.parametrize("half", [450, 5000])
+def test_a_grid_deep_inside_a_mesh_is_full(half: int) -> None:
+    """A block that contains the grid is decided whole, or is finer than the blocks outside."""
+    box = trimesh.creation.box(extents=[2 * half] * 3)
+    vertices = np.asarray(box.vertices) + SIDE / 2
+    found, outside = present(inside_winding(vertices, box.faces.astype(np.int32), SIDE))
+    assert found.all() and outside == pytest.approx((2.0 * half) ** 3 - SIDE**3, rel=0.05)
+
+
 def test_open_meshes_are_scored_as_solids_where_that_is_asked(
     analytic: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

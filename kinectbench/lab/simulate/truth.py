@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections import Counter
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -136,15 +137,15 @@ def is_truth(folder: Path) -> bool:
     try:
         record = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
         return {"format_version", "package_version", "T_world_object", "spec"} <= set(record)
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, RecursionError):
         return False
 
 
 def added_files(folder: Path, recording: Path) -> list[str]:
     """Return the files and folders in a simulated recording's folder that its simulation did not write.
 
-    Hidden ones are ignored. An added folder is named without its content. A name that differs from a written
-    one only by its numbers, as those of frames do, counts as written.
+    Hidden ones are ignored. An added folder is named without its content. Names that differ only by their
+    numbers, as those of frames do, are counted: of more than were written, the name with # is returned.
 
     Args:
         folder: the folder of the recording's truth; without a truth, the result is empty.
@@ -156,12 +157,17 @@ def added_files(folder: Path, recording: Path) -> list[str]:
     if not recording.is_dir() or not is_truth(folder):
         return []
     record = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    if isinstance(written := record.get("files"), list):
+    if isinstance(written := record.get("files"), list | dict):
         named = {str(name) for name in written}
         # Earlier versions name only what lies at the top.
         folders = {"."} | (named if any("/" in name for name in named) else set())
-        names = (name for name in _names_below(recording) if _numberless(name) not in named)
-        return sorted(name for name in names if _numberless(str(PurePosixPath(name).parent)) in folders)
+        names = _names_below(recording)
+        new = [name for name in names if _numberless(name) not in named]
+        added = [name for name in new if _numberless(str(PurePosixPath(name).parent)) in folders]
+        if isinstance(written, dict):  # earlier versions do not count
+            count = Counter(map(_numberless, names))
+            added += [name for name, most in written.items() if isinstance(most, int) and count[name] > most]
+        return sorted(added)
     # Truths of earlier versions do not name the files: then what `init`, `record` and builds add.
     there = {path.name for path in recording.iterdir()}
     given = record["spec"].get("given", {}) if isinstance(record["spec"], dict) else {}
@@ -183,9 +189,9 @@ def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = 
     """Write everything but the images into the existing folder of the truth.
 
     The files are truth.json (with the spec's JSON values and, if `recording` is a folder, the names below it,
-    with # for numbers), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt (the same poses as TUM
-    text, without frames of another scene), floor.json, object.ply (world frame) and surface.npz
-    (`points_world`, `normals_world`, `frames_seen`).
+    with # for numbers, and their counts), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt (the
+    same poses as TUM text, without frames of another scene), floor.json, object.ply (world frame) and
+    surface.npz (`points_world`, `normals_world`, `frames_seen`).
     """
     from kinectbench.core.geometry.mesh import write_ply
     from kinectbench.core.trajectory.trajectory_file import trajectory_text
@@ -205,7 +211,7 @@ def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = 
         "spec": spec,
     }
     if recording is not None and recording.is_dir():
-        record["files"] = sorted({_numberless(name) for name in _names_below(recording)})
+        record["files"] = dict(sorted(Counter(map(_numberless, _names_below(recording))).items()))
     folder = truth.folder
     (folder / "truth.json").write_text(pretty_json(record), encoding="utf-8")
     frames = {"stamps_ns": truth.stamps_ns, "T_world_camera": truth.T_world_camera}

@@ -1,5 +1,6 @@
 """Load, clean and check a model's mesh, and choose the rule that fills it."""
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -18,6 +19,8 @@ from kinectbench.lab.synthesize.models import Model
 # Files keep vertices in float32. Steps of more than this share of the longest side (three tenths of a cell)
 # change the shape: a release with 0.26 of a cell verifies, one with 0.52 does not (1 m, 10 and 20 km off).
 MOST_STEP = 0.3 / 252
+# Options before a texture's name, such as `-s 1 1 1 -clamp on`. Source: the MTL format (Alias|Wavefront).
+OPTIONS = re.compile(r"^(-[a-z]+\s+((on|off|[rgbmlz]|sphere|cube_\w+|[-+.\d][-+.\de]*)\s+)*)*", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -141,11 +144,12 @@ def _is_file(path: Path) -> bool:
 def _named(path: Path, keyword: str) -> list[Path]:
     """Return the paths that a text file names in lines that begin with a keyword; [] if it is unreadable."""
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        with path.open(encoding="utf-8", errors="replace") as lines:
+            found = [line.split(maxsplit=1) for line in lines if line.lstrip().lower().startswith(keyword)]
     except OSError:
         return []
-    values = [line.split(maxsplit=1) for line in lines if line.lower().startswith(keyword)]
-    return [path.parent / value[1].strip().replace("\\", "/") for value in values if len(value) == 2]
+    names = [OPTIONS.sub("", value[1].strip()).replace("\\", "/") for value in found if len(value) == 2]
+    return [path.parent / name for name in names]
 
 
 def _load(path: Path) -> TriangleMesh:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, invert_rigid
 from kinectbench.core.geometry.decimate import decimated
 from kinectbench.core.geometry.rigid import on_so3
@@ -91,7 +92,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
         ShapeError, TrackingError: too little was seen.
     """
     rows = np.flatnonzero(has_pose(graph.T_world))
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_KEYFRAMES).round().astype(int))]
+    rows = rows[evenly(len(rows), MOST_KEYFRAMES)]
     keyframes, poses = np.array(graph.keyframes)[rows], graph.T_world[rows]
     stamps_ns, store = maps.sequence.stamps_ns[keyframes], _Depths(maps, keyframes)
     sequence = Sequence(maps[int(keyframes[0])][0].camera, STORED_PER_M, stamps_ns, False, None, store)

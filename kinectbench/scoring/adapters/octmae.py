@@ -50,8 +50,7 @@ def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVi
     write_png(folder / "depth.png", shown.depth_mm)
     K = json.dumps({"cam_K": shown.K.ravel().tolist()}, indent=1)
     (folder / "intrinsics.json").write_text(K, encoding="utf-8")
-    share, of = _cut_share(release, view)
-    stated = {"T_camera_method": scaling(M_PER_MM), "cut_share": share, "cut_of": of}
+    stated = {"T_camera_method": scaling(M_PER_MM), **_cut_share(release, view)}
     if len(view.object_points_m):
         stated["volume_m"] = cube_mm(view.object_points_m / M_PER_MM) * M_PER_MM
     return shown, stated
@@ -75,11 +74,11 @@ def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
     return np.asarray(((points_mm >= low) & (points_mm < high)).all(axis=1))
 
 
-def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
-    """Return the share of the object outside OctMAE's cube, and "truth" or "seen": what the share is of.
+def _cut_share(release: Release, view: RgbdView) -> dict[str, object]:
+    """Return `cut_share` of the object outside OctMAE's cube, and `cut_of`, "truth" or "seen".
 
-    It is of the cells of the true solid, or, where the truth is held back, of the measured points; 0 if there
-    are none, or no measured point places the cube.
+    It is of the cells of the true solid, or, where the truth is held back, of the measured points; {} if
+    there are none, or no measured point places the cube.
     """
     seen_m, target = view.object_points_m, view.target
     if release.metadata.hides(target.recording):
@@ -93,8 +92,9 @@ def _cut_share(release: Release, view: RgbdView) -> tuple[float, str]:
         cells_m = (np.stack(np.unravel_index(cells, (FULL_CELLS,) * 3), axis=1) + 0.5) * float(size)
         points_m, of = transform_points(T_camera_grid, cells_m), "truth"
     if not len(seen_m) or not len(points_m):
-        return 0.0, of
-    return float(1 - in_cube(points_m / M_PER_MM, seen_m / M_PER_MM).mean()), of
+        return {}
+    share = float(1 - in_cube(points_m / M_PER_MM, seen_m / M_PER_MM).mean())
+    return {"cut_share": share, "cut_of": of}
 
 
 def read_octmae(path: Path) -> CameraShape:

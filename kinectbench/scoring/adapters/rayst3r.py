@@ -19,7 +19,7 @@ MOST_M, STEPS = 10.0, 65535
 
 
 def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
-    """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m; farther depth becomes 10 m), intrinsics.pt.
+    """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m; farther depth becomes 0), intrinsics.pt.
 
     Without cam2world.pt, RaySt3R's output is in the camera frame.
     """
@@ -28,7 +28,7 @@ def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdV
     shown = framed(view, WIDTH, HEIGHT)
     write_color(shown, folder)
     write_png(folder / "mask.png", shown.mask.astype(np.uint8) * 255)
-    metres = np.minimum(shown.depth_mm / 1000.0, MOST_M)
+    metres = np.where(shown.depth_mm > MOST_M * 1000, 0, shown.depth_mm / 1000.0)
     write_png(folder / "depth.png", np.rint(metres * (STEPS / MOST_M)).astype(np.uint16))
     torch.save(torch.tensor(shown.K, dtype=torch.float32), folder / "intrinsics.pt")
     return shown, {"T_camera_method": scaling(1.0)}

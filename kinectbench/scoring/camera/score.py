@@ -67,14 +67,19 @@ def score_in_camera(
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
 
     Raises:
-        ReleaseError: no test pair, an object in two splits, a pair file is missing or changed, or the truth
-            is held back.
+        PredictionError: the folder cannot be looked into.
+        ReleaseError: no test pair, an object in two splits, a file is missing or changed, a truth is too
+            large (`read_space_truth`) or held back.
         SettingsError: the table would have too many rows.
     """
     check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, validation=False, solid=False)
     refuse_many_rows(len(test), asked_rows(protocols, declared.scale), declared.hypotheses)
     files, failures = _files(folder, test, declared, missing)
+    # What can refuse the release or the folder comes before hours of scoring.
+    looked_at = [found for target in sorted(files) for found in files[target][:1]]
+    first = (*method_lines(folder, declared, release), *depth_warnings(release, looked_at, declared))
+    strays = strays_in_camera(release, folder, declared)
     tasks = [
         ViewJob(target, files_of(release, target), files[target], declared, protocols, close)
         for target in sorted(files)
@@ -86,15 +91,8 @@ def score_in_camera(
     fixed = fixed_thresholds({target.category for target in results})
     settings = settings_in_space(protocols, missing).model_copy(update={"close": close})
     table = table_in_space(release, method, results, failures, settings, empty, fixed)
-    looked_at = [found for target in sorted(files) for found in files[target][:1]]
-    said = (
-        *method_lines(folder, declared, release),
-        *depth_warnings(release, looked_at, declared),
-        *_without_inside(results, close),
-        *_open_truth(release, test),
-        *table.warnings,
-    )
-    return table.model_copy(update={"warnings": (*said, *strays_in_camera(release, folder, declared))})
+    said = (*first, *_without_inside(results, close), *_open_truth(release, test), *table.warnings, *strays)
+    return table.model_copy(update={"warnings": said})
 
 
 def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.score_figures import ShapePart
-from kinectbench.core.errors import ReleaseError
+from kinectbench.core.errors import PredictionError, ReleaseError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Bools, Float64
@@ -145,7 +145,7 @@ def read_space_truth(files: ViewFiles) -> SpaceTruth:
     """Read the truth of a view.
 
     Raises:
-        ReleaseError: a file is missing, or not the published one.
+        ReleaseError: a file is missing, or not the published one; or the truth has too many faces of cells.
     """
     mask = None if files.mask is None else view_images.read_mask(*files.mask)
     if files.surface is not None:
@@ -163,7 +163,11 @@ def read_space_truth(files: ViewFiles) -> SpaceTruth:
     full, known, seen, T_world_grid, T_world_camera, voxel_size_m, sigma_m, K = read_parts(
         files.pair, files.sha256, names
     )
-    truth = space_truth(full, known, seen, invert_rigid(T_world_grid) @ T_world_camera, float(voxel_size_m))
+    T_grid_camera = invert_rigid(T_world_grid) @ T_world_camera
+    try:
+        truth = space_truth(full, known, seen, T_grid_camera, float(voxel_size_m))
+    except PredictionError as error:
+        raise ReleaseError(f"{files.pair}: the truth has {error}", what="too-large") from error
     return replace(truth, sigma_m=float(sigma_m), K=K, mask=mask)
 
 
@@ -197,7 +201,11 @@ def _open_truth(files: ViewFiles, path: Path, sha256: str) -> SpaceTruth:
 def space_truth(
     full: Packed, known: Packed, seen: Packed, T_grid_camera: Float64, voxel_size_m: float
 ) -> SpaceTruth:
-    """Return the truth made from packed grids (256, 256, 32), without mask, intrinsics and sigma."""
+    """Return the truth made from packed grids (256, 256, 32), without mask, intrinsics and sigma.
+
+    Raises:
+        PredictionError: it has more than `MOST_SAMPLES` faces of cells at its surface.
+    """
     from kinectbench.scoring.camera.kernels import known_and_seen
 
     surface, cells = cell_surface(unpack(full), voxel_size_m)

@@ -122,11 +122,8 @@ def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most
                         i + size < low[0] or j + size < low[1] or k + size < low[2]
                     ):
                         continue
-                    within = (
-                        (i >= 0 and j >= 0 and k >= 0)
-                        and (i < side and j < side and k < side)
-                        and size <= side
-                    )
+                    # A larger block at the corner contains the whole grid.
+                    within = (i >= 0 and j >= 0 and k >= 0) and (i < side and j < side and k < side)
                     half = size / 2
                     number, clear, more = _number(
                         i + half, j + half, k + half, triangles, total, middle, radius, nodes
@@ -146,6 +143,7 @@ def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most
                             top += 1
                     elif abs(number) > 0.5 and within:
                         found[i : i + size, j : j + size, k : k + size] = True
+                        outside += np.float64(size) ** 3 - np.float64(min(size, side)) ** 3
                     elif abs(number) > 0.5:
                         outside += np.float64(size) ** 3
     return outside

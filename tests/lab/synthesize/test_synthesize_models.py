@@ -13,7 +13,7 @@ from synthesis_shapes import asymmetric, mesh_of, open_box, write_shapenet
 from kinectbench.core.errors import SettingsError, ShapeError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.storage import name_problem
-from kinectbench.lab.synthesize.mesh_check import check_mesh, load_model
+from kinectbench.lab.synthesize.mesh_check import check_mesh, load_model, missing_materials
 from kinectbench.lab.synthesize.models import (
     LeftOut,
     Model,
@@ -168,6 +168,22 @@ def test_missing_materials_are_noted(tmp_path: Path) -> None:
         "material gone.mtl is missing; the shape is whole",
         "texture wood.png is missing; the shape is whole",
     )
+
+
+def test_options_of_textures_are_no_names(tmp_path: Path) -> None:
+    """And lines may be indented; a name may have spaces, or begin as an option does."""
+    (tmp_path / "model.obj").write_text("  mtllib here.mtl\n")
+    names = ["wood.png", "my wood.png", "-s.png"]
+    lines = [
+        "-s 1 2.5 -1e-3 -cc on wood.png",
+        "-type sphere -imfchan r my wood.png",
+        "-s.png",
+        "gone.png",
+    ]
+    (tmp_path / "here.mtl").write_text("".join(f"\tmap_Kd {line}\n" for line in lines))
+    for name in names:
+        (tmp_path / name).touch()
+    assert missing_materials(tmp_path / "model.obj") == ("texture gone.png is missing; the shape is whole",)
 
 
 @pytest.mark.parametrize("name", ["x" * 300, "a\0b", "y/" * 3000, "."], ids=lambda name: ascii(name[:3]))

@@ -197,6 +197,22 @@ def test_what_octmaes_cube_cuts_is_stated() -> None:
     assert in_cube(deep, deep).mean() == pytest.approx(0.54, abs=2e-3)
 
 
+def test_depth_beyond_rayst3rs_10_m_is_missing(published: Release, tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    view = read_view(published, published.targets[0])
+    far = replace(view, depth_mm=np.where(view.mask, view.depth_mm, 10_001).astype(np.uint16))
+    ADAPTERS["rayst3r"].write(published, far, tmp_path)
+    depth = read_picture(tmp_path / "depth.png", cv2.IMREAD_UNCHANGED)
+    mask = read_picture(tmp_path / "mask.png", cv2.IMREAD_UNCHANGED) > 0
+    assert depth[mask].all() and not depth[~mask].any()
+
+
+def test_a_view_without_a_measured_point_has_no_share_that_is_cut(published: Release, tmp_path: Path) -> None:
+    view = read_view(published, published.targets[0])
+    _, stated = octmae.write_octmae(published, replace(view, mask=np.zeros_like(view.mask)), tmp_path)
+    assert set(stated) == {"T_camera_method"}
+
+
 def test_pointr_gets_the_metric_points(published: Release, exports: Path) -> None:
     for view, folder in views(published, exports / "pointr"):
         points, center, norm = loaders.pointr(folder)
