@@ -10,6 +10,7 @@ from kinectbench.core.types import Float64
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.fit import FramePair, disagreements
 from kinectbench.doctor.probe import Probe
+from kinectbench.stages.ingest.recording import Recording
 
 # Step factor of the search over depth scale and focal length, and the largest number of steps.
 STEP, MOST_STEPS = 1.05, 4
@@ -79,6 +80,11 @@ def _with(pair: FramePair, depth: float, focal: float) -> FramePair:
     return replace(pair, points=points, depth_m=pair.depth_m * np.float32(depth), camera=camera)
 
 
+def stated_scale(recording: Recording) -> float:
+    """Return the units per metre of depth in the files, as the setting `depth_scale` has it."""
+    return recording.depth_scale if recording.float_scale is None else recording.float_scale
+
+
 def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
     """Report a depth scale or focal lengths with which the given poses fit much better."""
     if not lengths.implausible:
@@ -87,7 +93,7 @@ def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
     parts, values = [], dict[str, float]()
     if lengths.depth != 1:
         parts.append(f"depth {lengths.depth:.2f} times as far")
-        values["depth_scale"] = recording.depth_scale / lengths.depth
+        values["depth_scale"] = stated_scale(recording) / lengths.depth
     if lengths.focal != 1:
         parts.append(f"focal lengths {lengths.focal:.2f} times as long")
         values |= {"fx": recording.camera.fx * lengths.focal, "fy": recording.camera.fy * lengths.focal}

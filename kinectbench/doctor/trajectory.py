@@ -25,11 +25,10 @@ from kinectbench.doctor.fit import (
     likely_conventions,
     pair_residual_m,
 )
-from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
+from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths, stated_scale
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
 from kinectbench.doctor.probe import Probe
 from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
-from kinectbench.stages.ingest.recording import FileRecording, Recording
 
 # Another convention is accepted only if it lowers the disagreement to this ratio.
 BETTER = 0.87
@@ -229,12 +228,6 @@ def _other_time(probe: Probe, given: GivenTrajectory, unit: float | None) -> Fin
     return Finding("trajectory_time", "stops", what, probe.where, advice)
 
 
-def _stated_scale(recording: Recording) -> float:
-    """Return the units per metre of depth in the files, as the setting `depth_scale` has it."""
-    float_scale = recording.float_scale if isinstance(recording, FileRecording) else None
-    return recording.depth_scale if float_scale is None else float_scale
-
-
 def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
     if fit.convention.changes and not fit.fits:
         left = f"({1000 * fit.residual_m:.0f} mm off, more than noise explains)"
@@ -259,7 +252,7 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
         name, advice = "trajectory_reading", "write them again so, or `trajectory: ignore`"
         if fit.convention.changes == 1 and fit.convention.unit_m != 1:
             _, median_m, far_m = depth_quantiles_m(probe).tolist()
-            scale = _stated_scale(probe.recording) * fit.convention.unit_m
+            scale = stated_scale(probe.recording) * fit.convention.unit_m
             at_scale_m = median_m / fit.convention.unit_m
             name = "depth_scale"
             advice = (

@@ -88,15 +88,20 @@ class DepthFormat:
     warnings: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, files: Sequence[FrameFiles], settings: CameraSettings) -> "DepthFormat":
-        """Determine the format from the first undamaged depth image, preferably one that is not empty."""
+    def of(cls, files: Sequence[FrameFiles], given: float | None) -> "DepthFormat":
+        """Determine the format from the first undamaged depth image, preferably one that is not empty.
+
+        Args:
+            files: the frames.
+            given: units per metre of stored floats; None: found by their size.
+        """
         for empty_too in (False, True):
             with suppress(DamagedImageError):
-                return first_whole(partial(cls._of, settings, empty_too), [frame.depth for frame in files])
+                return first_whole(partial(cls._of, given, empty_too), [frame.depth for frame in files])
         return cls()
 
     @classmethod
-    def _of(cls, settings: CameraSettings, empty_too: bool, file: Path) -> "DepthFormat":
+    def _of(cls, given: float | None, empty_too: bool, file: Path) -> "DepthFormat":
         data = read_image_file(file)
         channels = packed_channels(data, str(file))
         if channels is not None:
@@ -115,10 +120,9 @@ class DepthFormat:
         units, kind = units_a_metre(depth), (kind_of(depth), file)
         if units is None:
             return cls(kind=kind)
-        float_scale = settings.depth_scale or units
         warning = f"{file}: its floats are taken for millimetres; if not, give `depth_scale` (units a metre)"
-        mm = settings.depth_scale is None and units != 1
-        return cls(FLOAT_SCALE, float_scale, kind=kind, warnings=(warning,) if mm else ())
+        mm = given is None and units != 1
+        return cls(FLOAT_SCALE, given or units, kind=kind, warnings=(warning,) if mm else ())
 
 
 class FolderRecording(FileRecording):
@@ -157,7 +161,7 @@ class FolderRecording(FileRecording):
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
         registered = intrinsics.color_registered
-        stored = DepthFormat.of(files, settings)
+        stored = DepthFormat.of(files, settings.depth_scale)
         trajectory, warnings, error = read_given(
             lambda: _read_trajectory(path, stamps_ns, files, depth.stems)
         )
