@@ -187,8 +187,7 @@ class RosRecording(Recording):
         name = _message_name(self.bag, self.depth, pair.depth)
         depth = depth_of(self.bag.decode(self.depth.topic, pair.depth), name, self.float_scale or 1.0)
         color = self._color(pair.color)
-        # Frames of another size stay as they are: the checks refuse them.
-        if self.undistortion is not None and depth.shape == self._shape:
+        if self.undistortion is not None:
             depth = self.undistortion.depth(depth)
         return RawFrame(name, pair.stamp_ns, depth, color)
 
@@ -200,12 +199,7 @@ class RosRecording(Recording):
         # Colour that is not registered has its own camera.
         if self.undistortion is None or not self.color_registered:
             return color
-        bgr = decode_color_bgr(color[1], name)
-        return (".png", encode_png(self.undistortion.color(bgr))) if bgr.shape[:2] == self._shape else color
-
-    @property
-    def _shape(self) -> tuple[int, int]:
-        return self.camera.height, self.camera.width
+        return ".png", encode_png(self.undistortion.color(decode_color_bgr(color[1], name)))
 
 
 def _message_name(bag: RosBag, image: ImageTopic, index: int) -> str:
