@@ -49,6 +49,7 @@ from kinectbench.stages.ingest.readers.pose_files import (
     read_log,
     read_pose_file,
     read_pose_folder,
+    starts_like_a_log,
     unread_poses,
 )
 from kinectbench.stages.ingest.recording import (
@@ -229,8 +230,9 @@ def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
     ours = path / "trajectory.txt"
-    logs = sorted(visible(path, "*.log"))
-    file = path / "trajectory.log" if len(logs) != 1 else logs[0]
+    file, logs = path / "trajectory.log", sorted(filter(starts_like_a_log, visible(path, "*.log")))
+    if len(logs) == 1 and not file.is_file():
+        file = logs[0]
     names = (*(log.name for log in logs), *POSE_FILES)
     if not ours.is_file() and file.is_file():
         matrices = read_log(file, len(stamps_ns))
