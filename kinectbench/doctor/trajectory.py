@@ -113,7 +113,11 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
     chosen = _simplest(conventions, costs)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
     read = conventions[chosen].apply(poses)
-    left_m = pair_residual_m(usable, read)
+    left_m, given_m = pair_residual_m(usable, read), pair_residual_m(usable, poses)
+    # Disagreement counts surfaces that are hidden in the other frame, too: poses that fit as given stay so,
+    # unless the surfaces lie nearer to each other in the other convention.
+    if fits(given_m, usable) and not left_m < given_m:
+        chosen, read, left_m = 0, poses, given_m
     still = float(unmoved[fitting].mean())
     scaled = min(cost for convention, cost in zip(conventions, costs, strict=True) if convention.unit_m != 1)
     fit = fits(left_m, usable)
@@ -132,6 +136,15 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
         arc_rad=covered_arc_rad(read[known], middle_depth_m(frame.depth_m for frame in probe.frames)),
         lengths=lengths,
     )
+
+
+def shows_motion(fit: PoseFit) -> bool:
+    """Whether the poses fit the depth, and turn the camera by more than half its field of view.
+
+    Then the camera does not stand still, even if most of its depth does, such as that of a bare plane.
+    """
+    camera, views = fit.pairs[0].camera, fit.T_world_camera[:, :3, 2]
+    return fit.fits and bool((views @ views[0]).min() < math.cos(math.atan(camera.width / 2 / camera.fx)))
 
 
 def _disagreements(
