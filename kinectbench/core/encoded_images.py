@@ -69,13 +69,15 @@ def image_head(data: bytes) -> ImageHead:
 def decoded_image(data: bytes, mode: int) -> NDArray[np.generic]:
     """Decode an image whose header the caller has checked; `mode` is a flag of `cv2.imdecode`.
 
+    The pixels stay as they are stored, whatever orientation EXIF states, because depth has no EXIF.
+
     Raises:
         ValueError: the image is damaged.
     """
     import cv2
 
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), mode | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ValueError(f"cannot be decoded ({error.err})") from error
     if image is None:

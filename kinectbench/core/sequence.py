@@ -117,16 +117,22 @@ class Sequence:
         Raises:
             StorageError: the image is missing or damaged.
         """
-        import cv2
-
         encoded = self.frames.color_encoded(index)
-        if encoded is None:
-            return None
-        try:
-            bgr = decoded_image(encoded[1], cv2.IMREAD_COLOR)
-        except ValueError as error:
-            raise StorageError(f"the stored colour of frame {index} {error}; {AGAIN}") from error
-        return np.ascontiguousarray(bgr[..., ::-1]).astype(np.uint8, copy=False)
+        return None if encoded is None else np.ascontiguousarray(stored_bgr(encoded[1], index)[..., ::-1])
+
+
+def stored_bgr(data: bytes, index: int) -> NDArray[np.uint8]:
+    """Decode the stored colour of a frame: (height, width, 3) uint8 BGR.
+
+    Raises:
+        StorageError: the image is damaged.
+    """
+    import cv2
+
+    try:
+        return decoded_image(data, cv2.IMREAD_COLOR).astype(np.uint8, copy=False)
+    except ValueError as error:
+        raise StorageError(f"the stored colour of frame {index} {error}; {AGAIN}") from error
 
 
 def depth_in_metres(native: NDArray[np.uint16], depth_scale: float) -> Float32:

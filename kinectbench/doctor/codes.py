@@ -63,7 +63,7 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
         return
     # Poses that fit unchanged depth determine the scale, but distance along the ray differs only a little.
     as_given = poses is not None and poses.fits and poses.convention.changes == 0
-    codes = _along_the_ray(probe) if as_given or not _is_stored(probe) else _codes(probe)
+    codes = _along_the_ray(probe) if as_given or recording.float_scale is not None else _codes(probe)
     fits = [(code, fit) for code in codes if (fit := _fit(probe, code)) is not None]
     if as_given and poses is not None:
         fits = [each for each in fits if each[1].residual_m < BETTER * poses.residual_m]
@@ -74,12 +74,6 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     if as_given and poses is not None:  # residuals at different scales cannot be compared
         what += f", and {1000 * poses.residual_m:.1f} mm as it is read"
     yield Finding(code.name, "stops", what, probe.where, code.advice)
-
-
-def _is_stored(probe: Probe) -> bool:
-    """Return whether the probe's depth has the files' integer values, not values converted from float."""
-    recording = probe.recording
-    return not isinstance(recording, FileRecording) or recording.float_scale is None
 
 
 def _codes(probe: Probe) -> Iterator[Code]:

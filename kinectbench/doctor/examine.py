@@ -29,7 +29,7 @@ from kinectbench.doctor.floor import Ground, check_floor, seen_floor
 from kinectbench.doctor.grade import check_grade
 from kinectbench.doctor.probe import Probe, probe_recording
 from kinectbench.doctor.still import NO_MOTION, check_still
-from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
+from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory, shows_motion
 from kinectbench.settings.models import (
     CameraSettings,
     FusionSettings,
@@ -164,9 +164,11 @@ def _examined(
     are not run, and there are no further facts.
     """
     # Poses of a static camera fit equally well in every convention, so they prove nothing.
-    still = [*check_still(probe)]
+    still, edges, poses = [*check_still(probe)], fit_edges(probe), fit_trajectory(probe)
+    if poses is not None and shows_motion(poses):
+        still = [finding for finding in still if finding.name not in NO_MOTION]
     stands = any(finding.name in NO_MOTION for finding in still)
-    edges, poses = fit_edges(probe), None if stands else fit_trajectory(probe)
+    poses = None if stands else poses
     code = [] if stands else list(check_codes(probe, poses))
     if code:
         # All other checks would use wrong depth.

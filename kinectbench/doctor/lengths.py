@@ -8,8 +8,9 @@ import numpy as np
 
 from kinectbench.core.types import Float64
 from kinectbench.doctor.finding import Finding
-from kinectbench.doctor.fit import FramePair, disagreements
+from kinectbench.doctor.fit import FramePair, disagreements, pair_residual_m
 from kinectbench.doctor.probe import Probe
+from kinectbench.stages.ingest.recording import Recording
 
 # Step factor of the search over depth scale and focal length, and the largest number of steps.
 STEP, MOST_STEPS = 1.05, 4
@@ -29,8 +30,7 @@ class Lengths:
     Attributes:
         depth: factor on all depth values.
         focal: factor on both focal lengths.
-        left: disagreement with these factors, relative to that without; 1 if no factors fit better; 0 if
-            there is no disagreement at all.
+        left: disagreement with these factors, relative to that without; 1 if no factors fit better.
     """
 
     depth: float
@@ -46,7 +46,8 @@ class Lengths:
 def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
     """Find the factors on depth and focal lengths with which given poses fit best, by descent in 5 % steps.
 
-    The descent ends at a local minimum, at most four steps from 1 for each factor.
+    The descent ends at a local minimum, at most four steps from 1 for each factor. The factors must also
+    bring the surfaces nearer to each other, for their distance: disagreement counts hidden surfaces, too.
 
     Args:
         pairs: the pairs of frames to compare.
@@ -69,7 +70,11 @@ def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
         if cost(best) >= cost(at):
             break
         at = best
-    return Lengths(STEP ** at[0], STEP ** at[1], cost(at) / max(cost((0, 0)), 1e-9))
+    depth, focal = (STEP**count for count in at)
+    changed_m = pair_residual_m([_with(pair, depth, focal) for pair in pairs], T_world_camera)
+    if not changed_m / depth < pair_residual_m(pairs, T_world_camera):
+        return Lengths(1.0, 1.0, 1.0)
+    return Lengths(depth, focal, cost(at) / cost((0, 0)))
 
 
 def _with(pair: FramePair, depth: float, focal: float) -> FramePair:
@@ -77,6 +82,11 @@ def _with(pair: FramePair, depth: float, focal: float) -> FramePair:
     camera = replace(pair.camera, fx=pair.camera.fx * focal, fy=pair.camera.fy * focal)
     points = pair.points * (depth * np.array([1 / focal, 1 / focal, 1]))
     return replace(pair, points=points, depth_m=pair.depth_m * np.float32(depth), camera=camera)
+
+
+def stated_scale(recording: Recording) -> float:
+    """Return the units per metre of depth in the files, as the setting `depth_scale` has it."""
+    return recording.depth_scale if recording.float_scale is None else recording.float_scale
 
 
 def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
@@ -87,7 +97,7 @@ def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
     parts, values = [], dict[str, float]()
     if lengths.depth != 1:
         parts.append(f"depth {lengths.depth:.2f} times as far")
-        values["depth_scale"] = recording.depth_scale / lengths.depth
+        values["depth_scale"] = stated_scale(recording) / lengths.depth
     if lengths.focal != 1:
         parts.append(f"focal lengths {lengths.focal:.2f} times as long")
         values |= {"fx": recording.camera.fx * lengths.focal, "fy": recording.camera.fy * lengths.focal}

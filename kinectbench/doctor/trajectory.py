@@ -25,11 +25,10 @@ from kinectbench.doctor.fit import (
     likely_conventions,
     pair_residual_m,
 )
-from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths
+from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths, stated_scale
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
 from kinectbench.doctor.probe import Probe
 from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
-from kinectbench.stages.ingest.recording import FileRecording, Recording
 
 # Another convention is accepted only if it lowers the disagreement to this ratio.
 BETTER = 0.87
@@ -114,7 +113,11 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
     chosen = _simplest(conventions, costs)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
     read = conventions[chosen].apply(poses)
-    left_m = pair_residual_m(usable, read)
+    left_m, given_m = pair_residual_m(usable, read), pair_residual_m(usable, poses)
+    # Disagreement counts surfaces that are hidden in the other frame, too: poses that fit as given stay so,
+    # unless the surfaces lie nearer to each other in the other convention.
+    if fits(given_m, usable) and not left_m < given_m:
+        chosen, read, left_m = 0, poses, given_m
     still = float(unmoved[fitting].mean())
     scaled = min(cost for convention, cost in zip(conventions, costs, strict=True) if convention.unit_m != 1)
     fit = fits(left_m, usable)
@@ -133,6 +136,15 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
         arc_rad=covered_arc_rad(read[known], middle_depth_m(frame.depth_m for frame in probe.frames)),
         lengths=lengths,
     )
+
+
+def shows_motion(fit: PoseFit) -> bool:
+    """Whether the poses fit the depth, and turn the camera by more than half its field of view.
+
+    Then the camera does not stand still, even if most of its depth does, such as that of a bare plane.
+    """
+    camera, views = fit.pairs[0].camera, fit.T_world_camera[:, :3, 2]
+    return fit.fits and bool((views @ views[0]).min() < math.cos(math.atan(camera.width / 2 / camera.fx)))
 
 
 def _disagreements(
@@ -229,12 +241,6 @@ def _other_time(probe: Probe, given: GivenTrajectory, unit: float | None) -> Fin
     return Finding("trajectory_time", "stops", what, probe.where, advice)
 
 
-def _stated_scale(recording: Recording) -> float:
-    """Return the units per metre of depth in the files, as the setting `depth_scale` has it."""
-    float_scale = recording.float_scale if isinstance(recording, FileRecording) else None
-    return recording.depth_scale if float_scale is None else float_scale
-
-
 def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
     if fit.convention.changes and not fit.fits:
         left = f"({1000 * fit.residual_m:.0f} mm off, more than noise explains)"
@@ -259,7 +265,7 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
         name, advice = "trajectory_reading", "write them again so, or `trajectory: ignore`"
         if fit.convention.changes == 1 and fit.convention.unit_m != 1:
             _, median_m, far_m = depth_quantiles_m(probe).tolist()
-            scale = _stated_scale(probe.recording) * fit.convention.unit_m
+            scale = stated_scale(probe.recording) * fit.convention.unit_m
             at_scale_m = median_m / fit.convention.unit_m
             name = "depth_scale"
             advice = (

@@ -73,7 +73,10 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
         return _as_depth(decode_unchanged(data, name), name)
     if channels is not None and data.startswith(PNG_MAGIC):
         image_header(data, name)
-        return joined_channels(decode_unchanged(data, name), channels)
+        pixels = decode_unchanged(data, name)
+        if pixels.ndim != 3 or pixels.dtype != np.uint8:
+            raise OddImageError(f"{name}: is no PNG of 8-bit channels, as other depth here: keep one kind")
+        return joined_channels(pixels, channels)
     return decode_depth_png(data, name)
 
 

@@ -124,14 +124,14 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
     """The camera of these YAML files, without values if none has one; only `MOST_YAML` files are read.
 
     Raises:
-        RecordingError: two files have different cameras or notes.
+        RecordingError: two files have different cameras.
     """
     first: tuple[Path, Intrinsics] | None = None
     for file in files[:MOST_YAML]:
         intrinsics = _read_yaml(file)
         if intrinsics is None:
             continue
-        if first is not None and intrinsics != first[1]:
+        if first is not None and intrinsics != replace(first[1], notes=intrinsics.notes):
             raise IntrinsicsError(
                 f"{file}: has another camera than {first[0]}; a recording must keep one: correct them, or "
                 "give fx, fy, cx, cy under `camera:`"

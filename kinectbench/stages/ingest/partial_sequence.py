@@ -123,6 +123,6 @@ def stored_by(recording: Recording) -> tuple[object, ...]:
     colors = color and (color.camera, color.distortion, color.T_color_depth.tolist())
     codes: tuple[object, ...] = ()
     if isinstance(recording, FileRecording):
-        codes = recording.depth_code, recording.float_scale, recording.channels, recording.kind
-    whole = recording.path, recording.camera, recording.depth_scale, recording.color_registered
-    return type(recording), *whole, colors, *codes
+        codes = recording.depth_code, recording.channels, recording.kind
+    whole = recording.path, recording.camera, recording.depth_scale, recording.float_scale
+    return type(recording), *whole, recording.color_registered, colors, *codes

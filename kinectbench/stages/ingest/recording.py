@@ -126,6 +126,7 @@ class Recording(ABC):
         places: list of frames, damaged ones included; stamps are strictly increasing.
         camera: intrinsics of the depth images, pixels.
         depth_scale: native depth units per metre.
+        float_scale: units per metre in the files, if depth is float there; None: depth is in integers.
         color_registered: whether colour pixels lie on depth pixels.
         color_calibration: calibration of unregistered colour relative to depth, or None if unknown.
         given_trajectory: the trajectory that came with the recording, or None.
@@ -149,6 +150,7 @@ class Recording(ABC):
     places: tuple[ListedFrame, ...]
     camera: Camera
     depth_scale: float
+    float_scale: float | None = None
     color_registered: bool
     color_calibration: ColorCalibration | None = None
     given_trajectory: GivenTrajectory | None = None
@@ -232,17 +234,15 @@ class FileRecording(Recording):
     Attributes:
         often_rotated: whether depth in this layout usually has rotated bits.
         depth_code: how to read the values (`core.types.DepthCode`).
-        float_scale: units per metre in the files, if depth is float; None: depth is in integers.
         channels: channels of the high and the low byte, if depth has two 8-bit channels; None: one channel.
         kind: the type of all depth values ("floats" or "whole numbers"), and an example file for the message
-            if another file differs; None: not checked.
+            if another file differs; None: whole numbers.
     """
 
     often_rotated: ClassVar[bool] = False
 
     places: tuple[FrameFiles, ...]
     depth_code: DepthCode = "plain"
-    float_scale: float | None = None
     channels: tuple[int, int] | None = None
     kind: tuple[str, Path] | None = None
 
@@ -257,13 +257,10 @@ class FileRecording(Recording):
         files = self.places[index]
         stored = decode_depth_file(read_image_file(files.depth), str(files.depth), self.channels)
         kind = kind_of(stored)
-        if self.kind is not None and kind != self.kind[0]:
-            raise OddImageError(
-                f"{files.depth}: holds {kind}, but {self.kind[1]} holds {self.kind[0]}: keep one kind"
-            )
-        native = (
-            stored if stored.dtype == np.uint16 else quantised(stored / np.float32(self.float_scale or 1.0))
-        )
+        right, example = self.kind or ("whole numbers", f"depth of the format {self.format}")
+        if kind != right:
+            raise OddImageError(f"{files.depth}: holds {kind}, but {example} holds {right}: keep one kind")
+        native = stored if self.float_scale is None else quantised(stored / np.float32(self.float_scale))
         cleaned = self.placed(self.clean_depth(np.asarray(native, np.uint16), index), index)
         depth = read_by_code(self.depth_code, cleaned, self.camera)
         mask = None if files.mask is None else self.mask(files.mask, depth)

@@ -31,7 +31,7 @@ class Undistortion:
     def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
         """Undistort depth (height, width) of the camera by the nearest pixel; 0 outside the distorted image.
 
-        An image of another size is not refused: the result has the camera's size.
+        An image of another size stays as it is, in both methods: the checks of frames refuse it.
         """
         import cv2
 
@@ -46,4 +46,6 @@ class Undistortion:
     def _map(self, image: NDArray[Pixel], interpolation: int) -> NDArray[Pixel]:
         import cv2
 
+        if image.shape[:2] != self._maps[0].shape:
+            return image
         return np.asarray(cv2.remap(image, *self._maps, interpolation), image.dtype)

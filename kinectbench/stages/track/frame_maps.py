@@ -9,12 +9,14 @@ into those frames and averaged where they see the same surface.
 """
 
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.depth import (
     SIGMA_GROWTH_PER_M,
@@ -282,11 +284,10 @@ def reduced_camera(camera: Camera, factor: int) -> Camera:
 
 def gray_frame(sequence: Sequence, index: int, mode: int) -> NDArray[np.uint8] | None:
     """Read the colour of a frame as grey, in a mode of `cv2.imdecode`; None if missing or damaged."""
-    import cv2
-
     encoded = sequence.frames.color_encoded(index)
-    gray = None if encoded is None else cv2.imdecode(np.frombuffer(encoded[1], np.uint8), mode)
-    return None if gray is None else np.asarray(gray, dtype=np.uint8)
+    with suppress(ValueError):
+        return None if encoded is None else decoded_image(encoded[1], mode).astype(np.uint8, copy=False)
+    return None
 
 
 def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) -> Level:

@@ -214,6 +214,12 @@ def test_colour_that_is_raw(tmp_path: Path, mode: str) -> None:
     assert np.abs(bgr.astype(int) - smooth(2)).max() <= 4
 
 
+@pytest.mark.parametrize(("mode", "size_px"), [("YUY2", (5, 4)), ("NV12", (4, 5)), ("NV12", (4, 3))])
+def test_raw_colour_of_an_odd_side_is_none(mode: str, size_px: tuple[int, int]) -> None:
+    length = size_px[0] * size_px[1] * {"YUY2": 2, "NV12": 1.5}[mode]
+    assert azure_kinect._raw_bgr(bytes(int(length)), mode, size_px) is None
+
+
 def test_without_a_depth_track_it_is_colour_only(tmp_path: Path) -> None:
     path = write(tmp_path / "r.mkv", calibration(), tracks=("IR", "COLOR"))
     with raises(RecordingError, "recording.no-depth"):

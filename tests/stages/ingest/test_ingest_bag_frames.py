@@ -1,11 +1,13 @@
 """Frames of a ROS bag: where their names, or librealsense's extrinsics, tell the place of colour; and tf."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from ingest_writers import FX, HEIGHT, START_NS, STEP_NS, WIDTH, depth_image
 from numpy.typing import NDArray
+from raising import raises
 from test_ingest_rosbag2 import (
     RGB,
     RIG,
@@ -20,10 +22,12 @@ from test_ingest_rosbag2 import (
     write_mcap,
 )
 
+from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera, rigid, rotation_from_quaternion_xyzw
 from kinectbench.lab.simulate.writers.bags import MessageMaker
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.bags import ros_poses
+from kinectbench.stages.ingest.bags.ros_images import color_of
 from kinectbench.stages.ingest.readers import open_recording
 
 
@@ -109,3 +113,12 @@ def test_a_fixed_link_that_is_published_again_hides_no_trajectory(
     assert given is not None and len(given.stamps_ns) == 5
     for i in range(5):
         np.testing.assert_allclose(given.T_world_camera[i], pose(i) @ T_BASE_CAMERA, atol=1e-9)
+
+
+@pytest.mark.parametrize("encoding", ["yuv422", "yuv422_yuy2", "uyvy", "yuyv"])
+def test_colour_of_an_odd_width_whose_pixels_share_it_is_named(encoding: str) -> None:
+    message = SimpleNamespace(
+        encoding=encoding, width=5, height=4, step=10, data=np.zeros(40, np.uint8), is_bigendian=0
+    )
+    with raises(RecordingError, "recording.damaged-image", match=f"5x4 pixels cannot be '{encoding}'"):
+        color_of(message, "/rgb")

@@ -5,12 +5,13 @@ import sqlite3
 import tracemalloc
 from contextlib import closing
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from ingest_writers import CAMERA, START_NS, STEP_NS, depth_image, every_frame, write_bag
+from ingest_writers import CAMERA, START_NS, STEP_NS, BagWriter, depth_image, every_frame, write_bag
 from mcap.writer import CompressionType
 from test_ingest_realsense import property_of_version_2, units
 from test_ingest_realsense import write as write_realsense
@@ -20,6 +21,7 @@ from test_ingest_rosbag2 import write_bag as write_bag2
 from kinectbench.core.errors import RecordingError
 from kinectbench.lab.simulate.writers.bags import MessageMaker
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.bags.message_decoding import ZSTD_MAGIC, Encoding, header_stamp_ns
 from kinectbench.stages.ingest.readers import format_of, open_recording
 from kinectbench.stages.ingest.recording import RawFrame
 
@@ -47,6 +49,50 @@ def test_a_bag_cut_off_at_every_tenth(tmp_path: Path, compression: str | None, t
     for frame in frames:
         assert isinstance(frame, RawFrame)
         np.testing.assert_array_equal(frame.depth, depth_image((frame.stamp_ns - START_NS) // STEP_NS))
+
+
+def test_a_damaged_record_ends_only_its_own_chunk(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "r.bag", 40)
+    data = bytearray(bag.read_bytes())
+    at = data.index(b"op=\x02", data.index(b"compression=none", len(data) // 4))
+    data[at - 4 : at] = b"\xff" * 4
+    bag.write_bytes(data)
+    recording = open_recording(bag, NATIVE)
+    assert len(recording) >= 34 and "(1 chunks are damaged)" in recording.warnings[0]
+    last = list(every_frame(recording))[-1]
+    assert isinstance(last, RawFrame) and last.stamp_ns == START_NS + 39 * STEP_NS
+
+
+def test_channels_of_a_damaged_chunk_are_those_of_the_summary(tmp_path: Path) -> None:
+    file = write_mcap(tmp_path / "r.mcap", messages(40), CompressionType.ZSTD, chunk_size=20_000)
+    data = bytearray(file.read_bytes())
+    at = data.index(ZSTD_MAGIC) + 30
+    data[at : at + 100] = b"\xff" * 100
+    file.write_bytes(data)
+    recording = open_recording(file)
+    assert len(recording) >= 30 and "(1 chunks are damaged)" in recording.warnings[0]
+    frame = recording.frame(len(recording) - 1)
+    np.testing.assert_array_equal(frame.depth, depth_image(39, 1000.0))
+    assert frame.stamp_ns == START_NS + 39 * STEP_NS
+
+
+def test_a_damaged_pose_leaves_the_others(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "r.bag") as bag:
+        bag.info("/camera/depth/camera_info", START_NS, CAMERA)
+        for i in range(5):
+            bag.image("/camera/depth/image_raw", START_NS + i * STEP_NS, depth_image(i), "16UC1")
+            bag.pose("/pose", START_NS + i * STEP_NS, (0.1 * i, 0, 0), (0, 0, 0, 1))
+        bag.raw("/pose", "geometry_msgs/msg/PoseStamped", START_NS + 5 * STEP_NS, bytes(20))
+    recording = open_recording(tmp_path / "r.bag", NATIVE)
+    assert recording.trajectory_error == "" and "1 of 6 poses are left out" in recording.warnings[-1]
+    assert recording.given_trajectory is not None and len(recording.given_trajectory.stamps_ns) == 5
+
+
+def test_a_text_has_no_stamp() -> None:
+    text = b"rotation=1,0,0"
+    for encoding, start in (("ros1", b""), ("cdr", b"\0\1\0\0")):
+        data = start + len(text).to_bytes(4, "little") + text
+        assert header_stamp_ns(data, "std_msgs/String", cast(Encoding, encoding)) == 0
 
 
 def test_a_log_of_writes_that_is_not_read_is_named(tmp_path: Path) -> None:

@@ -297,6 +297,20 @@ def test_find_recordings_and_source_files(tmp_path: Path) -> None:
         source_files(files[0])
 
 
+def test_an_empty_folder_of_colour_hides_no_other(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r", color="rgb")
+    (folder / "color").mkdir()
+    assert open_recording(folder).frame(1).color == (".jpg", jpeg(color_image(1)))
+
+
+@pytest.mark.parametrize("name", ["x.mcap", "x.db3", "0-depth.png"])
+def test_a_folder_with_the_name_of_a_file_hides_nothing_beside_it(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / "0-color.png").write_bytes(png(color_image(0)))
+    write_folder(tmp_path / "scan")
+    assert find_recordings(tmp_path) == [(tmp_path / "scan", "folder")]
+
+
 def test_redwood_names_pair_by_number_and_give_stamps(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r", ("a", "b", "c"))
     big = np.full((480, 640), 1500, np.uint16)

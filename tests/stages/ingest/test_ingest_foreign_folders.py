@@ -107,6 +107,20 @@ def test_a_distortion_beside_a_matrix_is_named(tmp_path: Path, text: str) -> Non
     assert any("its distortion is not taken away" in line for line in open_recording(folder).warnings)
 
 
+def test_files_of_one_camera_with_a_distortion_agree(tmp_path: Path) -> None:
+    folder = without_intrinsics(tmp_path / "r")
+    (folder / "calib").mkdir()
+    for i in range(3):
+        (folder / f"calib/{i}.yaml").write_text(YAML.replace("[ 0.,", "[ 0.1,"))
+    recording = opened(folder)
+    assert camera_of(recording) == CAMERA and "0.yaml: its distortion is" in recording.warnings[0]
+    (folder / "calib/2.yaml").write_text(YAML.replace(f"{FX}", "61.5"))
+    with raises(
+        RecordingError, "recording.bad-intrinsics", match=r"2\.yaml: has another camera than .*0\.yaml"
+    ):
+        opened(folder)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -128,6 +128,22 @@ def in_channels(depth: NDArray[np.uint16]) -> bytes:
     return png(np.dstack([depth & 255, depth >> 8, 0 * depth]).astype(np.uint8))
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_another_kind_of_png_among_two_channels_is_refused(
+    tmp_path: Path, dtype: type[np.unsignedinteger[Any]], channels: tuple[int, ...]
+) -> None:
+    rows = np.arange(HEIGHT, dtype=np.uint16)[:, None] * 20
+    images = [in_channels(np.asarray(depth_image(i, 1000.0) + rows, np.uint16)) for i in range(3)]
+    odd = np.ones((HEIGHT, WIDTH, *channels), dtype)
+    recording = open_recording(recorded(tmp_path / "r", ".png", [*images, png(odd)]))
+    if channels and dtype is np.uint8:
+        assert recording.frame(3).depth[0, 0] == 257
+        return
+    with raises(RecordingError, "recording.other-image", match="8-bit channels"):
+        recording.frame(3)
+
+
 @pytest.mark.parametrize("first", [in_channels(0 * depth_image(0)), b""], ids=["empty", "damaged"])
 def test_two_channels_are_those_of_the_first_image_that_measures(tmp_path: Path, first: bytes) -> None:
     rows = np.arange(HEIGHT, dtype=np.uint16)[:, None] * 20

@@ -122,3 +122,26 @@ def test_poses_of_fewer_frames_in_no_order_are_refused(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r")
     (folder / "traj.txt").write_text("\n".join(" ".join(map(str, T.ravel())) for T in poses()[:3]) + "\n")
     assert "holds 3 poses for 4 frames" in opened(folder).trajectory_error
+
+
+@pytest.mark.parametrize("said", ["", "2024-01-01 started 3\n", "12 frames dropped\n", "\0\xff"])
+def test_another_programs_log_is_no_trajectory(tmp_path: Path, said: str) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "capture.log").write_text(said)
+    alone = opened(folder)
+    assert (alone.given_trajectory, alone.trajectory_error, alone.warnings) == (None, "", ())
+    (folder / "poses.txt").write_text(with_id([0, 1, 2, 3]))
+    given = opened(folder)
+    assert given.given_trajectory is not None and len(given.given_trajectory.stamps_ns) == 4
+    assert given.warnings == ()
+
+
+@pytest.mark.parametrize("name", ["trajectory.log", "scan.log"])
+def test_a_log_of_redwood_is_found_beside_another_programs(tmp_path: Path, name: str) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "capture.log").write_text("started\n")
+    (folder / name).write_text(
+        "# camera to world\n" + "".join(f"{i} {i} 4\n{in_rows(T)}\n" for i, T in enumerate(poses()))
+    )
+    given = opened(folder).given_trajectory
+    assert given is not None and len(given.stamps_ns) == 4

@@ -5,8 +5,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ingest_writers import CAMERA, START_NS, BagWriter, color_image, depth_image
+from ingest_writers import (
+    CAMERA,
+    CX,
+    CY,
+    FX,
+    FY,
+    HEIGHT,
+    START_NS,
+    STEP_NS,
+    WIDTH,
+    BagWriter,
+    color_image,
+    depth_image,
+)
+from raising import raises
+from rosbags.typesys import Stores, get_typestore
 
+from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.bags.message_decoding import known_types
 from kinectbench.stages.ingest.readers import format_of, open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 
@@ -134,3 +151,57 @@ def test_up_by_the_accelerometer(tmp_path: Path, acceleration: Any, reference: s
         np.testing.assert_allclose(found, [up] * 3, atol=1e-6)
         write_sequence(recording, tmp_path / "sequence")
         assert read_sequence(tmp_path / "sequence").up_cameras == recording.up_cameras
+
+
+STREAM_INFO = """string stream_type
+uint32 fps
+string encoding
+sensor_msgs/CameraInfo camera_info
+realsense_msgs/stream_extrinsics stream_extrinsics
+================================================================================
+MSG: realsense_msgs/stream_extrinsics
+uint64 reference_point_id
+realsense_msgs/extrinsics extrinsics
+================================================================================
+MSG: realsense_msgs/extrinsics
+float32[9] rotation
+float32[3] translation
+"""
+
+
+def old(path: Path, definition: str, data: bytes) -> Path:
+    """A bag of version 1, whose stream_info has this definition and content."""
+    with BagWriter(path) as bag:
+        name, kind = "/camera/rs_stream_info/0", "realsense_msgs/msg/stream_info"
+        place = bag._writer.add_connection(name, kind, msgdef=definition, md5sum="0" * 32)
+        bag._writer.write(place, 1, data)
+        for i in range(3):
+            bag.image("/camera/DEPTH/image_raw/0", i * STEP_NS, depth_image(i, 1000.0), "mono16")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("definition", "size"), [("int8 a", 1), ("string stream_type\nint8 camera_info", 5), (STREAM_INFO, 9)]
+)
+def test_a_stream_info_of_other_fields_says_nothing(tmp_path: Path, definition: str, size: int) -> None:
+    with raises(RecordingError, "recording.no-intrinsics"):
+        open_recording(old(tmp_path / "r.bag", definition, bytes(size)))
+
+
+def test_a_stream_info_holds_the_camera_of_version_1(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind = "realsense_msgs/msg/stream_info"
+    store.register(known_types(kind, STREAM_INFO, store))
+    types = store.types
+    K = np.array([FX, 0, CX, 0, FY, CY, 0, 0, 1.0])
+    header = types["std_msgs/msg/Header"](0, types["builtin_interfaces/msg/Time"](0, 0), "")
+    region = types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    camera = types["sensor_msgs/msg/CameraInfo"](
+        header, HEIGHT, WIDTH, "", np.zeros(5), K, np.eye(3).ravel(), np.zeros(12), 0, 0, region
+    )
+    turn = np.eye(3, dtype=np.float32).ravel()
+    motion = types["realsense_msgs/msg/extrinsics"](turn, np.zeros(3, np.float32))
+    place = types["realsense_msgs/msg/stream_extrinsics"](0, motion)
+    data = bytes(store.serialize_ros1(types[kind]("DEPTH", 30, "mono16", camera, place), kind))
+    recording = open_recording(old(tmp_path / "r.bag", STREAM_INFO, data))
+    assert (recording.format, recording.camera.fx, recording.camera.cy) == ("realsense", FX, CY)

@@ -14,7 +14,8 @@ from test_ingest_phones_bop import BIG, ROTATION, SMALL, big_color, confidence
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.images import DamagedImageError, OddImageError
+from kinectbench.stages.ingest.plausibility import check_size
 from kinectbench.stages.ingest.readers import format_of, open_recording
 
 # Of colour 4 times as large as depth, (0.5, 0.5) the centre of its first pixel.
@@ -283,3 +284,12 @@ def test_poses_of_polycam_that_are_none(tmp_path: Path) -> None:
     assert "none of the 3 poses is usable" in recording.warnings[0]
     broken = open_recording(polycam(tmp_path / "b", {"t_12": "x"}))
     assert "t_00 to t_23 must be numbers" in broken.trajectory_error
+
+
+@pytest.mark.parametrize("k1", [0.0, -0.2])
+def test_a_frame_of_another_size_is_refused(tmp_path: Path, k1: float) -> None:
+    folder = transforms(tmp_path / "r", {"camera_model": "OPENCV", "k1": k1})
+    (folder / "depth/d_2.png").write_bytes(png(depth_image(2, 1000.0).repeat(2, axis=0).repeat(2, axis=1)))
+    recording = open_recording(folder)
+    with pytest.raises(OddImageError, match="depth is 128x96, but the first frame's is 64x48"):
+        check_size(recording.frame(1), recording)

@@ -20,6 +20,7 @@ from bounds import within
 from ingest_writers import BagWriter, every_frame
 from raising import raises
 from rosbags.typesys import Stores, get_typestore
+from test_ingest_realsense import STREAM_INFO
 from test_ingest_realsense import write as write_realsense
 from test_ingest_rosbag2 import check, messages, write_bag
 from typed import noted
@@ -292,20 +293,6 @@ def test_chunks_are_unpacked_as_far_as_they_say(compression: str) -> None:
         unpacked_chunk(compression, packed(data), UNPACKED_BYTES + 1)
 
 
-STREAM_INFO = """string stream_type
-uint32 fps
-string encoding
-sensor_msgs/CameraInfo camera_info
-realsense_msgs/stream_extrinsics stream_extrinsics
-================================================================================
-MSG: realsense_msgs/stream_extrinsics
-uint64 reference_point_id
-realsense_msgs/extrinsics extrinsics
-================================================================================
-MSG: realsense_msgs/extrinsics
-float32[9] rotation
-float32[3] translation
-"""
 BIG = "".join(f"a/m{i + 1}[60] x\n{'=' * 80}\nMSG: a/m{i + 1}\n" for i in range(5)) + "int8 a\n"
 DEFINITIONS = {
     "a long array": "string[30000] a",

@@ -136,6 +136,14 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     assert "has no calibration.h5" in recording.warnings[0]
 
 
+def test_a_bad_pose_refuses_the_poses_but_not_the_recording(tmp_path: Path) -> None:
+    folder = ycb(tmp_path / "r")
+    (folder / "poses/NP5_3_pose.h5").write_bytes(b"\0")
+    recording = open_recording(folder, CameraSettings(sensor="NP3"))
+    assert recording.given_trajectory is None and "NP5_3_pose.h5" in recording.trajectory_error
+    assert len(recording) == len(ANGLES)
+
+
 @pytest.mark.parametrize("value", [np.eye(3), np.full((4, 4), np.nan), np.zeros((300, 400))])
 def test_a_calibration_of_another_shape_is_refused(tmp_path: Path, value: np.ndarray) -> None:
     folder = ycb(tmp_path / "r")

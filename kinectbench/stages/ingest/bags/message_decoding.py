@@ -47,7 +47,8 @@ TF_MESSAGE, OLD_TF_MESSAGE = "tf2_msgs/TFMessage", "tf/tfMessage"
 TF_DEFINITION = "geometry_msgs/TransformStamped[] transforms\n"
 # Types that do not start with a std_msgs/Header.
 HEADERLESS = frozenset(
-    {TF_MESSAGE, OLD_TF_MESSAGE, "geometry_msgs/Transform", "std_msgs/Float32", "diagnostic_msgs/KeyValue"}
+    {TF_MESSAGE, OLD_TF_MESSAGE, "geometry_msgs/Transform", "std_msgs/Float32", "std_msgs/String"}
+    | {"diagnostic_msgs/KeyValue"}
 )
 # Limits: numbers in an array of fixed length (a covariance has 36); fields of a type with its arrays
 # unrolled, and depth of nested messages (librealsense's stream_info has 47 and 3).

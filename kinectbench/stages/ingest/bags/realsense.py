@@ -6,6 +6,7 @@ reference frame to the stream. Between two streams with the same reference frame
 
 import re
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
@@ -18,9 +19,9 @@ from kinectbench.core.trajectory.text_rows import parse_floats
 from kinectbench.core.trajectory.trajectory_file import FARTHEST_M
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import HEAD_BYTES, open_plain, size_of
-from kinectbench.stages.ingest.bags.message_decoding import BagTopic, Message, RosBag
+from kinectbench.stages.ingest.bags.message_decoding import BagTopic, Message, RosBag, long_type
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, matrix_of
-from kinectbench.stages.ingest.bags.ros_topics import WANTED, CameraInfo, ImageTopic
+from kinectbench.stages.ingest.bags.ros_topics import CAMERA_INFO, WANTED, CameraInfo, ImageTopic
 from kinectbench.stages.ingest.bags.rosbag1 import MAGIC, Rosbag1Recording
 
 FLOAT, KEY_VALUE, TRANSFORM = "std_msgs/Float32", "diagnostic_msgs/KeyValue", "geometry_msgs/Transform"
@@ -89,14 +90,13 @@ class RealsenseRecording(Rosbag1Recording):
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
         """Pairs (topic's name, CameraInfo message); for version 1 also those inside stream_info messages."""
-        infos = super().camera_infos(bag)
-        for topic in bag.topics:
-            if topic.type == STREAM_INFO:
-                for message in bag.whole(topic):
-                    number = topic.name.rsplit("/", 1)[1]
-                    name = f"/camera/{message.stream_type}/camera_info/{number}"
-                    infos.append((name, message.camera_info))
-        return infos
+        return super().camera_infos(bag) + [
+            (
+                f"/camera/{message.stream_type}/camera_info/{topic.name.rpartition('/')[2]}",
+                message.camera_info,
+            )
+            for topic, message in _old_stream_infos(bag)
+        ]
 
 
 def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
@@ -186,6 +186,21 @@ def _old_stream_info(bag: RosBag, name: str) -> Message | None:
     match = OLD_STREAM.fullmatch(name)
     if not match:
         return None
-    numbered = (t for t in bag.topics if t.type == STREAM_INFO and t.name.endswith(f"/{match[2]}"))
-    messages = (message for topic in numbered for message in bag.whole(topic))
-    return next((message for message in messages if message.stream_type == match[1]), None)
+    infos = (m for topic, m in _old_stream_infos(bag) if topic.name.endswith(f"/{match[2]}"))
+    return next((message for message in infos if message.stream_type == match[1]), None)
+
+
+def _old_stream_infos(bag: RosBag) -> Iterator[tuple[BagTopic, Message]]:
+    """Yield each stream_info message with its topic, unless the bag defines this type with other fields."""
+    for topic in bag.topics:
+        for message in bag.whole(topic) if topic.type == STREAM_INFO else ():
+            camera, place = (getattr(message, key, None) for key in ("camera_info", "stream_extrinsics"))
+            motion = getattr(place, "extrinsics", None)
+            numbers = [np.asarray(getattr(motion, key, ())) for key in ("rotation", "translation")]
+            if (
+                getattr(camera, "__msgtype__", "") == long_type(CAMERA_INFO)
+                and [(each.dtype.kind, each.shape) for each in numbers] == [("f", (9,)), ("f", (3,))]
+                and hasattr(message, "stream_type")
+                and hasattr(place, "reference_point_id")
+            ):
+                yield topic, message

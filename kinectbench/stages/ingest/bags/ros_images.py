@@ -140,7 +140,11 @@ def color_of(message: Message, name: str) -> tuple[str, bytes]:
 
         channels, code = conversion
         pixels = _pixels(message, name, np.dtype(np.uint8), channels)
-        return ".png", encode_png(np.asarray(cv2.cvtColor(pixels, getattr(cv2, code)), np.uint8))
+        try:
+            return ".png", encode_png(np.asarray(cv2.cvtColor(pixels, getattr(cv2, code)), np.uint8))
+        except cv2.error as error:  # such as an odd width, where two pixels share their colour
+            size = f"{message.width}x{message.height}"
+            raise DamagedImageError(f"{name}: {size} pixels cannot be '{message.encoding}'") from error
     order = COLOR_CHANNELS.get(message.encoding)
     if order is None:
         raise DamagedImageError(f"{name}: encoding '{message.encoding}' is not the first message's")

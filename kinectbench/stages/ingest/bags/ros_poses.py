@@ -18,6 +18,7 @@ from kinectbench.core.trajectory.trajectory_file import (
 from kinectbench.core.types import Float64, Int64
 from kinectbench.stages.ingest.bags.message_decoding import BagTopic, Message, RosBag
 from kinectbench.stages.ingest.bags.ros_topics import ODOMETRY, POSE, TF, ImageTopic
+from kinectbench.stages.ingest.images import DamagedImageError
 
 Given = tuple[GivenTrajectory | None, list[str]]
 MaybeGiven = tuple[GivenTrajectory | None, list[str], str]
@@ -185,8 +186,13 @@ def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: s
 def _from_topic(bag: RosBag, topic: BagTopic, tree: TransformTree, depth: ImageTopic) -> Given:
     name = f"{bag.path}: {topic.name}"
     rows, child = [], ""
+    damaged: list[str] = []
     for index, place in enumerate(topic.messages):
-        message = bag.decode(topic, index)
+        try:
+            message = bag.decode(topic, index)
+        except DamagedImageError as error:
+            damaged.append(str(error))
+            continue
         is_odometry = topic.type == ODOMETRY
         pose = message.pose.pose if is_odometry else message.pose
         child = message.child_frame_id.lstrip("/") if is_odometry else ""
@@ -194,6 +200,10 @@ def _from_topic(bag: RosBag, topic: BagTopic, tree: TransformTree, depth: ImageT
         where = f"{name}, message {index}"
         rows.append(TimedPose(place.stamp_ns, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w), where))
     trajectory, warnings = trajectory_from_poses(rows, name)
+    if damaged:
+        warnings.append(
+            f"{bag.path}: {damaged[0]}; {len(damaged)} of {len(topic.messages)} poses are left out"
+        )
     camera = depth.frame_id
     if not child or child == camera:
         return trajectory, warnings

@@ -68,7 +68,6 @@ class RosRecording(Recording):
         depth: the depth topic.
         color_topic: the colour topic, or None.
         places: for each frame its stamp, and the indices of its depth and colour messages (colour or None).
-        float_units_per_m: units per metre of 32FC1 images.
         undistortion: makes pinhole images from distorted ones; None if not needed.
         bag: reads and decodes the messages.
     """
@@ -81,7 +80,6 @@ class RosRecording(Recording):
     depth: ImageTopic
     color_topic: ImageTopic | None
     places: tuple[MessagePair, ...]
-    float_units_per_m: float
     undistortion: Undistortion | None
     bag: RosBag
 
@@ -158,7 +156,7 @@ class RosRecording(Recording):
             depth=depth,
             color_topic=color,
             places=pairs,
-            float_units_per_m=scale or 1.0,
+            float_scale=(scale or 1.0) if is_float else None,
             undistortion=Undistortion(camera, distortion) if distortion else None,
             bag=bag,
             recorded=(_in_file_order(depth), _in_file_order(color)),
@@ -187,10 +185,9 @@ class RosRecording(Recording):
         """Decode the depth and colour messages of a frame."""
         pair = self.places[index]
         name = _message_name(self.bag, self.depth, pair.depth)
-        depth = depth_of(self.bag.decode(self.depth.topic, pair.depth), name, self.float_units_per_m)
+        depth = depth_of(self.bag.decode(self.depth.topic, pair.depth), name, self.float_scale or 1.0)
         color = self._color(pair.color)
-        # Frames of another size stay as they are: the checks refuse them.
-        if self.undistortion is not None and depth.shape == self._shape:
+        if self.undistortion is not None:
             depth = self.undistortion.depth(depth)
         return RawFrame(name, pair.stamp_ns, depth, color)
 
@@ -202,12 +199,7 @@ class RosRecording(Recording):
         # Colour that is not registered has its own camera.
         if self.undistortion is None or not self.color_registered:
             return color
-        bgr = decode_color_bgr(color[1], name)
-        return (".png", encode_png(self.undistortion.color(bgr))) if bgr.shape[:2] == self._shape else color
-
-    @property
-    def _shape(self) -> tuple[int, int]:
-        return self.camera.height, self.camera.width
+        return ".png", encode_png(self.undistortion.color(decode_color_bgr(color[1], name)))
 
 
 def _message_name(bag: RosBag, image: ImageTopic, index: int) -> str:

@@ -81,7 +81,7 @@ class _Walk:
         keep: called with the position and the bytes of each unpacked chunk.
         budget: limits of the walk.
         chunks: number of complete chunks.
-        damaged_chunks: number of compressed chunks with a damaged part.
+        damaged_chunks: number of these chunks with a damaged part.
     """
 
     found: FoundMessages
@@ -94,7 +94,7 @@ class _Walk:
     def take_all(self, file: BinaryIO, path: Path) -> bool:
         """Walk through the file; return whether every record is whole and the file has an index.
 
-        The walk ends at the first damaged record that is not in a compressed chunk.
+        The walk ends at the first damaged record that is not in a complete chunk.
 
         Raises:
             RecordingError: the bag is encrypted.
@@ -135,8 +135,11 @@ class _Walk:
         start = file.tell()
         if fields.get(b"compression") == b"none":
             # Take the complete messages of a truncated chunk.
-            for inner, offset, length in _records_of(file, min(start + size, end)):
-                self._take(inner, file, offset, length, chunk=-1)
+            try:
+                for inner, offset, length in _records_of(file, min(start + size, end)):
+                    self._take(inner, file, offset, length, chunk=-1)
+            except DamagedRecordError:
+                self.damaged_chunks += start + size <= end
             if start + size > end:
                 raise DamagedRecordError
             self.chunks += 1

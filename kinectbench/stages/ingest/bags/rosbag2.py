@@ -51,7 +51,7 @@ class Rosbag2Recording(RosRecording):
         """Whether the file, or a file in the folder, starts like mcap or sqlite3."""
         if path.is_dir():
             return any(_is_bag_file(file) for file in _bag_files(path))
-        return path.is_file() and _is_bag_file(path)
+        return _is_bag_file(path)
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
@@ -114,6 +114,8 @@ def _start_of(file: Path) -> bytes:
 
 
 def _is_bag_file(file: Path) -> bool:
+    if not file.is_file():
+        return False
     start = _start_of(file)
     return start.startswith(MAGICS) or (
         start.startswith(ZSTD_MAGIC) and file.name.endswith(Rosbag2Recording.suffixes)

@@ -1,7 +1,8 @@
 """Find the messages of an mcap file by walking through its records; a truncated file gives its intact part.
 
-Layout: https://mcap.dev/spec. The summary at the end is not needed. The package mcap is not used: it unpacks
-lz4 chunks of any size, and does not say where a message is stored.
+Layout: https://mcap.dev/spec. Of the summary at the end only the channels are read, as the chunk that defines
+them may be damaged. The package mcap is not used: it unpacks lz4 chunks of any size, and does not say where a
+message is stored.
 """
 
 import struct
@@ -143,9 +144,8 @@ class _Walk:
         if size < MESSAGE_HEAD.size:
             raise DamagedRecordError
         channel, _, log_ns, _ = MESSAGE_HEAD.unpack(file.read(MESSAGE_HEAD.size))
-        if channel in self.found.connections:
-            place = (chunk, body + MESSAGE_HEAD.size, size - MESSAGE_HEAD.size)
-            self.found.take(channel, file, log_ns, place)
+        # The chunk with its channel may be damaged; then the summary repeats the channel.
+        self.found.take(channel, file, log_ns, (chunk, body + MESSAGE_HEAD.size, size - MESSAGE_HEAD.size))
 
     def _take_chunk(self, file: BinaryIO, body: int, size: int) -> None:
         try:

@@ -281,14 +281,16 @@ def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
     warning.
 
     Raises:
-        RecordingError: the settings name a code, but the format has no file for each depth image.
+        RecordingError: the settings name a code, but depth is not in a file for each image; or a code of
+            bits, but depth is float.
     """
-    if not isinstance(recording, FileRecording):
+    of_bits = camera.depth_code in ("rotated", "float16")
+    if not isinstance(recording, FileRecording) or (of_bits and recording.float_scale is not None):
         if camera.depth_code is None:
             return recording
         raise RecordingError(
-            f"{recording.path}: `depth_code` is of depth images in PNG files, which a {recording.format} "
-            "recording has not; remove it",
+            f"{recording.path}: `depth_code: {camera.depth_code}` is of depth images in PNG files, which "
+            f"this {recording.format} recording has not; remove it",
             what="unused-setting",
         )
     if camera.depth_code == "float16":

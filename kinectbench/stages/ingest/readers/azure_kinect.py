@@ -327,11 +327,12 @@ def _in_order(places: list[Place], path: Path) -> tuple[list[Place], list[str]]:
 
 
 def _raw_bgr(data: bytes, mode: str, size_px: tuple[int, int]) -> NDArray[np.uint8] | None:
-    """Convert raw colour to BGR (height, width, 3); None if its length is wrong."""
+    """Convert raw colour to BGR (height, width, 3); None if its length is wrong, or an odd side cannot be."""
     import cv2
 
     width, height = size_px
-    if len(data) != width * height * RAW_BYTES_A_PIXEL[mode]:
+    odd = mode != "BGRA" and (width % 2 or (mode == "NV12" and height % 2))
+    if odd or len(data) != width * height * RAW_BYTES_A_PIXEL[mode]:
         return None
     pixels = np.frombuffer(data, np.uint8)
     shape = {"NV12": (height * 3 // 2, width), "YUY2": (height, width, 2), "BGRA": (height, width, 4)}[mode]

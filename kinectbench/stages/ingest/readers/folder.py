@@ -49,6 +49,7 @@ from kinectbench.stages.ingest.readers.pose_files import (
     read_log,
     read_pose_file,
     read_pose_folder,
+    starts_like_a_log,
     unread_poses,
 )
 from kinectbench.stages.ingest.recording import (
@@ -88,15 +89,20 @@ class DepthFormat:
     warnings: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, files: Sequence[FrameFiles], settings: CameraSettings) -> "DepthFormat":
-        """Determine the format from the first undamaged depth image, preferably one that is not empty."""
+    def of(cls, files: Sequence[FrameFiles], given: float | None) -> "DepthFormat":
+        """Determine the format from the first undamaged depth image, preferably one that is not empty.
+
+        Args:
+            files: the frames.
+            given: units per metre of stored floats; None: found by their size.
+        """
         for empty_too in (False, True):
             with suppress(DamagedImageError):
-                return first_whole(partial(cls._of, settings, empty_too), [frame.depth for frame in files])
+                return first_whole(partial(cls._of, given, empty_too), [frame.depth for frame in files])
         return cls()
 
     @classmethod
-    def _of(cls, settings: CameraSettings, empty_too: bool, file: Path) -> "DepthFormat":
+    def _of(cls, given: float | None, empty_too: bool, file: Path) -> "DepthFormat":
         data = read_image_file(file)
         channels = packed_channels(data, str(file))
         if channels is not None:
@@ -115,10 +121,9 @@ class DepthFormat:
         units, kind = units_a_metre(depth), (kind_of(depth), file)
         if units is None:
             return cls(kind=kind)
-        float_scale = settings.depth_scale or units
         warning = f"{file}: its floats are taken for millimetres; if not, give `depth_scale` (units a metre)"
-        mm = settings.depth_scale is None and units != 1
-        return cls(FLOAT_SCALE, float_scale, kind=kind, warnings=(warning,) if mm else ())
+        mm = given is None and units != 1
+        return cls(FLOAT_SCALE, given or units, kind=kind, warnings=(warning,) if mm else ())
 
 
 class FolderRecording(FileRecording):
@@ -157,7 +162,7 @@ class FolderRecording(FileRecording):
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
         registered = intrinsics.color_registered
-        stored = DepthFormat.of(files, settings)
+        stored = DepthFormat.of(files, settings.depth_scale)
         trajectory, warnings, error = read_given(
             lambda: _read_trajectory(path, stamps_ns, files, depth.stems)
         )
@@ -225,8 +230,9 @@ def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
     ours = path / "trajectory.txt"
-    logs = sorted(visible(path, "*.log"))
-    file = path / "trajectory.log" if len(logs) != 1 else logs[0]
+    file, logs = path / "trajectory.log", sorted(filter(starts_like_a_log, visible(path, "*.log")))
+    if len(logs) == 1 and not file.is_file():
+        file = logs[0]
     names = (*(log.name for log in logs), *POSE_FILES)
     if not ours.is_file() and file.is_file():
         matrices = read_log(file, len(stamps_ns))

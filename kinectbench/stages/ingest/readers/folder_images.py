@@ -68,11 +68,12 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
 
 
 def color_images(path: Path) -> NamedImages:
-    """The colour images in a recording's folder; empty without any."""
-    folder = next((path / name for name in COLOR_FOLDERS if (path / name).is_dir()), None)
-    if folder is not None:
-        return in_folder(folder, COLOR_SUFFIXES)
-    return NamedImages((), ()) if (path / "depth").is_dir() else beside_each_other(path, COLOR_WORD)
+    """The colour images in a recording's folder, of the first subfolder that has any; empty without any."""
+    folders = [path / name for name in COLOR_FOLDERS if (path / name).is_dir()]
+    if not (folders or (path / "depth").is_dir()):
+        return beside_each_other(path, COLOR_WORD)
+    every = (in_folder(folder, COLOR_SUFFIXES) for folder in folders)
+    return next((images for images in every if images.files), NamedImages((), ()))
 
 
 def lie_beside_each_other(path: Path) -> bool:
@@ -104,7 +105,7 @@ def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
 
 def is_16_bit(file: Path) -> bool:
     """Whether a file starts like depth: a grey PNG with 16 bits per pixel."""
-    return is_depth_png(read_head(file, HEAD_BYTES))
+    return file.is_file() and is_depth_png(read_head(file, HEAD_BYTES))
 
 
 def _word(name: str, word: re.Pattern[str], suffixes: frozenset[str]) -> bool:

@@ -5,7 +5,7 @@ frames or for each; `transform_matrix` is camera to world in OpenGL's axes; the 
 (0.5, 0.5). Depth is in mm, or in metres per unit of `depth_unit_scale_factor` (instant-ngp's
 `integer_depth_scale`). `mask_path` is ignored: it marks pixels to leave out of training, not an object. The
 page says that z is up, but poses computed by COLMAP are not aligned so, and the file does not say which kind
-it has: the direction of gravity counts as unknown.
+it has: the direction of gravity counts as unknown. Floats without a unit are in metres or mm, by their size.
 """
 
 from dataclasses import dataclass, field
@@ -31,6 +31,7 @@ from kinectbench.stages.ingest.intrinsics import (
     read_json_object,
     scale_warnings,
 )
+from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.phone_images import (
     OPENGL_FROM_OPTICAL,
     PhoneRecording,
@@ -95,6 +96,8 @@ class NerfstudioRecording(PhoneRecording):
         unit_m = number_of(_first(shared, SCALE_KEYS, METRES_PER_UNIT), f"{path / FILE}: its depth scale")
         if unit_m <= 0:
             raise IntrinsicsError(f"{path / FILE}: its depth scale must be above 0 (metres a unit)")
+        said = 1 / unit_m if _first(shared, SCALE_KEYS) is not None else None
+        stored = DepthFormat.of(files, settings.depth_scale or said)
         trajectory, lost, error = read_given(lambda: _trajectory(path, shared, files, whole))
         camera = intrinsics.overridden_by(settings).camera(size_px, path)
         coefficients = _distortion(path, whole)
@@ -102,11 +105,14 @@ class NerfstudioRecording(PhoneRecording):
             path=path,
             places=files,
             camera=camera,
-            depth_scale=settings.depth_scale or 1 / unit_m,
+            depth_scale=stored.depth_scale or settings.depth_scale or 1 / unit_m,
+            float_scale=stored.float_scale,
+            channels=stored.channels,
+            kind=stored.kind,
             color_registered=any(file.color for file in files),
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=(*warnings, *varied, *scale_warnings(path, 1 / unit_m, settings), *lost),
+            warnings=(*warnings, *varied, *stored.warnings, *scale_warnings(path, said, settings), *lost),
             undistortion=Undistortion(camera, coefficients) if any(coefficients) else None,
         )
 

@@ -13,7 +13,7 @@ from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
 from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_matrix, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import printable
+from kinectbench.core.untrusted import printable, read_head
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.recording import FrameFiles, first_file
@@ -139,6 +139,13 @@ def _matrix(row: str, where: str) -> Float64:
     numbers = parse_floats(row.translate(PUNCTUATION).split(), where)
     last = [] if len(numbers) == MATRIX else [0.0, 0.0, 0.0, 1.0]
     return np.array([*numbers, *last]).reshape(4, 4)
+
+
+def starts_like_a_log(file: Path) -> bool:
+    """Whether a file starts as `read_log` expects it, by its first row but for comments: `i j k`."""
+    rows = read_head(file).decode("utf-8", "replace").splitlines() if file.is_file() else []
+    first = next((words for row in rows if (words := row.partition("#")[0].split())), [])
+    return len(first) == 3 and all(map(FRAME_NUMBER.fullmatch, first))
 
 
 def read_log(file: Path, frames: int) -> list[Float64]:

@@ -107,7 +107,8 @@ class Record3dRecording(Recording):
             members=members,
             min_confidence=settings.min_confidence,
             camera=intrinsics.camera(size_px, path),
-            depth_scale=intrinsics.depth_scale or FLOAT_SCALE,
+            depth_scale=FLOAT_SCALE,
+            float_scale=settings.depth_scale or 1.0,
             color_registered=any(name.endswith(".jpg") for name in members),
             given_trajectory=trajectory,
             trajectory_error=error,
@@ -121,7 +122,7 @@ class Record3dRecording(Recording):
         name = f"{self.path}: {stem}.depth"
         metres = np.frombuffer(_unpacked(self.archive.read(f"{stem}.depth"), 4 * size, name), "<f4")
         with np.errstate(invalid="ignore", over="ignore"):  # values may be no depth
-            depth = quantised(metres.reshape(shape))
+            depth = quantised(metres.reshape(shape) / np.float32(self.float_scale or 1.0))
         if self.min_confidence and f"{stem}.conf" in self.members:
             packed = self.archive.read(f"{stem}.conf")
             confidence = np.frombuffer(_unpacked(packed, size, f"{self.path}: {stem}.conf"), np.uint8)

@@ -22,6 +22,7 @@ from kinectbench.stages.ingest.gravity import up_at_rest
 from kinectbench.stages.ingest.intrinsics import HELD, read_color_calibration, read_json_object, said_warnings
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
+from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.pose_files import unread_poses
 from kinectbench.stages.ingest.recording import (
     COLOR_DELAY,
@@ -87,6 +88,7 @@ class TumRecording(FileRecording):
         )
         recorded, camera_file = find_intrinsics(path, settings)
         intrinsics = recorded.overridden_by(settings)
+        stored = DepthFormat.of(files, settings.depth_scale)
         truth, up = path / "groundtruth.txt", _measured_up(path, camera_file, [ns for ns, _ in depth])
         trajectory, trajectory_warnings, error = read_given(
             lambda: (
@@ -99,7 +101,10 @@ class TumRecording(FileRecording):
             path=path,
             places=files,
             camera=intrinsics.camera(first_depth_size(files), path, named_like_intrinsics),
-            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            depth_scale=stored.depth_scale or intrinsics.depth_scale or DEPTH_SCALE,
+            float_scale=stored.float_scale,
+            channels=stored.channels,
+            kind=stored.kind,
             color_registered=True if recorded.color_registered is None else recorded.color_registered,
             color_calibration=read_color_calibration(camera_file) if camera_file else None,
             recorded=(tuple(depth_ns), () if why else tuple(color_ns)),
@@ -109,6 +114,7 @@ class TumRecording(FileRecording):
             warnings=(
                 *warnings,
                 *partners.warnings,
+                *stored.warnings,
                 *said_warnings(path, recorded, settings),
                 *trajectory_warnings,
                 *unmatched_masks(path, files),

@@ -20,7 +20,7 @@ from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
-from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajectory_from_matrices
+from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.untrusted import is_too_large
 from kinectbench.settings.models import CameraSettings
@@ -101,7 +101,7 @@ class YcbRecording(FileRecording):
         camera = intrinsics.camera(size_px, path)
         calibration = None if color_px is None else _color(said, color_px, path)
         registered = calibration is not None and calibration.lies_on(camera)
-        trajectory, missing = _poses(path, said, angles)
+        trajectory, missing, error = read_given(lambda: _poses(path, said, angles))
         others = ", ".join(name for name in there if name != sensor)
         if others and settings.sensor is None:
             warnings.append(f"{path}: {sensor} is read; `camera: {{sensor: ...}}` takes {others}, too")
@@ -113,6 +113,7 @@ class YcbRecording(FileRecording):
             color_registered=registered,
             color_calibration=None if registered else calibration,
             given_trajectory=trajectory,
+            trajectory_error=error,
             warnings=(
                 *warnings,
                 *missing,
