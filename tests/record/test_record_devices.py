@@ -91,10 +91,16 @@ def test_a_device_whose_depth_stops_is_gone_while_its_colour_goes_on(
         next(device.frames())
 
 
-def test_openni_gives_the_focal_length_by_its_angles(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    _, recording = recorded(monkeypatch, "openni", tmp_path / "out")
-    assert recording.camera.fx == pytest.approx(573.4, abs=4)  # PrimeSense's 58 degrees
-    assert recording.color_registered and recording.depth_scale == 1000
+@pytest.mark.parametrize(("registers", "focal_px"), [(True, 525), (False, 575)])
+def test_openni_gives_the_focal_length_of_the_camera_on_whose_pixels_depth_lies(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, registers: bool, focal_px: float
+) -> None:
+    """The stand-in gives 525 px for colour and 575 px for depth."""
+    camera_libraries.openni(monkeypatch, registers=registers)
+    record(device_of("openni"), tmp_path / "out")
+    recording = open_recording(tmp_path / "out")
+    assert (recording.camera.fx, recording.camera.fy) == pytest.approx((focal_px, focal_px))
+    assert recording.color_registered == registers and recording.depth_scale == 1000
     check_pixels(recording, 480, 640)
 
 
