@@ -8,6 +8,7 @@ import time
 import warnings
 from collections import deque
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +35,8 @@ KEPT_PICTURES = 6
 NO_CLICK = "that picture is gone: click the one that is shown"
 # Radius of the ring around the clicked pixel, pixels of the small picture.
 RING_PX = 12
+# Depth from this many times its median on is white: single far pixels would make the rest black.
+WHITE_MEDIANS = 2
 # Number of newest frames whose figures are kept for measurements.
 KEPT_FIGURES = 20_000
 
@@ -164,7 +167,8 @@ class _Shown:
             self._guide = Guide(setup)
         self._last = self._guide.take(number, frame)
         if not self._last.lost or self._picture is None:
-            self._picture = number, frame
+            # A click means a pixel of depth, which colour beside it does not show.
+            self._picture = number, frame if setup.color_registered else replace(frame, color=None)
         return self._last
 
     def state(self, query: str) -> tuple[str, bytes] | None:
@@ -242,8 +246,9 @@ def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, byt
     elif frame.color is not None:
         image = np.ascontiguousarray(frame.color[..., ::-1])
     else:
-        most = max(int(frame.depth.max()), 1)
-        image = (frame.depth.astype(np.float32) * (255 / most)).astype(np.uint8)
+        seen = frame.depth[frame.depth > 0]
+        white = WHITE_MEDIANS * float(np.median(seen)) if len(seen) else 1.0
+        image = np.minimum(frame.depth * (255 / white), 255).astype(np.uint8)
     if image is None:
         return None
     scale = PICTURE_PX / max(image.shape[:2])
