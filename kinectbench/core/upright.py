@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.rolling_shutter import (
     RollingShutter,
@@ -46,13 +47,16 @@ class UprightFrames:
         return upright_depth(native, self.depth_scale, self.camera, shutter.motion[index], shutter.readout_s)
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame, corrected if it is registered to depth: (suffix, bytes), or None."""
+        """Colour of one frame, corrected if it is registered to depth and whole: (suffix, bytes), or None."""
         import cv2
 
         encoded, shutter = self.frames.color_encoded(index), self.shutter
         if encoded is None or not self.color_registered:
             return encoded
-        bgr = np.asarray(cv2.imdecode(np.frombuffer(encoded[1], np.uint8), cv2.IMREAD_COLOR), np.uint8)
+        try:
+            bgr = np.asarray(decoded_image(encoded[1], cv2.IMREAD_COLOR), np.uint8)
+        except ValueError:
+            return encoded
         motion, times_s = shutter.motion[index], (shutter.readout_s, shutter.color_delay_s)
         moved = upright_gray(bgr, self._depth_m(index), self.camera, motion, *times_s)
         return ".png", cv2.imencode(".png", moved, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])[1].tobytes()

@@ -85,3 +85,10 @@ def test_an_upright_edge_is_straight_again(of: str) -> None:
     near = near_pixels[of]()
     assert near is not None and np.ptp(edges(np.asarray(near))) <= 2
     assert upright(sequence, None) is sequence
+
+
+@pytest.mark.parametrize("damaged", [b"", b"\x89PNG nothing"])
+def test_damaged_colour_stays_as_it_was_recorded(damaged: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Bent, "color_encoded", lambda self, index: (".png", damaged))
+    sequence = Sequence(CAMERA, 1000.0, STAMPS_NS, True, None, Bent())
+    assert upright(sequence, trajectory(READOUT_S).shutter).frames.color_encoded(2) == (".png", damaged)

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.errors import CaptureError, SettingsError, StorageError
 from kinectbench.core.storage import pretty_json, replaced_file
 from kinectbench.core.types import Float64
@@ -241,16 +243,18 @@ def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, byt
     """
     import cv2
 
+    image: NDArray[np.generic]
     if isinstance(frame.color, tuple):
-        image = cv2.imdecode(np.frombuffer(frame.color[1], np.uint8), cv2.IMREAD_COLOR)
+        try:
+            image = decoded_image(frame.color[1], cv2.IMREAD_COLOR)
+        except ValueError:
+            return None
     elif frame.color is not None:
         image = np.ascontiguousarray(frame.color[..., ::-1])
     else:
         seen = frame.depth[frame.depth > 0]
         white = WHITE_MEDIANS * float(np.median(seen)) if len(seen) else 1.0
         image = np.minimum(frame.depth * (255 / white), 255).astype(np.uint8)
-    if image is None:
-        return None
     scale = PICTURE_PX / max(image.shape[:2])
     small = cv2.resize(np.asarray(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if marked is not None:

@@ -351,8 +351,10 @@ def _jpeg(suffix: str, data: bytes) -> bytes:
 
     if suffix in (".jpg", ".jpeg"):
         return data
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise StorageError("a stored colour image is damaged; `kinectbench build --force` makes it again")
+    try:
+        image = decoded_image(data, cv2.IMREAD_COLOR)
+    except ValueError as error:
+        again = "a stored colour image is damaged; `kinectbench build --force` makes it again"
+        raise StorageError(again) from error
     encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
     return bytes(encoded.tobytes())

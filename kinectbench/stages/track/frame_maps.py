@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.geometry.depth import (
     SIGMA_GROWTH_PER_M,
@@ -285,11 +286,11 @@ def reduced_camera(camera: Camera, factor: int) -> Camera:
 
 def gray_frame(sequence: Sequence, index: int, mode: int) -> NDArray[np.uint8] | None:
     """Read the colour of a frame as grey, in a mode of `cv2.imdecode`; None if missing or damaged."""
-    import cv2
-
     encoded = sequence.frames.color_encoded(index)
-    gray = None if encoded is None else cv2.imdecode(np.frombuffer(encoded[1], np.uint8), mode)
-    return None if gray is None else np.asarray(gray, dtype=np.uint8)
+    try:
+        return None if encoded is None else np.asarray(decoded_image(encoded[1], mode), np.uint8)
+    except ValueError:
+        return None
 
 
 def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) -> Level:
