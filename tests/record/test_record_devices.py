@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import os
+import subprocess
 import sys
 import time
 import tomllib
@@ -213,3 +215,22 @@ def test_librealsense_itself_is_recorded_with_equal_depth(tmp_path: Path) -> Non
     assert all(np.array_equal(color_rgb(frames[k]), rgb_image(k, 48, 64)) for k in colored)
     assert recording.color_calibration is not None
     assert recording.color_calibration.T_color_depth[0, 3] == pytest.approx(-0.015)
+
+
+PRINTS = """
+import ctypes, sys
+from kinectbench.record.quiet import quiet
+libc = ctypes.CDLL(None)
+libc.printf(b"before\\n")
+with quiet():
+    libc.printf(b"a line of a camera's library\\n")
+sys.stdout.write("{}\\n")
+"""
+
+
+def test_what_a_library_of_c_prints_is_silenced() -> None:
+    """Its buffer is written when it is full, or at the end of the process."""
+    command = [sys.executable, "-c", PRINTS]
+    buffered = os.environ | {"PYTHONUNBUFFERED": ""}
+    done = subprocess.run(command, env=buffered, check=True, capture_output=True, text=True)
+    assert done.stdout == "before\n{}\n"
