@@ -37,8 +37,6 @@ KEPT_PICTURES = 6
 NO_CLICK = "that picture is gone: click the one that is shown"
 # Radius of the ring around the clicked pixel, pixels of the small picture.
 RING_PX = 12
-# Depth from this many times its median on is white: single far pixels would make the rest black.
-WHITE_MEDIANS = 2
 # Number of newest frames whose figures are kept for measurements.
 KEPT_FIGURES = 20_000
 
@@ -253,8 +251,9 @@ def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, byt
         image = np.ascontiguousarray(frame.color[..., ::-1])
     else:
         seen = frame.depth[frame.depth > 0]
-        white = WHITE_MEDIANS * float(np.median(seen)) if len(seen) else 1.0
-        image = np.minimum(frame.depth * (255 / white), 255).astype(np.uint8)
+        # The median is mid-grey; with the farthest as white, a single pixel may make all else black.
+        grey = frame.depth * (127.5 / float(np.median(seen)) if len(seen) else 0.0)
+        image = np.minimum(grey, 255).astype(np.uint8)
     scale = PICTURE_PX / max(image.shape[:2])
     small = cv2.resize(np.asarray(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if marked is not None:
