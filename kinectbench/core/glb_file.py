@@ -36,11 +36,12 @@ def read_glb(content: bytes) -> Triangles:
     Raises:
         ValueError: the file is damaged, claims more than it holds, is compressed, or holds too much.
     """
+    not_a_scene = KeyError, IndexError, TypeError, AttributeError, RecursionError, OverflowError
     try:
         gltf, binary = _chunks(content)
         with np.errstate(all="ignore"):  # callers check that points are finite
             parts = list(_parts(gltf, binary))
-    except (KeyError, IndexError, TypeError, AttributeError, RecursionError, json.JSONDecodeError) as error:
+    except (*not_a_scene, json.JSONDecodeError) as error:
         raise ValueError("its JSON part is not that of a glTF 2.0 scene") from error
     if not parts:
         raise ValueError("a scene without triangles")

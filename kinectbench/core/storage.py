@@ -157,12 +157,12 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
             yield temporary
             old = temporary.with_suffix(".old")
             with reachable(folder):
-                if folder.exists():
-                    folder.rename(old)
                 try:
+                    if folder.exists():
+                        folder.rename(old)
                     temporary.rename(folder)
-                except OSError:  # a full disk may have no room for the name
-                    if old.exists():
+                except BaseException:  # a full disk may have no room for the name; or an interrupt
+                    if old.exists() and not folder.exists():
                         old.rename(folder)
                     raise
             shutil.rmtree(old, ignore_errors=True)

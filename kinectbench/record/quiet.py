@@ -1,5 +1,6 @@
 """Silence camera libraries that print when they are imported or opened."""
 
+import ctypes
 import io
 import os
 from collections.abc import Iterator
@@ -15,6 +16,8 @@ def quiet() -> Iterator[None]:
     Orbbec's SDK prints a line on standard output when imported, in the middle of `--json`. NumPy prints a
     page on standard error if a library was compiled for another version of NumPy.
     """
+    flush = ctypes.CDLL(None).fflush  # the buffers of C, whose lines may come from before the block
+    flush(None)
     kept, nowhere = os.dup(STDOUT), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, STDOUT)
     os.close(nowhere)
@@ -22,6 +25,7 @@ def quiet() -> Iterator[None]:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             yield
     finally:
+        flush(None)
         os.dup2(kept, STDOUT)
         os.close(kept)
 

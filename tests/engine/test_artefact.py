@@ -212,6 +212,29 @@ def test_replacing_a_folder_leaves_none_of_the_old_files(tmp_path: Path) -> None
     assert leftovers(tmp_path) == []
 
 
+@pytest.mark.parametrize("last", [0, 1])
+def test_an_interrupt_while_a_folder_is_replaced_leaves_the_old_or_the_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: int
+) -> None:
+    """Ctrl-C comes after the first or the second of the two renames."""
+    made, rename, renamed = artefact(tmp_path), Path.rename, list[Path]()
+    write(made, "old")
+
+    def interrupted(path: Path, target: Path) -> Path:
+        renamed.append(rename(path, target))
+        if len(renamed) == last + 1:
+            raise KeyboardInterrupt
+        return target
+
+    monkeypatch.setattr(Path, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt), made.write() as folder:
+        (folder / "sub").mkdir()
+        (folder / "sub" / "mesh.ply").write_text("new")
+    assert (made.folder / "sub" / "mesh.ply").read_text() == ("old", "new")[last]
+    with locked(tmp_path):
+        assert leftovers(tmp_path) == []
+
+
 @pytest.mark.parametrize(
     ("number", "words"),
     [

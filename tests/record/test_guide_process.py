@@ -232,6 +232,7 @@ def test_no_frame_is_read_twice_and_old_ones_are_forgotten(
         return depth_native(self, index)
 
     monkeypatch.setattr(LiveFrames, "depth_native", noted_depth)
+    monkeypatch.setattr("kinectbench.stages.track.frame_maps.READ_FRAMES", 2)
     tracker, count, kept = LiveTracker(setup), 70, max(NEWEST, 2 * rate_hz + 1)
     for index, each in enumerate([*frames, *frames[::-1]][:count]):
         tracker.take(replace(each, stamp_ns=index * 10**9 // rate_hz))

@@ -4,11 +4,17 @@ import http.client
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
+import cv2
+import numpy as np
 import pytest
 from raising import raises
+from typed import present
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.geometry import Camera
+from kinectbench.record.guide.process import _Shown
 from kinectbench.record.guide.server import FILES, Answer, PageServer
+from kinectbench.record.interface import Frame, Setup
 
 
 @pytest.fixture
@@ -104,3 +110,19 @@ def test_a_reader_that_goes_prints_nothing(capfd: pytest.CaptureFixture[str]) ->
 def test_a_port_that_is_taken_is_one_line(server: PageServer) -> None:
     with raises(SettingsError, "settings.wrong-value", "--port"):
         PageServer({}, urlsplit(server.url).port or 0)
+
+
+@pytest.mark.parametrize("registered", [True, False])
+def test_the_picture_that_is_clicked_has_the_pixels_of_depth(registered: bool) -> None:
+    """Colour that is not registered sees another place at the same pixel: depth is shown."""
+    depth = np.full((240, 320), 1000, np.uint16)
+    depth[:, 160:], depth[0, 0] = 3000, 65535  # one of the largest values, which RealSense gives for none
+    red = np.tile(np.array([200, 0, 0], np.uint8), (240, 320, 1))
+    shown = _Shown(None)
+    camera = Camera(320, 240, 290.0, 290.0, 159.5, 119.5)
+    shown.take(0, Frame(0, depth, red), Setup(camera, 1000.0, registered))
+    assert shown.state("") is not None
+    _, jpeg = present(shown.picture("0"))
+    left, right = (cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)[120, x] for x in (80, 240))
+    assert (right - left.astype(int) > 60).all() != registered
+    assert (abs(left - [0, 0, 200.0]) < 10).all() == registered

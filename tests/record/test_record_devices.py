@@ -2,6 +2,8 @@
 
 import importlib.util
 import json
+import os
+import subprocess
 import sys
 import time
 import tomllib
@@ -91,10 +93,16 @@ def test_a_device_whose_depth_stops_is_gone_while_its_colour_goes_on(
         next(device.frames())
 
 
-def test_openni_gives_the_focal_length_by_its_angles(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    _, recording = recorded(monkeypatch, "openni", tmp_path / "out")
-    assert recording.camera.fx == pytest.approx(573.4, abs=4)  # PrimeSense's 58 degrees
-    assert recording.color_registered and recording.depth_scale == 1000
+@pytest.mark.parametrize(("registers", "focal_px"), [(True, 525), (False, 575)])
+def test_openni_gives_the_focal_length_of_the_camera_on_whose_pixels_depth_lies(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, registers: bool, focal_px: float
+) -> None:
+    """The stand-in gives 525 px for colour and 575 px for depth."""
+    camera_libraries.openni(monkeypatch, registers=registers)
+    record(device_of("openni"), tmp_path / "out")
+    recording = open_recording(tmp_path / "out")
+    assert (recording.camera.fx, recording.camera.fy) == pytest.approx((focal_px, focal_px))
+    assert recording.color_registered == registers and recording.depth_scale == 1000
     check_pixels(recording, 480, 640)
 
 
@@ -207,3 +215,22 @@ def test_librealsense_itself_is_recorded_with_equal_depth(tmp_path: Path) -> Non
     assert all(np.array_equal(color_rgb(frames[k]), rgb_image(k, 48, 64)) for k in colored)
     assert recording.color_calibration is not None
     assert recording.color_calibration.T_color_depth[0, 3] == pytest.approx(-0.015)
+
+
+PRINTS = """
+import ctypes, sys
+from kinectbench.record.quiet import quiet
+libc = ctypes.CDLL(None)
+libc.printf(b"before\\n")
+with quiet():
+    libc.printf(b"a line of a camera's library\\n")
+sys.stdout.write("{}\\n")
+"""
+
+
+def test_what_a_library_of_c_prints_is_silenced() -> None:
+    """Its buffer is written when it is full, or at the end of the process."""
+    command = [sys.executable, "-c", PRINTS]
+    buffered = os.environ | {"PYTHONUNBUFFERED": ""}
+    done = subprocess.run(command, env=buffered, check=True, capture_output=True, text=True)
+    assert done.stdout == "before\n{}\n"

@@ -6,6 +6,7 @@ Each gives `COUNT` frames, then nothing. They stand in `sys.modules` under the l
 import sys
 import time
 from collections.abc import Callable
+from math import atan
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -70,12 +71,13 @@ def freenect(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
     )
 
 
-def openni(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
+def openni(monkeypatch: pytest.MonkeyPatch, plugged: int = 1, *, registers: bool = True) -> None:
     """OpenNI 2's wrapper: streams, frames with buffers of ctypes, stamps in microseconds; frame 3 is lost."""
 
     class Stream:
-        def __init__(self, draw: Callable[..., NDArray[Any]], late_us: int) -> None:
+        def __init__(self, draw: Callable[..., NDArray[Any]], late_us: int, focal_px: float) -> None:
             self.draw, self.late_us, self.index = draw, late_us, 0
+            self.focal_px = focal_px
 
         def configure_mode(self, width: int, height: int, fps: int, form: int) -> None:
             self.size = height, width
@@ -88,10 +90,10 @@ def openni(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
         def stop(self) -> None: ...
 
         def get_horizontal_fov(self) -> float:
-            return 1.0144686
+            return 2 * atan(320 / self.focal_px)
 
         def get_vertical_fov(self) -> float:
-            return 0.7898091
+            return 2 * atan(240 / self.focal_px)
 
         def read_frame(self) -> Any:
             index, self.index = self.index, self.index + 1
@@ -107,9 +109,9 @@ def openni(monkeypatch: pytest.MonkeyPatch, plugged: int = 1) -> None:
             )
 
     device = SimpleNamespace(
-        create_depth_stream=lambda: Stream(depth_image, 0),
-        create_color_stream=lambda: Stream(rgb_image, 1_000),
-        is_image_registration_mode_supported=lambda mode: True,
+        create_depth_stream=lambda: Stream(depth_image, 0, 575.0),
+        create_color_stream=lambda: Stream(rgb_image, 1_000, 525.0),
+        is_image_registration_mode_supported=lambda mode: registers,
         set_image_registration_mode=lambda mode: None,
         set_depth_color_sync_enabled=lambda enabled: None,
     )

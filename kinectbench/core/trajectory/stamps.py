@@ -41,7 +41,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
         RecordingError: not a finite number, or beyond 64-bit nanoseconds (292 years).
     """
     try:
-        stamp = Decimal(text)
+        stamp = Decimal(text.replace("_", "?"))  # Python would take 1_0 for 10
     except InvalidOperation:
         stamp = Decimal("NaN")
     is_short = stamp.is_finite() and stamp.adjusted() <= 11

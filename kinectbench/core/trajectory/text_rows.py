@@ -69,7 +69,7 @@ def parse_floats(words: Sequence[str], where: str) -> list[float]:
     numbers = []
     for word in words:
         try:
-            numbers.append(float(word))
+            numbers.append(float(word.replace("_", "?")))  # Python would take 1_0 for 10
         except ValueError as error:
             raise RecordingError(f"{where}: '{printable(word)}' is not a number") from error
     return numbers

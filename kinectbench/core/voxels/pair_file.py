@@ -301,7 +301,7 @@ def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
 def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
     """What is wrong with a pair file's format version, in words; None if nothing is."""
     version = values.get(VERSION_KEY, np.asarray(0))
-    if version.shape != () or version.item() != FORMAT_VERSION:
+    if version.shape != () or version.dtype.kind not in "iu" or version.item() != FORMAT_VERSION:
         return f"written in another format version; this package reads {FORMAT_VERSION}"
     return None
 
@@ -312,17 +312,25 @@ def _fault_in(values: Mapping[str, NDArray[np.generic]], names: Collection[str])
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"
     for name, side in MATRIX_SIDES.items():
-        if name in names and (values[name].shape != (side, side) or not _finite(values[name])):
-            return f"'{name}' is not a finite {side}x{side} matrix"
+        if name in names and not (values[name].shape == (side, side) and _invertible(values[name])):
+            return f"'{name}' is not a finite {side}x{side} matrix with an inverse"
     for name in NUMBERS:
         if name in names and (
-            values[name].shape != () or not _finite(values[name]) or values[name].item() < 0
+            values[name].shape != ()
+            or not _finite(values[name])
+            or values[name].item() < 0
+            or (name == "voxel_size_m" and values[name].item() == 0)
         ):
             return f"'{name}' is not a length in metres"
     for name in TEXTS:
         if name in names and (values[name].shape != () or values[name].dtype.kind != "U"):
             return f"'{name}' is not a text"
     return None
+
+
+def _invertible(matrix: NDArray[np.generic]) -> bool:
+    with np.errstate(all="ignore"):
+        return _finite(matrix) and bool(np.linalg.det(matrix.astype(np.float64)) != 0)
 
 
 def _finite(values: NDArray[np.generic]) -> bool:

@@ -50,9 +50,10 @@ class OpenNI(Device):
             stream.start()
         device.set_depth_color_sync_enabled(True)
         self._device = device
-        # OpenNI gives the fields of view, and no other intrinsics.
-        fx = WIDTH / 2 / tan(self._depth.get_horizontal_fov() / 2)
-        fy = HEIGHT / 2 / tan(self._depth.get_vertical_fov() / 2)
+        # OpenNI gives the fields of view, and no other intrinsics; registered depth has colour's.
+        seen = self._color if registered else self._depth
+        fx = WIDTH / 2 / tan(seen.get_horizontal_fov() / 2)
+        fy = HEIGHT / 2 / tan(seen.get_vertical_fov() / 2)
         return Setup(
             Camera(WIDTH, HEIGHT, fx, fy, (WIDTH - 1) / 2, (HEIGHT - 1) / 2), MM_PER_M, bool(registered)
         )

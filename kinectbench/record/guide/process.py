@@ -8,6 +8,7 @@ import time
 import warnings
 from collections import deque
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import NamedTuple
@@ -166,7 +167,8 @@ class _Shown:
             self._guide = Guide(setup)
         self._last = self._guide.take(number, frame)
         if not self._last.lost or self._picture is None:
-            self._picture = number, frame
+            # A click means a pixel of depth, which colour beside it does not show.
+            self._picture = number, frame if setup.color_registered else replace(frame, color=None)
         return self._last
 
     def state(self, query: str) -> tuple[str, bytes] | None:
@@ -248,8 +250,10 @@ def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, byt
     elif frame.color is not None:
         image = np.ascontiguousarray(frame.color[..., ::-1])
     else:
-        most = max(int(frame.depth.max()), 1)
-        image = (frame.depth.astype(np.float32) * (255 / most)).astype(np.uint8)
+        seen = frame.depth[frame.depth > 0]
+        # The median is mid-grey; with the farthest as white, a single pixel may make all else black.
+        grey = frame.depth * (127.5 / float(np.median(seen)) if len(seen) else 0.0)
+        image = np.minimum(grey, 255).astype(np.uint8)
     scale = PICTURE_PX / max(image.shape[:2])
     small = cv2.resize(np.asarray(image), None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if marked is not None:

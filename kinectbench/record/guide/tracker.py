@@ -89,7 +89,7 @@ class LiveTracker:
     def __init__(self, setup: Setup) -> None:
         """Start without frames."""
         self._frames, self._setup, self._stamps_ns = LiveFrames(), setup, list[int]()
-        maps = MapCache(self._sequence())
+        maps = MapCache(self._sequence(), keeps_all=True)
         self._follower = Follower(maps, FeatureCache(maps))
         self.keyframes = self._follower.keyframes
         # The odometry segment that is the world, and the first frame to which others may be registered.

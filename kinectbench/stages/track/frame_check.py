@@ -145,7 +145,7 @@ class _Checker:
         wrong = [
             f for f, each in self.found.items() if self._disagrees(each) or each.shift_m > recheck_above_m
         ]
-        sound = np.setdiff1d(self.compared, wrong)
+        sound = self._sound(wrong)
         if len(sound) < 2:
             return
         typical = _TypicalQuality.of(
@@ -176,6 +176,10 @@ class _Checker:
         )
         return float(np.median(residuals)) if len(residuals) else np.nan
 
+    def _sound(self, wrong: list[int]) -> Int64:
+        """The reference frames that were compared, but for the wrong ones."""
+        return self.compared[np.isin(self.compared, list(self.found)) & ~np.isin(self.compared, wrong)]
+
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
         """Up to three agreeing reference frames before a frame, and after it; unordered: the most similar."""
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
@@ -193,14 +197,14 @@ class _Checker:
 
         Candidates are measured again against the frames before and after them, and the better side counts,
         also in `residual_m`: a wrong frame makes its correct neighbours look worse, and next to a jump only
-        one side agrees.
+        one side agrees. A candidate without common points on either side stays one.
         """
         odd = find_outliers(self.residual_m / self.noise_m, ~disagrees)
-        sound = np.setdiff1d(self.compared, np.flatnonzero(odd | disagrees))
+        sound = self._sound(np.flatnonzero(odd | disagrees).tolist())
         for frame in np.flatnonzero(odd).tolist():
             again_m = [self._residual_m(frame, side) for side in self._sides(frame, sound)]
             known_m = [each for each in again_m if np.isfinite(each)]
-            self.residual_m[frame] = min(known_m, default=np.nan)
+            self.residual_m[frame] = min(known_m, default=self.residual_m[frame])
         return odd & find_outliers(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:

@@ -32,7 +32,7 @@ MIN_SIMILARITY, MIN_SHARED_VIEW = 0.25, 0.3
 NEAR_IN_ORDER = 3
 # Largest correction by a loop: this ratio of the path since then, plus this much.
 DRIFT_SHARE, DRIFT_M, DRIFT_RAD = 0.1, 0.15, 0.35
-# Two registrations between the same two segments confirm each other within these tolerances.
+# Two registrations between two segments confirm each other within this, and what the angle moves 1 m away.
 AGREE_M, AGREE_RAD = 0.06, 0.06
 # A joining constraint's inlier ratio is at most this much below that of consecutive keyframes: a chair's back
 # resembles its front.

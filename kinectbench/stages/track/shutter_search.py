@@ -125,8 +125,9 @@ class _Search:
     def misfit(self, readout_s: float) -> float:
         """Mean squared ratio of depth residual to noise, 9 for an outlier, at each pair's best pose."""
         fits = self._registered(readout_s)
-        squares = [
-            r.inlier_share * (r.residual_m / r.noise_m) ** 2 + OUTLIER * (1 - r.inlier_share) for r in fits
+        squares = [  # without inliers both are 0
+            r.inlier_share * (r.residual_m / (r.noise_m or 1.0)) ** 2 + OUTLIER * (1 - r.inlier_share)
+            for r in fits
         ]
         return float(np.mean(squares))
 

@@ -195,8 +195,9 @@ def _torn(health: TrajectoryHealth) -> Iterator[LoopClosure]:
 
 
 def _degenerate(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
-    """Yield level and text of the share of frames whose depth has an unobservable direction, if any."""
-    if degenerate := len(set(health.degenerate) - set(health.lost)):
+    """Yield level and text of the share of posed frames whose depth has an unobservable direction, if any."""
+    without_pose = {*health.lost, *(each.frame for each in health.rejected)}
+    if degenerate := len(set(health.degenerate) - without_pose):
         share = f"{_percent(degenerate, health.tracked)} of the frames"
         yield _at_most(degenerate / health.tracked, DEGENERATE_SHARE), share
 

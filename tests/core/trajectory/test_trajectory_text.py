@@ -30,7 +30,7 @@ def test_stamps_are_exact() -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        *("nan", "inf", "1e30", "-1e18", "abc", "", "12:30", "1e999999999"),
+        *("nan", "inf", "1e30", "-1e18", "abc", "", "12:30", "1e999999999", "13_05"),
         *("9223372036.8547758079", "9223372036.8547758075", "-9223372036.854775808"),  # 2^63 when rounded
     ],
 )
@@ -78,6 +78,7 @@ def test_unsorted_and_repeated_poses(tmp_path: Path) -> None:
         ("1 0 0 0 0 0 0 0", "line 2: the quaternion has length zero"),
         ("1 0 0 0 0 0 1", "line 2: holds 7 values, not the 8"),
         ("1 0 0 zero 0 0 0 1", "line 2: 'zero' is not a number"),
+        ("1 0 0 1_0 0 0 0 1", "line 2: '1_0' is not a number"),
         ("noon 0 0 0 0 0 0 1", "line 2: 'noon' is not a time stamp"),
     ],
 )

@@ -22,6 +22,7 @@ from kinectbench.stages.sample_views.masks import GivenMasks
 from kinectbench.stages.sample_views.view_fit import ViewFit
 from kinectbench.stages.sample_views.views import (
     Views,
+    _jpeg,
     _warnings,
     read_masks,
     read_views,
@@ -213,3 +214,9 @@ def test_depth_too_far_for_an_image_is_none_and_said(chair: Chair, views: Views,
         "1 of 2 views have depth beyond 65.535 m (3.1% of the pixels with depth at most), which their 16-bit "
         "depth images hold as 0, no measurement: is `depth_scale` right?"
     ]
+
+
+@pytest.mark.parametrize("damaged", [b"", b"\x89PNG nothing"])
+def test_damaged_colour_is_refused(damaged: bytes) -> None:
+    with raises(StorageError, "storage.damaged", match="colour image is damaged"):
+        _jpeg(".png", damaged)

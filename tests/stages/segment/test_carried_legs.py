@@ -56,3 +56,10 @@ def test_what_hangs_is_no_leg() -> None:
 def test_one_piece_stays_as_it_is() -> None:
     whole = stool(np.s_[10:14, 10:14, :60])
     assert carried(whole) is whole
+
+
+def test_a_leg_of_two_layers_is_carried_up() -> None:
+    solid = np.zeros((10, 10, 8), dtype=bool)
+    solid[1:9, 1:9, 4:6] = solid[3:5, 3:5, :2] = True
+    filled = carried_up(solid, np.zeros_like(solid), 0, 0.025)
+    assert filled[3:5, 3:5].all(axis=(0, 1)).tolist() == [True] * 6 + [False] * 2

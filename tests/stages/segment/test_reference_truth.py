@@ -1,5 +1,7 @@
 """A reference mesh in place of a fused shape: exact in its place, and nothing of it unknown."""
 
+import json
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +12,14 @@ from raising import raises
 from reference_models import drawn, model_of, moved
 
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.stages.pairs import full_shape
 from kinectbench.stages.segment.object_model import read_object, write_object
+from kinectbench.stages.segment.reference.mesh import read_reference
 from kinectbench.stages.segment.reference.truth import reference_as_truth
 
 # An L of three unlike edges: no turn leaves it as it is.
@@ -93,3 +96,27 @@ def test_a_mesh_that_does_not_do_is_refused_in_one_line(kind: str, code: str, tm
     with raises(KinectBenchError, code, match="scan.ply") as caught:
         reference_as_truth(model_of(upright), path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("changed", ["translation", "matrix", "scale", "rotation", "byteStride"])
+def test_a_glb_with_a_number_beyond_all_bounds_is_refused(changed: str, tmp_path: Path) -> None:
+    huge = {"translation": 3, "matrix": 16, "scale": 3, "rotation": 4}
+    node = {"mesh": 0} | ({changed: [10**400] * huge[changed]} if changed in huge else {})
+    gltf: dict[str, object] = {
+        "scenes": [{"nodes": [0]}],
+        "nodes": [node],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "type": "VEC3", "count": 1}],
+        "bufferViews": [{"byteStride": 10**30} if changed == "byteStride" else {}],
+    }
+    stated = json.dumps(gltf).encode()
+    head = struct.pack("<4s4I", b"glTF", 2, 0, len(stated), 0x4E4F534A)
+    path = tmp_path / "thing.glb"
+    path.write_bytes(head + stated + struct.pack("<2I3f", 12, 0x4E4942, 0, 0, 0))
+    with raises(RecordingError, "recording.bad-mesh"):
+        read_reference(path)
+
+
+def test_a_suffix_may_be_in_capitals(tmp_path: Path) -> None:
+    scan = written(mesh_of(ARM), tmp_path)
+    assert read_reference(scan.rename(tmp_path / "SCAN.PLY")).closed

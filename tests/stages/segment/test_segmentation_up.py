@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from analytic_scenes import CAMERA, ring, sequence_of
+from bounds import within
 from numpy.typing import NDArray
 from raising import raises
 from typed import present
@@ -14,7 +15,7 @@ from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quatern
 from kinectbench.core.sequence import GivenTrajectory, Sequence, UpSample
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.stages.segment.find.floor import Floor, find_floor, floor_cut_m, low_cut_m
-from kinectbench.stages.segment.find.gravity import FloorHint, floor_hint
+from kinectbench.stages.segment.find.gravity import FloorHint, facings, floor_hint
 
 WORLD = rigid(rotation_from_quaternion_xyzw([0.4, -0.5, 0.2, 0.7]), [1.0, -2.0, 0.7])
 UP = WORLD[:3, :3] @ [0, 0, 1]
@@ -194,3 +195,15 @@ def test_up_by_an_accelerometer_needs_no_given_poses() -> None:
     # Poses of an object that is turned about agree on no direction.
     turned = Trajectory(stamps_ns, np.stack([arc(45, 120 * k)[k] for k in range(12)]), "tracked")
     assert floor_hint(of_a_wall(None, None, tuple(ups[:3])), turned).up_world is None
+
+
+def test_many_frames_over_a_large_scene_take_little_memory() -> None:
+    """4,000 frames that look straight down on 4,000 points: all cosines at once are 128 MB."""
+    normals = np.random.default_rng(0).normal(size=(4000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    poses = np.tile(np.diag([1.0, -1, -1, 1]), (4000, 1, 1))
+    steep = facings(poses, None)[-1]
+    with within(20, megabytes=100):
+        seen = steep(normals)
+    right, ahead, up = normals.T
+    np.testing.assert_array_equal(seen, (up > 0.8) & (np.maximum(np.abs(right), ahead) > 0.1))

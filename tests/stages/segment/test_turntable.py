@@ -1,10 +1,12 @@
 """What turns before a still camera is told from its plate and from what stands around."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
 import pytest
+from analytic_scenes import CAMERA, depth_of, plane, ring
 from raising import raises
 from read_pictures import read_picture
 
@@ -17,7 +19,7 @@ from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.stages.segment.find.turntable import find_turntable, turntable_masks
+from kinectbench.stages.segment.find.turntable import _on_floor, find_turntable, turntable_masks
 
 LEAST_IOU = 0.93
 
@@ -67,3 +69,16 @@ def test_what_is_no_turntable_is_refused(path: dict[str, object], complaint: str
     sequence, _ = recorded(tmp_path, **path)
     with raises(SegmentationError, "segmentation.no-turntable", match=complaint):
         turntable_masks(sequence)
+
+
+@pytest.mark.parametrize(("height_m", "stands"), [(0.005, False), (0.05, True)])
+def test_what_moves_within_the_noise_of_its_plane_stands_nowhere(height_m: float, stands: bool) -> None:
+    T = ring(1, 1.0)[0]
+    watched = Mock(still_m=depth_of([plane((0, 0, 1), 0.0)], CAMERA, T))
+    flat = np.random.default_rng(0).uniform([-0.1, -0.1, 0.9 * height_m], [0.1, 0.1, height_m], (500, 3))
+    moving = transform_points(invert_rigid(T), flat)
+    if stands:
+        assert 0.1 < _on_floor(watched, CAMERA, moving).radius_m < 0.18
+        return
+    with raises(SegmentationError, "segmentation.no-turntable", match="stands on"):
+        _on_floor(watched, CAMERA, moving)

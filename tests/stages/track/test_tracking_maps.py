@@ -176,7 +176,7 @@ def test_intensity_is_the_texture_at_each_pixel() -> None:
         assert each.intensity.shape == each.depth_m.shape
 
 
-@pytest.mark.parametrize("color", ["unregistered", "another size", "missing", "damaged"])
+@pytest.mark.parametrize("color", ["unregistered", "another size", "missing", "damaged", "empty"])
 def test_colour_that_does_not_lie_on_depth_is_not_used(color: str) -> None:
     sequence = painted(ROOM, CORNER_VIEW[None], texture=waves)
     frames = sequence.frames
@@ -185,8 +185,8 @@ def test_colour_that_does_not_lie_on_depth_is_not_used(color: str) -> None:
     else:
         large = np.kron(np.full((120, 160), 99.0), np.ones((2, 2)))
         assert isinstance(frames, PaintedFrames)
-        image = {"another size": png(large), "missing": None, "damaged": b"\x89PNG nothing"}[color]
-        sequence = replace(sequence, frames=replace(frames, color=[image]))
+        images = {"another size": png(large), "damaged": b"\x89PNG nothing", "empty": b""}
+        sequence = replace(sequence, frames=replace(frames, color=[images.get(color)]))
     maps = frame_maps(sequence, 0)
     assert not maps.has_intensity
     assert not maps[0].points[:, 7].any() and len(maps[0].points) > 1000

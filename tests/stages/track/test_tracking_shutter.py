@@ -16,9 +16,10 @@ from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.geometry.rolling_shutter import RollingShutter, upright_depth, upright_gray
 from kinectbench.lab.simulate.presets import preset_spec
 from kinectbench.stages.track.features import FeatureCache
-from kinectbench.stages.track.frame_maps import MapCache
+from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.odometry import Followed, follow
-from kinectbench.stages.track.shutter_search import find_shutter, flow_rad_per_s, motions_of
+from kinectbench.stages.track.registration import measure
+from kinectbench.stages.track.shutter_search import OUTLIER, _Search, find_shutter, flow_rad_per_s, motions_of
 from kinectbench.stages.track.tracker import track_frames
 
 pytestmark = pytest.mark.xdist_group("tracking")
@@ -164,6 +165,15 @@ def test_frames_taken_at_once_are_left_alone() -> None:
     assert late is not None
     assert late.readout_s == 0
     assert late.color_delay_s == pytest.approx(0.01, abs=0.002)
+
+
+def test_a_pair_without_common_points_is_the_worst_of_misfits() -> None:
+    wall_m, nothing_m = np.full((240, 320), 2.0, np.float32), np.zeros((240, 320), np.float32)
+    camera, no_color = Camera(320, 240, 290.0, 290.0, 159.5, 119.5), np.zeros((0, 0), np.float32)
+    wall, nothing = (FrameMaps(camera, depth_m, no_color) for depth_m in (wall_m, nothing_m))
+    search = _Search(MapCache(couch().sequence), [], STILL)
+    search.found[READOUT_S] = [measure(wall, [nothing], [np.eye(4)])]
+    assert search.misfit(READOUT_S) == OUTLIER
 
 
 def test_slow_recordings_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -20,6 +21,8 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.trajectory import read_trajectory, write_trajectory
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.track import Trajectory, track
+from kinectbench.stages.track.frame_check import _Checker
+from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.outliers import OUTLIER_REASON, find_outliers, outlier_warnings
 
 pytestmark = pytest.mark.xdist_group("tracking")
@@ -207,3 +210,18 @@ def test_frames_that_agree_far_worse_than_nearly_all_are_left_out_and_told() -> 
     (line,) = outlier_warnings(reasons, "tracked")
     assert line.startswith("left out: 13 frames (60 to 73): its depth lies farther")
     assert outlier_warnings({80: "another reason"}, "trust") == []
+
+
+def test_an_outlier_that_nothing_else_shows_stays_one(
+    chair: Furniture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is measured again only by reference frames that were compared."""
+    checker = _Checker(MapCache(chair.sequence), np.tile(np.eye(4), (24, 1, 1)), SETTINGS, np.arange(24))
+    checker.found = dict.fromkeys(set(range(24)) - {9, 10, 13}, Mock())
+    checker.residual_m, checker.noise_m = np.ones(24), np.ones(24)
+    checker.residual_m[WRONG] = 5.0
+    asked = list[int]()
+    monkeypatch.setattr(checker, "_residual_m", lambda frame, others: asked.extend(others) or np.nan)
+    assert np.flatnonzero(checker.outlier(np.zeros(24, bool))).tolist() == [WRONG]
+    assert checker.residual_m[WRONG] == 5.0
+    assert asked == [6, 7, 8, 12, 14, 15]

@@ -253,6 +253,11 @@ def test_a_jump_is_not_good() -> None:
             "good",
             "2.0 % of the frames show too plain a shape to check",
         ),
+        (  # of the 980 with a pose
+            {"source": "trust", "degenerate": 60, "rejected": 20, "tracked": 980},
+            "good",
+            "4.1 % of the frames show too plain a shape to check",
+        ),
         (
             {"source": "trust", "degenerate": 990},
             "fair",

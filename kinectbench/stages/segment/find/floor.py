@@ -214,13 +214,21 @@ def _given_floor(
     up_world: Float64 | None,
 ) -> Floor:
     """The floor at a given plane (4,); the points (n, 3) near it give its noise and inlier share."""
-    above_m = T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]
-    if np.median(above_m) <= 0:
-        raise SegmentationError(ABOVE_CAMERAS, what="bad-plane")
+    check_below_cameras(plane_world, T_world_camera)
     near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
     noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
     tilt_rad = _tilt_rad(plane_world, T_world_camera, up_world)
     return Floor(plane_world, floor_frame(plane_world), noise_m, len(near) / len(points_world), tilt_rad)
+
+
+def check_below_cameras(plane_world: Float64, T_world_camera: Float64) -> None:
+    """Refuse a given plane (4,) that lies above most cameras (n, 4, 4).
+
+    Raises:
+        SegmentationError: it does.
+    """
+    if np.median(T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]) <= 0:
+        raise SegmentationError(ABOVE_CAMERAS, what="bad-plane")
 
 
 def level_floor(

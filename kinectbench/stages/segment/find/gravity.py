@@ -28,6 +28,8 @@ MIN_DOWN_COSINE = 0.8
 # The normal of a wall that is looked at straight on is square to all four edges, or tips to the lower one
 # where cameras look down a little. That of a floor looked at from 84 degrees down leans by this much.
 MIN_HELD_COSINE = 0.1
+# Cosines computed at once: 34 MB, where all of a long recording may be gigabytes.
+MOST_COSINES = 1 << 22
 
 # Which of the unit normals (n, 3), world frame, may be those of a floor: (n,) bool.
 Facing = Callable[[Float64], Bools]
@@ -151,6 +153,7 @@ def _along(up: Float64, least: float, normals: Float64) -> Bools:
 
 def _looked_down_on(axes: Float64, edges: Sequence[Float64], normals: Float64) -> Bools:
     """Which normals (n, 3) most cameras face, tilted towards an image edge: floors seen steeply."""
-    against = np.median(-normals @ axes.T, axis=1) > MIN_DOWN_COSINE
+    parts = np.array_split(normals, 1 + len(normals) * len(axes) // MOST_COSINES)
+    against = np.concatenate([np.median(-part @ axes.T, axis=1) for part in parts]) > MIN_DOWN_COSINE
     held: Bools = np.max([normals @ edge for edge in edges], axis=0) > MIN_HELD_COSINE
     return against & held

@@ -11,7 +11,13 @@ from kinectbench.core.voxels.surface_points import spacing_m, surface_points
 from kinectbench.core.voxels.touching_cells import connected
 from kinectbench.stages.segment.find.box_anchor import check_anchor
 from kinectbench.stages.segment.find.distance_scale import cell_scale, distance_scale
-from kinectbench.stages.segment.find.floor import Floor, against_gravity, level_floor
+from kinectbench.stages.segment.find.floor import (
+    GIVEN,
+    Floor,
+    against_gravity,
+    check_below_cameras,
+    level_floor,
+)
 from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.object import MIN_BOX_POINTS, Segmentation
 from kinectbench.stages.segment.find.planes import floor_frame
@@ -26,6 +32,7 @@ NOTHING_FUSED = (
     "no object found: within the masks nothing was fused; do the masks lie on the object, and is its depth "
     "within max_depth_m?"
 )
+BELOW_PLANE = f"most of what the masks show lies below {GIVEN}; correct it, or leave it out"
 
 
 def segment_masked_scene(
@@ -40,7 +47,8 @@ def segment_masked_scene(
     z = 0; else z = 0 lies below the measured surface.
 
     Raises:
-        SegmentationError: nothing was fused, or the box holds nothing of it or is of another floor frame.
+        SegmentationError: nothing was fused, the box holds nothing of it or is of another floor frame, or a
+            given plane lies above the cameras or the object.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     near = distance_scale(T_world_camera, looked_at(T_world_camera, hint.middle_depth_m))
@@ -63,6 +71,8 @@ def segment_masked_scene(
                 "the box in benchmark.yaml holds nothing of what the masks show; leave it out, or correct it",
                 what="empty-box",
             )
+    if np.median(points_floor[kept, 2]) <= 0:
+        raise SegmentationError(BELOW_PLANE, what="bad-plane")
     vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
     box = given_box or fit_box(vertices_floor[kept[surface.owner]])
     cells = np.floor(points_floor / cell_m).astype(np.int64)
@@ -72,6 +82,7 @@ def segment_masked_scene(
 def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scale: float) -> Floor:
     """The plane z = 0 as a floor: a given one, or a level one below the points (n, 3)."""
     if hint.plane_world is not None:
+        check_below_cameras(hint.plane_world, T_world_camera)
         against = against_gravity(hint.plane_world, hint.up_world)
         frame = floor_frame(hint.plane_world)
         return Floor(hint.plane_world, frame, 0.0, 0.0, scale=scale, given=True, against=against)

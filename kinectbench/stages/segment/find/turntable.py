@@ -219,7 +219,7 @@ def _largest(points: Float64) -> Float64:
 
 
 def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
-    """The plane below the moving points (n, 3); None if there is none."""
+    """The plane below the moving points (n, 3); None if there is none, or none of them is clear of it."""
     surface = camera.backproject(watched.still_m)
     normals = image_normals(surface, watched.still_m, NORMAL_REACH_PX)
     chosen = np.isfinite(normals).all(axis=-1)
@@ -231,4 +231,5 @@ def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
     except SegmentationError:
         return None
     heights_m = transform_points(floor.T_floor_world, moving)[:, 2]
-    return floor if (heights_m > 0).mean() >= ABOVE_SHARE else None
+    stands = (heights_m > 0).mean() >= ABOVE_SHARE and heights_m.max() > CLEAR_M
+    return floor if stands else None

@@ -41,16 +41,17 @@ def read_reference(path: Path) -> Reference:
             not finite or beyond 10^6 m.
     """
     where = printable(str(path), 300)
-    if path.suffix not in SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
         raise RecordingError(
             f"{where}: not a mesh that is read; save it as .ply, .obj or .glb", what="bad-mesh"
         )
     try:
         content = read_plain(path, MAX_FILE_BYTES)
-        if path.suffix == ".ply":
+        if suffix == ".ply":
             points, triangles, _ = read_ply_surface(content)
         else:
-            points, triangles = (read_obj if path.suffix == ".obj" else read_glb)(content)
+            points, triangles = (read_obj if suffix == ".obj" else read_glb)(content)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecordingError(

@@ -207,7 +207,7 @@ def carried_up(solid: Bools, seen_empty: Bools, floor_layer: int, voxel_size_m: 
         stands = z.start <= floor_layer and (z.stop - floor_layer) * voxel_size_m >= LEG_HEIGHT_M
         if piece == main or not stands:
             continue
-        end = slice(z.stop - LEG_END_LAYERS, z.stop)
+        end = slice(max(0, z.stop - LEG_END_LAYERS), z.stop)
         columns = (pieces[x, y, end] == piece).any(axis=2)
         gap = slice(end.start, z.stop + reach)
         above = np.logical_or.accumulate(largest[x, y, gap], axis=2)
