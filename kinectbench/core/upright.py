@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.rolling_shutter import (
     RollingShutter,
@@ -13,7 +14,7 @@ from kinectbench.core.geometry.rolling_shutter import (
     upright_gray,
     upright_mask,
 )
-from kinectbench.core.sequence import FrameStore, Sequence, depth_in_metres, stored_bgr
+from kinectbench.core.sequence import FrameStore, Sequence, depth_in_metres
 from kinectbench.core.types import Bools, Float32
 
 # Corrected colour is encoded without loss, at a fast level.
@@ -46,17 +47,16 @@ class UprightFrames:
         return upright_depth(native, self.depth_scale, self.camera, shutter.motion[index], shutter.readout_s)
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame, corrected if it is registered to depth: (suffix, bytes), or None.
-
-        Raises:
-            StorageError: the image is missing or damaged.
-        """
+        """Colour of one frame, corrected if it is registered to depth and whole: (suffix, bytes), or None."""
         import cv2
 
         encoded, shutter = self.frames.color_encoded(index), self.shutter
         if encoded is None or not self.color_registered:
             return encoded
-        bgr = stored_bgr(encoded[1], index)
+        try:
+            bgr = np.asarray(decoded_image(encoded[1], cv2.IMREAD_COLOR), np.uint8)
+        except ValueError:
+            return encoded
         motion, times_s = shutter.motion[index], (shutter.readout_s, shutter.color_delay_s)
         moved = upright_gray(bgr, self._depth_m(index), self.camera, motion, *times_s)
         return ".png", cv2.imencode(".png", moved, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])[1].tobytes()

@@ -9,7 +9,6 @@ into those frames and averaged where they see the same surface.
 """
 
 from collections import OrderedDict
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numba
@@ -136,7 +135,8 @@ class FrameMaps:
 class MapCache:
     """The maps of a sequence's frames, computed on demand; the 150 used last are kept to bound memory.
 
-    The reduced images of the first 2000 frames read stay in memory, because reading is slow. Threads may
+    The reduced images of the first 2000 frames read stay in memory, because reading is slow; with
+    `keeps_all`, those of all frames that are not forgotten, because none can be read again. Threads may
     share the cache as long as `improve`, `calibrate` and `undo_shutter` are not called: at worst two of them
     compute the same maps.
 
@@ -146,6 +146,7 @@ class MapCache:
         correction_per_m: (height, width) float32 at working resolution, added to 1 / depth: see `calibrate`.
         shutter: the rolling shutter that is undone in each frame: see `undo_shutter`.
         sharpness: sharpness of the frames read, by index; empty if colour is not registered to depth.
+        keeps_all: whether the images of more than 2000 frames stay in memory.
     """
 
     sequence: Sequence
@@ -153,6 +154,7 @@ class MapCache:
     correction_per_m: Float32 | None = None
     shutter: RollingShutter | None = None
     sharpness: dict[int, float] = field(default_factory=dict)
+    keeps_all: bool = False
     _kept: OrderedDict[int, FrameMaps] = field(default_factory=OrderedDict)
     _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
@@ -210,7 +212,7 @@ class MapCache:
         depth = reduced_depth(native, sequence.depth_scale, reduction, np.float32(STORED_PER_M))
         gray = reduced_gray(sequence, index) if sequence.color_registered else None
         frame = ReducedFrame(depth, np.zeros((0, 0), np.uint8) if gray is None else gray)
-        if len(self._read) < READ_FRAMES:
+        if self.keeps_all or len(self._read) < READ_FRAMES:
             self._read[index] = frame
         if frame.gray.size and index not in self.sharpness:
             self.sharpness[index] = image_sharpness(frame.gray)
@@ -285,9 +287,10 @@ def reduced_camera(camera: Camera, factor: int) -> Camera:
 def gray_frame(sequence: Sequence, index: int, mode: int) -> NDArray[np.uint8] | None:
     """Read the colour of a frame as grey, in a mode of `cv2.imdecode`; None if missing or damaged."""
     encoded = sequence.frames.color_encoded(index)
-    with suppress(ValueError):
-        return None if encoded is None else decoded_image(encoded[1], mode).astype(np.uint8, copy=False)
-    return None
+    try:
+        return None if encoded is None else np.asarray(decoded_image(encoded[1], mode), np.uint8)
+    except ValueError:
+        return None
 
 
 def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) -> Level:
