@@ -58,7 +58,7 @@ class SafeConsole(Console):
     """A rich console for untrusted text: control characters become those of `one_line`, markup is text."""
 
     def __init__(self, **options: Any) -> None:
-        """Make a rich console that reads no markup or emoji codes: a category may be called `[/x]`."""
+        """Make a console without markup and emoji codes: a category may be called `[/x]`."""
         super().__init__(**options, markup=False, emoji=False)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
@@ -72,10 +72,8 @@ class SafeConsole(Console):
 
 
 err = SafeConsole(stderr=True)
-out = SafeConsole()
-if not out.is_terminal:
-    # When output goes to a file or a log, this width leaves room for whole cells.
-    out = SafeConsole(width=PLAIN_WIDTH)
+# In a file or a log, this width leaves room for whole cells.
+out = SafeConsole() if SafeConsole().is_terminal else SafeConsole(width=PLAIN_WIDTH)
 
 
 def one_line(text: str) -> str:
