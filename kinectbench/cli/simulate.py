@@ -1,5 +1,6 @@
 """The command `simulate`."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -47,19 +48,9 @@ def simulate_command(
     if families:
         common.tell(names := sorted(object_families()), names)
         return
-    if mesh is not None and object_name is not None:
-        raise SettingsError("simulate: give --object or --mesh, not both")
-    given = {"object": object_name, "mesh": None if mesh is None else str(mesh), "seed": seed, "format": form}
-    changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
-    if frames is not None:
-        changes["path"] = {"frames": frames}
-    folders = {"--contact-sheets": contact_sheets, "--samples": samples, "--demo": demo}
-    alone = [name for name, folder in folders.items() if folder is not None]
-    others = out is not None or changes or common.overrides or preset != PRESET
-    if len(alone) > 1 or (alone and others):
-        raise SettingsError(
-            f"simulate: {alone[0]} stands alone: leave out OUT, the options of a recording and --set"
-        )
+    changes = _changes(object_name, mesh, frames, seed, form)
+    others = bool(out or changes or common.overrides or preset != PRESET)
+    _check_alone({"--contact-sheets": contact_sheets, "--samples": samples, "--demo": demo}, others)
     if contact_sheets is not None:
         from kinectbench.lab.simulate.objects.contact_sheets import write_contact_sheets
 
@@ -83,3 +74,23 @@ def simulate_command(
             "note", [f"{mesh}: {read_truth(truth_folder(path)).origin}" for path in written], "yellow"
         )
     common.tell_written(*written)
+
+
+def _changes(
+    object_name: str | None, mesh: Path | None, frames: int | None, seed: int | None, form: str | None
+) -> dict[str, object]:
+    """Return what the options of a recording change of its preset."""
+    if mesh is not None and object_name is not None:
+        raise SettingsError("simulate: give --object or --mesh, not both")
+    path = None if frames is None else {"frames": frames}
+    given = {"object": object_name, "mesh": mesh and str(mesh), "path": path, "seed": seed, "format": form}
+    return {key: value for key, value in given.items() if value is not None}
+
+
+def _check_alone(folders: Mapping[str, Path | None], others: bool) -> None:
+    """Refuse an option that writes recordings or sheets of its own together with any other."""
+    alone = [name for name, folder in folders.items() if folder is not None]
+    if len(alone) > 1 or (alone and others):
+        raise SettingsError(
+            f"simulate: {alone[0]} stands alone: leave out OUT, the options of a recording and --set"
+        )

@@ -112,11 +112,10 @@ def train(
         The progress of the training.
 
     Raises:
-        ReleaseError: a pair is missing or changed, or there is no training pair.
+        ReleaseError, PredictionError: a pair is missing or changed, there is none, or an output is wrong.
         SettingsError: the folder belongs to another training, or `config` or `device` cannot be used.
         StorageError: the disk cannot be written, the checkpoint is damaged, or another run has the folder.
         StepError: memory is full, a loss or a weight is not finite, or another process has stopped.
-        PredictionError: an output of the network is no probability.
     """
     asked = config.training
     targets = training_targets(releases, asked.leave_out, asked.category)
