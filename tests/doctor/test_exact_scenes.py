@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ingest_writers import png
 
-from kinectbench.core.geometry import Camera
+from kinectbench.core.geometry import Camera, invert_rigid
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import trajectory_text
 from kinectbench.core.types import Float64
@@ -73,7 +73,7 @@ def write(folder: Path, scene: str, *, inverse: bool = False) -> Path:
     names = ("width", "height", "fx", "fy", "cx", "cy")
     said = {name: getattr(CAMERA, name) for name in names} | {"depth_scale": SCALE}
     (folder / "intrinsics.json").write_text(json.dumps(said))
-    T_given = np.linalg.inv(poses) if inverse else np.stack(poses)
+    T_given = np.stack([invert_rigid(T) if inverse else T for T in poses])
     given = GivenTrajectory(np.arange(len(poses)) * 10**9, T_given)
     (folder / "trajectory.txt").write_text(trajectory_text(given))
     return folder

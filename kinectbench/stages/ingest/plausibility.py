@@ -108,10 +108,13 @@ class FrameChecks:
         if not problem:
             return
         better = suggested_scale(native)
+        hint = f"; at {better:g} it would be {native / better:.3g} m"
+        if self.recording.float_scale is not None:  # its own units are not those of `native`
+            hint = ""
         raise RecordingError(
             f"{self.recording.path}: {problem}: give its unit in benchmark.yaml, "
-            f"`camera: {{depth_scale: ...}}` (units a metre; at {better:g} it would be {native / better:.3g} "
-            "m); where it has poses, `kinectbench inspect` tries scales and codes by them",
+            f"`camera: {{depth_scale: ...}}` (units a metre{hint}); where it has "
+            "poses, `kinectbench inspect` tries scales and codes by them",
             what="bad-depth-scale",
         )
 

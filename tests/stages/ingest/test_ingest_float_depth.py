@@ -17,6 +17,7 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_codes import ray_lengths
 from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.sequence_folder import write_sequence
 
 
 def npy(array: np.ndarray) -> bytes:
@@ -101,3 +102,9 @@ def test_codes_of_bits_are_refused_for_floats(tmp_path: Path, write: Callable[[P
     recording = open_recording(folder, CameraSettings(depth_code="ray_distance"))
     right = np.rint(depth_image(1, 5000.0) / ray_lengths(recording.camera))
     np.testing.assert_array_equal(recording.frame(1).depth, right)
+
+
+def test_no_scale_is_suggested_for_floats_that_no_room_has(tmp_path: Path) -> None:
+    folder = in_arrays(write_folder(tmp_path / "r"), "camera_intrinsic.json", floats(100.0))
+    with raises(RecordingError, "recording.bad-depth-scale", match=r"\(units a metre\); where it has poses"):
+        write_sequence(open_recording(folder), tmp_path / "sequence")

@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from kinectbench.core.errors import RecordingError
-from kinectbench.core.sequence import UpSample
+from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.trajectory.stamps import (
     check_unit,
     counted_ns,
@@ -89,14 +89,8 @@ class TumRecording(FileRecording):
         recorded, camera_file = find_intrinsics(path, settings)
         intrinsics = recorded.overridden_by(settings)
         stored = DepthFormat.of(files, settings.depth_scale)
-        truth, up = path / "groundtruth.txt", _measured_up(path, camera_file, [ns for ns, _ in depth])
-        trajectory, trajectory_warnings, error = read_given(
-            lambda: (
-                read_trajectory_file(truth, len(depth) if why else None)
-                if truth.is_file()
-                else (None, unread_poses(path))
-            )
-        )
+        up = _measured_up(path, camera_file, [ns for ns, _ in depth])
+        trajectory, pose_warnings, error = read_given(lambda: _poses(path, len(depth) if why else None))
         return cls(
             path=path,
             places=files,
@@ -116,10 +110,15 @@ class TumRecording(FileRecording):
                 *partners.warnings,
                 *stored.warnings,
                 *said_warnings(path, recorded, settings),
-                *trajectory_warnings,
+                *pose_warnings,
                 *unmatched_masks(path, files),
             ),
         )
+
+
+def _poses(path: Path, frames: int | None) -> tuple[GivenTrajectory | None, list[str]]:
+    truth = path / "groundtruth.txt"
+    return read_trajectory_file(truth, frames) if truth.is_file() else (None, unread_poses(path))
 
 
 def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> tuple[UpSample, ...]:
