@@ -123,6 +123,7 @@ def test_the_picture_that_is_clicked_has_the_pixels_of_depth(registered: bool) -
     shown.take(0, Frame(0, depth, red), Setup(camera, 1000.0, registered))
     assert shown.state("") is not None
     _, jpeg = present(shown.picture("0"))
-    left, right = (cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)[120, x] for x in (80, 240))
+    picture = present(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR))
+    left, right = picture[120, 80], picture[120, 240]
     assert (right - left.astype(int) > 60).all() != registered
     assert (abs(left - [0, 0, 200.0]) < 10).all() == registered

@@ -221,7 +221,12 @@ def test_an_outlier_that_nothing_else_shows_stays_one(
     checker.residual_m, checker.noise_m = np.ones(24), np.ones(24)
     checker.residual_m[WRONG] = 5.0
     asked = list[int]()
-    monkeypatch.setattr(checker, "_residual_m", lambda frame, others: asked.extend(others) or np.nan)
+
+    def nothing_common(frame: int, others: list[int]) -> float:
+        asked.extend(others)
+        return np.nan
+
+    monkeypatch.setattr(checker, "_residual_m", nothing_common)
     assert np.flatnonzero(checker.outlier(np.zeros(24, bool))).tolist() == [WRONG]
     assert checker.residual_m[WRONG] == 5.0
     assert asked == [6, 7, 8, 12, 14, 15]
