@@ -54,7 +54,7 @@ class TarMember(tarfile.TarInfo):
         """
         try:
             member = super().frombuf(buf, encoding or "utf-8", errors)
-        except tarfile.EOFHeaderError:
+        except tarfile.EOFHeaderError:  # type: ignore[attr-defined] # the stubs lack it
             raise
         except tarfile.HeaderError as error:
             raise tarfile.ReadError("a header is damaged, or the end is missing") from error
