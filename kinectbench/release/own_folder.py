@@ -6,7 +6,7 @@ import fcntl
 import os
 import re
 from collections.abc import Iterator, Set
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
@@ -18,6 +18,8 @@ from kinectbench.release.published import release_text
 LOCK = ".lock"
 # Names that `replaced_file` gives, also in earlier versions: .000.npz.1f2e3d4c.part
 _LEFT = re.compile(r"\..+\.[0-9a-f]+\.part")
+# What file managers leave in a folder that somebody only looked at.
+OF_FILE_MANAGERS = (".DS_Store", "Thumbs.db", "desktop.ini")
 
 
 def is_ours(name: str) -> bool:
@@ -33,11 +35,14 @@ def remains(folder: Path) -> list[Path]:
 def unknown_file(folder: Path, known: Set[str]) -> str | None:
     """Return the first file or link of a folder that is neither in `known` nor ours; None if there is none.
 
+    What file managers leave is passed over.
+
     Raises:
         ReleaseError: as in `release_files`.
     """
     others = (p for p in release_files(folder) if p.relative_to(folder).as_posix() not in known)
-    return next((path.relative_to(folder).as_posix() for path in others if not is_ours(path.name)), None)
+    names = (path.relative_to(folder).as_posix() for path in others if not is_ours(path.name))
+    return next((name for name in names if PurePosixPath(name).name not in OF_FILE_MANAGERS), None)
 
 
 def refuse_other_content(out: Path) -> None:

@@ -209,6 +209,7 @@ def test_a_hidden_file_beside_a_release_stays(tmp_path: Path) -> None:
     out = tmp_path / "b"
     publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
     (out / ".lock").touch()  # of a killed fetch
+    (out / "pairs/.DS_Store").touch()  # of a file manager that showed the folder
     publish(synthetic_settings(), tmp_path / "build", out, ["chair_02"])
     (out / ".env").write_text("precious")
     with raises(ReleaseError, "release.other-content", match=r"\.env"):
