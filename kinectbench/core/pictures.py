@@ -157,8 +157,10 @@ def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> lis
 
 
 def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleMesh:
-    """The surface where a grid of densities (nx, ny, nz) crosses `level`, in metres of its frame."""
-    # Density is larger inside, so faces look inward; pictures do not depend on this.
+    """The closed surface where densities (nx, ny, nz) cross `level`; cells outside the grid count as 0.
+
+    Vertices are in metres from the grid's corner. Faces look inward, on which pictures do not depend.
+    """
     surface = isosurface(np.pad(density, 1), level=level)
     return replace(surface, vertices=(surface.vertices - 0.5) * cell_m)
 

@@ -16,7 +16,7 @@ class Network(nn.Module):
     """
 
     def __init__(self, *, input_cells: int, output_cells: int) -> None:
-        """Store the numbers of cells."""
+        """Store the number of cells along a side of the input grid and of the output grid."""
         super().__init__()
         self.input_cells, self.output_cells = input_cells, output_cells
 

@@ -179,7 +179,11 @@ def _of_thresholds(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_sources(table: ScoreTable) -> Iterator[str]:
-    """Report contradictions about where thresholds are from: the table's, the categories', the counts."""
+    """Report contradictions in the sources that a table states for its thresholds.
+
+    The table's source must fit the sources of its categories, the values of the thresholds, and whether and
+    how many validation pairs were counted.
+    """
     source, sources, use = table.threshold_source, table.threshold_source_by_category, table.validation
     categories = {row.category for row in table.rows} | table.thresholds.keys()
     if not categories == table.thresholds.keys() == sources.keys():

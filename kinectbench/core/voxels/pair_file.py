@@ -293,7 +293,7 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[np.generic]],
 
 
 def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
-    """Defaults of keys that earlier versions of the file lack."""
+    """Defaults, by key, of the keys that older files of this format version may lack; none for `OPTIONAL`."""
     defaults = {f.name: f.default for f in fields(kind) if f.name not in OPTIONAL}
     return {name: np.asarray(value) for name, value in defaults.items() if value is not MISSING}
 

@@ -26,7 +26,7 @@ def make_synthetic_pair(
 
     In framing `object`, the paper's, the cube is placed around the full shape's box in the view's axes; in
     framing `view`, around the visible part alone. The world frame is the model's own, in metres. All cells
-    are known, except for slits of a seeable solid; the surface is exact.
+    are known, unless the truth is a `SeeableSolid`: its slits are not. `surface_sigma_m` is 0.
 
     Args:
         checked: the model.

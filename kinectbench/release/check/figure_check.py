@@ -124,7 +124,7 @@ def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: Releas
 
 
 def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]:
-    """Yield a message if a recording's quality.json differs from its quality in benchmark.json.
+    """Yield a message if a recording's quality.json differs from benchmark.json in any key but `method`.
 
     Args:
         name: the file's name.

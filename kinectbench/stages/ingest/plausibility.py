@@ -130,7 +130,7 @@ def scale_problem(median: float, depth_scale: float) -> str:
 
 
 def suggested_scale(median: float) -> float:
-    """The usual depth scale that makes a median depth in native units most plausible for a room."""
+    """The common depth scale, units per metre, that brings a median depth (in units) nearest to 1.5 m."""
     return min(COMMON_SCALES, key=lambda scale: abs(math.log(median / scale / TYPICAL_M)))
 
 

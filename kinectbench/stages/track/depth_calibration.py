@@ -47,7 +47,13 @@ POSED_FALLS_TO = 0.98
 
 @dataclass(frozen=True)
 class CalibrationView:
-    """A pair of frames at the finest level; points of the source are projected into the target."""
+    """Two overlapping frames, compared to estimate the depth distortion.
+
+    Attributes:
+        source: finest pyramid level of the frame whose points are projected into the other one.
+        target: finest pyramid level of that other frame.
+        T_target_source: (4, 4), source camera to target camera, metres.
+    """
 
     source: Level
     target: Level

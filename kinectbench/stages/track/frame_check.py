@@ -270,7 +270,11 @@ class _Checker:
         return tuple(steps)
 
     def result(self, posed: Int64) -> FrameCheck:
-        """Assemble the result for the frames (k,) that have a pose."""
+        """Find outliers and jumps, and assemble the result for all n frames.
+
+        Args:
+            posed: (k,) indices of the frames with a pose; jumps are sought along those that agree.
+        """
         n = len(self.T)
         shift_m, turn_rad, inlier_share = (np.full(n, np.nan) for _ in range(3))
         degenerate, disagrees = np.zeros(n, bool), np.zeros(n, bool)

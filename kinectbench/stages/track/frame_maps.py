@@ -230,7 +230,7 @@ class MapCache:
         self._kept.pop(index, None)
 
     def undo_shutter(self, shutter: RollingShutter) -> None:
-        """Undo a rolling shutter in all frames from now on; drop averages made without it."""
+        """Undo a rolling shutter in all maps made from now on; drop maps and averaged depth made without it."""
         self.shutter = shutter
         self.averaged.clear()
         self._kept.clear()

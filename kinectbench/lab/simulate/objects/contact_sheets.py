@@ -21,7 +21,7 @@ FORWARD = np.array([-0.55, -0.8, -0.42])
 
 
 def picture(subject: Subject, size_px: int) -> NDArray[np.uint8]:
-    """Draw a subject's pieces in their colours, in parallel projection from the front, the right and above.
+    """Draw a subject's coloured pieces in one oblique parallel view, from its front right and from above.
 
     Args:
         subject: the object to draw.

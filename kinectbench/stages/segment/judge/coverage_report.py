@@ -173,10 +173,20 @@ def coverage_report(
     max_depth_m: float,
     limits: SensorLimits = DEFAULT_LIMITS,
 ) -> CoverageReport:
-    """Report faults of the recording: poses, an unseen side, few frames, movement, range, choice.
+    """Measure how well a recording shows its object; each fault gives a warning.
 
-    `scene` is the fused surface, `grid` lies around the object, depth up to `max_depth_m` is fused into it,
-    and `limits` are the sensor's.
+    Faults are a trajectory graded "not good", a side that no frame looks at, few frames, something that
+    moves, depth near the object beyond `max_depth_m`, and doubts about the floor or the object that was
+    chosen.
+
+    Args:
+        sequence: the recording.
+        trajectory: its poses, with at least one good frame.
+        scene: the fused surface, world frame.
+        chosen: the floor and the object that were chosen.
+        grid: the grid around the object.
+        max_depth_m: depth up to this is fused.
+        limits: the sensor's.
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
