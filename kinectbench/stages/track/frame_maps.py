@@ -230,7 +230,7 @@ class MapCache:
         self._kept.pop(index, None)
 
     def undo_shutter(self, shutter: RollingShutter) -> None:
-        """Undo a rolling shutter in all maps made from now on; drop maps and averaged depth made without it."""
+        """Undo this rolling shutter in maps made from now on; drop maps and depth averages made without."""
         self.shutter = shutter
         self.averaged.clear()
         self._kept.clear()
