@@ -159,10 +159,10 @@ def _adapted(
 
 
 def _placed(camera: ViewCamera, name: str) -> Float64:
-    """Return T_camera_method of an untrusted camera.json.
+    """Return the similarity (4, 4) from the method's frame to the camera, as camera.json states it, checked.
 
     Raises:
-        PredictionError: T_camera_method is missing or no similarity, or the file is of another method.
+        PredictionError: it is missing or no similarity, or the file is of another method.
     """
     if camera.method != name or camera.T_camera_method is None:
         raise PredictionError(f"{ViewCamera.FILE}: not of `export --layout rgbd --for {name}`; export again")
@@ -172,7 +172,7 @@ def _placed(camera: ViewCamera, name: str) -> Float64:
 
 
 def _nothing(output: Path, adapter: Adapter, problems: list[str]) -> str:
-    """Return the message that says why no output can be converted."""
+    """Return why nothing in the folder `output` can be converted: the first of `problems`, or no files."""
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return f"{output}: nothing there can be used: {problems[0]}{more}"
