@@ -1,4 +1,4 @@
-"""Score baselines in memory under the protocols of space: their cells are taken as solids."""
+"""Score baselines in memory under the protocols camera and aligned: their cells are taken as a solid."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -112,7 +112,7 @@ def space_baselines_that_differ(
 
 
 def _tallies(task: BaselineTask) -> Tallies:
-    """Return {baseline: tally of a validation pair}; thresholds are chosen by these tallies."""
+    """Return {baseline: voxel counts of a validation pair}, by which thresholds are chosen."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
     return {name: tally(prediction, truth) for name, prediction in predicted(task)}
 
@@ -120,7 +120,13 @@ def _tallies(task: BaselineTask) -> Tallies:
 def _results(
     thresholds: Mapping[str, Mapping[str, float]], asked: tuple[Asked, ...], task: BaselineTask
 ) -> Results:
-    """Return {baseline: result of one view, or why it cannot be scored}."""
+    """Return {baseline: result of one view, or why it cannot be scored}.
+
+    Args:
+        thresholds: {baseline: {category: threshold}}.
+        asked: the (protocol, kind of registration) pairs to score.
+        task: the view and its baselines.
+    """
     truth = read_space_truth(files_of(task.release, task.target))
     category = task.target.category
     results: Results = {}

@@ -33,7 +33,7 @@ class BaselineTask:
     Attributes:
         release: the release that contains the pair.
         target: the pair.
-        base_rate: base rate of the pair's category; NaN where its truth is held back.
+        base_rate: share of occupied voxels in the category's truth; NaN where that is held back.
         names: the baselines' names.
     """
 
