@@ -1,4 +1,4 @@
-"""Metrics under the protocols of space: surface distances, and voxel metrics (such as IoU) of solids."""
+"""Metrics under the protocols camera and aligned: surface distances, and voxel metrics (IoU) of solids."""
 
 import math
 from collections.abc import Callable
@@ -203,7 +203,7 @@ def _tolerances_m(truth: SpaceTruth) -> dict[str, float]:
 
 
 def _as_octmae(there: Way, back: Way) -> dict[str, float]:
-    """Return OctMAE's metrics by key: mean of both directions, and F at four distances (eval.py, 08c1be6)."""
+    """Return OctMAE's metrics by key: mean distances, and F-scores at 5 to 30 mm (its eval.py, 08c1be6)."""
     ways = (there, back)
     mm = MM_PER_M
     return {
