@@ -105,7 +105,7 @@ def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | Non
 
 
 def _means(by_object: Mapping[str, Sequence[ScoreRow]], plain: bool) -> ObjectMeans:
-    """Return one category's means by object; with `plain`, an object's weight is its number of pairs."""
+    """Return the means of a category's objects; an object weighs 1, with `plain` as much as its pairs."""
     names = tuple(sorted(by_object))
     values = [[_known_mean([getattr(row, m) for row in by_object[name]]) for m in AVERAGED] for name in names]
     counts = np.array([len(by_object[name]) for name in names], np.float64)
@@ -226,7 +226,7 @@ def _known(values: Float64) -> dict[str, float | None]:
 
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
-    """Return {metric: interval}, clipped to the metric's range; None where there is no interval."""
+    """Return {metric: interval}, clipped to its range, of `ends` (m, 2), a row per metric; None: no interval."""
     named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):

@@ -78,7 +78,7 @@ def tallies(
 
 
 def _from_histogram(values: Float64, counts: Int64) -> Tally:
-    """Return the tally of a histogram: `values` (m,) ascending, `counts` (m, 8)."""
+    """Return the tally of a histogram: `counts` of voxels (m, 8) by `values`, ascending, and code 0 to 7."""
     not_above = np.searchsorted(values, THRESHOLDS, side="right")
     tail = np.vstack([counts[::-1].cumsum(axis=0)[::-1], np.zeros((1, 8), np.int64)])
     clipped = np.clip(values, CE_CLIP, 1 - CE_CLIP)
@@ -87,7 +87,7 @@ def _from_histogram(values: Float64, counts: Int64) -> Tally:
 
 
 def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable[Packed]]) -> Tally:
-    """Tally a prediction part by part, in float64; `grids` are full, known and seen, divided likewise."""
+    """Tally a prediction that comes in parts, in float64; `grids`: full, known and seen, in such parts."""
     from kinectbench.scoring.kernels import count_reals
 
     bins, ce_sum = np.zeros((STEPS + 1, 8), np.int64), np.zeros(8)

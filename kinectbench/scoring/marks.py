@@ -12,7 +12,7 @@ from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHO
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
-    """Return the caveats that follow from a table's thresholds, missing pairs, version and closing, as marks.
+    """Return a table's caveats as marks: thresholds, missing pairs, old version, closed meshes; baseline.
 
     Args:
         table: a score table; its stored `marks` are ignored.

@@ -143,8 +143,8 @@ class Rounds:
 
         Args:
             files: the file of every pair; None: an empty grid.
-            fixed: given thresholds; None: they are searched.
-            own: the method's own threshold (see `searched_thresholds`).
+            fixed: given thresholds; None: they are searched on the validation pairs.
+            own: the method's own threshold, for categories without validation pairs.
         """
         total = len(files)
         validation = self._round(_of_split(files, "validation"), None, total)
@@ -155,7 +155,7 @@ class Rounds:
     def _round(
         self, files: Mapping[Target, Path | None], thresholds: Thresholds | None, total: int
     ) -> dict[Target, PairResult | str]:
-        """Count the pairs of one round; surface metrics only with thresholds."""
+        """Count the pairs of one split; surface metrics only with thresholds. `total`: pairs of all."""
         jobs = [
             PairJob(
                 target,
