@@ -28,10 +28,10 @@ class ObjectQuality:
 
     Attributes:
         category: the object's category.
-        estimated_iou: mean estimated IoU of the truth; None if it is unknown for one recording.
+        estimated_iou: mean estimate of the IoU of truth and real shape; None if unknown for one recording.
         estimated_iou_low: mean lower end of the estimate's interval; None like `estimated_iou`.
         estimated_iou_high: mean upper end of that interval.
-        repeatability_iou: mean repeatability IoU; None if it is unknown for one recording.
+        repeatability_iou: mean IoU of solids of odd and of even frames; None if unknown for one recording.
         unknown_share: share of the object's true shape that is not known: mean over all its pairs; None if
             the rows are of an older version without this share.
     """
@@ -226,7 +226,7 @@ def _known(values: Float64) -> dict[str, float | None]:
 
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
-    """Return {metric: interval}, clipped to its range, of `ends` (m, 2), a row per metric; None: no interval."""
+    """Return {metric: interval} of `ends` (m, 2), a row per metric, clipped to the metric's range; or None."""
     named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):

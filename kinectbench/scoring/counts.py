@@ -32,7 +32,7 @@ class ProtocolCounts:
     Attributes:
         voxels: number of counted voxels.
         occupied: number of counted voxels that are occupied in the truth.
-        predicted: (17,) int64, number of counted voxels predicted occupied at each threshold.
+        predicted: (17,) int64, number of counted voxels predicted occupied at thresholds k / 20, k = 2 to 18.
         hit: (17,) int64, number of voxels both predicted occupied and occupied in the truth.
         ce_sum: sum of the cross-entropy in nats.
     """
@@ -71,7 +71,7 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 def tallies(
     prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """Return a prediction's tally, and {protocol: tally} for protocols that compare with another truth."""
+    """Return a prediction's tally against `truth`, and {protocol: tally} where a protocol's truth differs."""
     truths = {name: truth.under(PROTOCOLS[name]) for name in protocols}
     others = {name: tally(prediction, of, upsampling) for name, of in truths.items() if of is not truth}
     return tally(prediction, truth, upsampling), others

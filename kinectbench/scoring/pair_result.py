@@ -62,7 +62,7 @@ class Counting:
 
     @property
     def further_grids(self) -> tuple[str, ...]:
-        """Grids of a pair file that these protocols read in addition to the common grids."""
+        """Grids of a pair file that these protocols read beside `full`, `known` and `seen`."""
         return further_grids(self.protocols)
 
 

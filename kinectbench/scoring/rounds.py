@@ -188,7 +188,7 @@ class Rounds:
 
 
 class _Silent:
-    """A console that prints nothing, as progress is reported by recording instead."""
+    """A console that prints nothing: progress is reported elsewhere, as each recording is done."""
 
     def heard(self, message: object) -> None: ...
     def warn(self, message: str, task: object = None) -> None: ...

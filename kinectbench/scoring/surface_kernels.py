@@ -50,7 +50,7 @@ class SolidSurface:
     Attributes:
         packed: (256, 256, 32) uint8, the surface cells.
         cells: the same cells as a list.
-        moments: (n, 3) int16, opposite to the outward normal at each of `cells.index`; see `moments`.
+        moments: (n, 3) int16, sum of the offsets of solid cells around each of `cells`: it points inwards.
     """
 
     packed: Packed

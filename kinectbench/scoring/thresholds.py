@@ -36,8 +36,8 @@ class Thresholds:
 
     Attributes:
         of: {category: threshold}, each k / 20 with k from 2 to 18.
-        source: "file:<sha256>", or the first of "validation", "pooled", "method", "fixed" that any
-            category has.
+        source: "file:<sha256>", or the first of these that any category has: "validation", "pooled" (pairs
+            of other categories), "method" (its own threshold), "fixed" (0.5).
         warnings: one line each.
         sources: {category: source of its threshold}.
         objects: objects whose pairs chose the thresholds; None if unknown, because a file does not name them

@@ -88,7 +88,14 @@ def space_baselines(
 def space_baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
 ) -> set[str]:
-    """Score a few pairs again; return the names of the baselines whose tables (by name) have other rows."""
+    """Score a few pairs again; return the names of baselines whose tables have other rows.
+
+    Args:
+        release: the release that was predicted.
+        tables: {baseline: its table}.
+        protocols: camera, aligned or both.
+        jobs: number of processes.
+    """
     rates = base_rates(release, jobs)
     tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
     pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))

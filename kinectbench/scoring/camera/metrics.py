@@ -147,7 +147,10 @@ def figures_by_part(
 
 
 def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
-    """Measure at most `most` samples of `one` against `other`; distances are infinite if either is empty."""
+    """Measure at most `most` samples of `one` against `other`; distances are infinite if either is empty.
+
+    `seen` (n,) says which samples of `one` lie in space that the view saw.
+    """
     which = _drawn(one, most)
     queries, is_mesh = one.chosen(which), one.is_triangle
     if not len(other) or not len(one):
