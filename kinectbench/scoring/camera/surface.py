@@ -277,7 +277,7 @@ def _squares(
 
 
 def _box(cells: Bools) -> tuple[Int64, Int64]:
-    """Return the occupied cells' first index along each axis, and the last + 1: (3,) each; 0 if none."""
+    """Return the occupied cells' first index along each axis, and the last one + 1: (3,) each; 0 if none."""
     columns = np.asarray(cells.any(axis=2))
     if not columns.any():
         return np.zeros(3, np.int64), np.zeros(3, np.int64)

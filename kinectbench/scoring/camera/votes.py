@@ -52,7 +52,7 @@ class Votes:
 
 
 def calibration_of(cells: Int64, solid: Int64) -> Calibration | None:
-    """Return the calibration in ten bins of the share of predictions that call a cell solid.
+    """Return how often cells are truly solid, in ten bins of the share of predictions that call them solid.
 
     Cells that no prediction calls solid are left out.
 
