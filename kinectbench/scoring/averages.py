@@ -105,7 +105,7 @@ def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | Non
 
 
 def _means(by_object: Mapping[str, Sequence[ScoreRow]], plain: bool) -> ObjectMeans:
-    """Return the means of a category's objects; an object weighs 1, with `plain` as much as its pairs."""
+    """Return the means of a category's objects; an object weighs 1 or, with `plain`, its number of pairs."""
     names = tuple(sorted(by_object))
     values = [[_known_mean([getattr(row, m) for row in by_object[name]]) for m in AVERAGED] for name in names]
     counts = np.array([len(by_object[name]) for name in names], np.float64)
@@ -226,7 +226,7 @@ def _known(values: Float64) -> dict[str, float | None]:
 
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
-    """Return {metric: interval} of `ends` (m, 2), a row per metric, clipped to the metric's range; or None."""
+    """Return {metric: interval} of `ends` (m, 2), a row per metric, clipped to what the metric can be."""
     named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):

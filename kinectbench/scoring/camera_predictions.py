@@ -221,8 +221,8 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
 def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
     """Return lines on predictions in wrong units or axes or that cannot be made solid, and notes on others.
 
-    The notes are on predictions that seem to hold the whole scene, or that are far from their view's depth.
-    `check` reports the lines as errors, `score` as warnings.
+    The notes are on those that seem to hold the whole scene, or that are far from their view's depth for no
+    known reason. `check` reports the lines as errors, `score` as warnings.
     """
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
     problems = [f"{name}: {compared[name].line(slip, method)}" for name, slip in slips.items() if slip]

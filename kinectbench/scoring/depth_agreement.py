@@ -95,7 +95,7 @@ class Agreement:
 
     @property
     def is_large(self) -> bool:
-        """Whether the distance is reported even without an explanation."""
+        """Whether the distance is large for the object: reported even if no wrong unit or axes explain it."""
         return self.distance_m > LARGE * self.diagonal_m
 
     def line(self, slip: str, method: MethodFile) -> str:

@@ -92,7 +92,7 @@ def from_rows(
 
 
 def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
-    """Return {object: quality of its truth}: means over the object's recordings, or over its pairs."""
+    """Return {object: quality of its truth}: mean over recordings; of the unknown share, over its pairs."""
     of_object: dict[str, list[ScoreRow]] = {}
     for row in rows:
         of_object.setdefault(row.object, []).append(row)

@@ -61,7 +61,7 @@ def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
 
 
 def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Report hashes of pairs that are not scored, or of another truth."""
+    """Report entries of `hashes` for pairs outside the test and validation split, or of another truth."""
     known = {target.name: target for target in release.targets if target.split != "train"}
     for name, of in table.hashes.items():
         target = known.get(name)

@@ -193,7 +193,7 @@ class Journal:
         return pair in self._checked
 
     def add(self, job: PairJob, result: PairResult) -> None:
-        """Add a result.
+        """Write a pair's result to disk, unless an earlier run has.
 
         Raises:
             StorageError: the disk is full or read-only, or the journal's path is no plain file.

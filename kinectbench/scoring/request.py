@@ -45,7 +45,7 @@ class Request:
 
 
 def check_request(request: Request, predictions: Path | None) -> Missing:
-    """Refuse errors that can be found without the release.
+    """Refuse wrong options, as far as they can be found without the release.
 
     Args:
         request: the options.

@@ -45,10 +45,10 @@ class Plan:
         return None if method is None or method.threshold is None else nearest_step(method.threshold)
 
     def part(self, shard: Shard, *, surface: bool) -> dict[Target, Path | None]:
-        """Return the files that one part of the run counts.
+        """Return {pair: its file, None for an empty grid} of one part of the run.
 
-        They are those of the part's recordings, and of the validation pairs that its thresholds are chosen
-        on.
+        These are the pairs of the part's recordings and, for surface metrics, the validation pairs that their
+        threshold is chosen on.
 
         Args:
             shard: the part.
@@ -98,7 +98,7 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
 
 
 def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) -> tuple[Target, ...]:
-    """Return the pairs of the test split; check that the truth of all needed splits is open.
+    """Return the pairs of the test split; check that no truth of the needed splits is held back.
 
     Args:
         release: the release that is scored.

@@ -100,7 +100,7 @@ def searched_thresholds(
 
 
 def _without_validation(tallies: Mapping[Target, Tally], own: float | None) -> tuple[float, str]:
-    """Return the threshold of categories without a validation pair, and its source."""
+    """Return the threshold of categories without validation pair, and its source: own, pooled or 0.5."""
     if own is not None:
         return own, METHOD_SOURCE
     if tallies:
