@@ -142,7 +142,10 @@ class Scorer:
         )
 
     def _left(self, split: str) -> list[Target]:
-        """Return a split's pairs that have no prediction; none for validation if it is not used."""
+        """Return a split's pairs that have no prediction.
+
+        None of validation if the thresholds are from a file, or if no validation pair was predicted.
+        """
         if split == "validation" and not (
             self._searched and any(target.split == split for target in self._results)
         ):
@@ -150,7 +153,7 @@ class Scorer:
         return [t for t in self._targets.values() if t.split == split and t not in self._results]
 
     def _as_empty(self, split: str, thresholds: Thresholds | None) -> dict[Target, PairResult]:
-        """Score an empty grid for each missing pair of a split, if missing pairs count as empty."""
+        """Score an empty grid for each missing pair of a split; {} unless missing pairs count as empty."""
         grids = {}
         for target in self._left(split) if self._missing == "empty" else ():
             threshold = None if thresholds is None else thresholds.of[target.category]

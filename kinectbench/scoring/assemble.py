@@ -47,7 +47,7 @@ def make_table(
         method: the method's name.
         results: result of every counted pair, also of the validation split.
         thresholds: threshold of every category of the test split.
-        rates: base rate of every category.
+        rates: base rate (share of occupied voxels in the truth) of every category.
         failures: {pair: why its prediction could not be scored}.
         settings: the settings that the scores depend on (`describe`).
         empty: pairs without a prediction that were counted as empty grids.
@@ -103,7 +103,7 @@ def _warnings(
     failures: Mapping[Target, str],
     empty: Collection[Target],
 ) -> tuple[str, ...]:
-    """Return warnings about thresholds, and about suspicious or missing predictions."""
+    """Return the table's warnings: on thresholds, and on suspicious, missing or unusable predictions."""
     lines = [*thresholds.warnings, *suspicious_lines(method, results, thresholds)]
     if empty:
         lines.append(f"{len(empty)} predictions are missing and were counted as empty grids")
@@ -128,7 +128,7 @@ def rows_of(
 
 
 def _row(target: Target, result: PairResult, protocol: str, threshold: float, rate: float) -> ScoreRow:
-    """Return the row of one pair under one protocol."""
+    """Return a pair's row of the table under one protocol; threshold and base rate are its category's."""
     tally = result.tally_under(protocol)
     counts, everything = (protocol_counts(tally, name) for name in (protocol, "paper"))
     figures, surface, base_rate_ce, curve = VoxelMetrics(), SurfaceMetrics(), None, None

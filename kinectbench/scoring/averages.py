@@ -28,10 +28,10 @@ class ObjectQuality:
 
     Attributes:
         category: the object's category.
-        estimated_iou: mean estimated IoU of the truth; None if it is unknown for one recording.
+        estimated_iou: mean estimate of the IoU of truth and real shape; None if unknown for one recording.
         estimated_iou_low: mean lower end of the estimate's interval; None like `estimated_iou`.
         estimated_iou_high: mean upper end of that interval.
-        repeatability_iou: mean repeatability IoU; None if it is unknown for one recording.
+        repeatability_iou: mean IoU of solids of odd and of even frames; None if unknown for one recording.
         unknown_share: share of the object's true shape that is not known: mean over all its pairs; None if
             the rows are of an older version without this share.
     """
@@ -105,7 +105,7 @@ def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | Non
 
 
 def _means(by_object: Mapping[str, Sequence[ScoreRow]], plain: bool) -> ObjectMeans:
-    """Return one category's means by object; with `plain`, an object's weight is its number of pairs."""
+    """Return the means of a category's objects; an object weighs 1 or, with `plain`, its number of pairs."""
     names = tuple(sorted(by_object))
     values = [[_known_mean([getattr(row, m) for row in by_object[name]]) for m in AVERAGED] for name in names]
     counts = np.array([len(by_object[name]) for name in names], np.float64)
@@ -226,7 +226,7 @@ def _known(values: Float64) -> dict[str, float | None]:
 
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
-    """Return {metric: interval}, clipped to the metric's range; None where there is no interval."""
+    """Return {metric: interval} of `ends` (m, 2), a row per metric, clipped to what the metric can be."""
     named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):

@@ -219,9 +219,10 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
 
 
 def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
-    """Return a line for each wrong unit or axes and each refused solid, and notes on what may be intended.
+    """Return lines on predictions in wrong units or axes or that cannot be made solid, and notes on others.
 
-    `check` reports these lines as errors, `score` as warnings.
+    The notes are on those that seem to hold the whole scene, or that are far from their view's depth for no
+    known reason. `check` reports the lines as errors, `score` as warnings.
     """
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
     problems = [f"{name}: {compared[name].line(slip, method)}" for name, slip in slips.items() if slip]
@@ -258,7 +259,7 @@ def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list
 
 
 def _unknown(release: Release, method: MethodFile) -> set[str]:
-    """Return the keys of `T_camera_prediction` that name no prediction."""
+    """Return the keys of `T_camera_prediction` in method.json that name neither a view nor a prediction."""
     names = {name for target in release.targets for name in names_of(target, method.hypotheses)}
     return set(method.T_camera_prediction or ()) - names - {target.name for target in release.targets}
 

@@ -85,7 +85,14 @@ def _scored_metrics(means: Mapping[str, ObjectMeans]) -> list[str]:
 
 
 def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[str], protocol: str) -> str:
-    """Return a line on methods not scored under a protocol, and on the protocols that all have."""
+    """Return the message that methods were not scored under a protocol, with the protocols that all have.
+
+    Args:
+        tables: by the methods' names.
+        of: {method: {protocol: means}}.
+        lacking: the methods that were not scored under the protocol.
+        protocol: the protocol.
+    """
     line = f"{', '.join(lacking)}: not scored under '{protocol}'"
     if shared := [name for name in next(iter(of.values())) if all(name in means for means in of.values())]:
         return f"{line}; all are under {', '.join(shared)}: compare with `--protocol {shared[0]}`"
@@ -103,7 +110,7 @@ def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[s
 
 
 def _check_truth(tables: Tables) -> None:
-    """Refuse tables of different truth."""
+    """Refuse tables that were scored against different releases."""
     first, other = next(iter(tables)), next(iter(tables.values()))
     for name, table in tables.items():
         if table.benchmark_sha256 != other.benchmark_sha256:

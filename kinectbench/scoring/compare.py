@@ -164,7 +164,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
 
 
 def _qualified(tables: Mapping[str, ScoreTable]) -> list[str]:
-    """Return a line for each method whose table has caveats: its marks, except "baseline"."""
+    """Return a line for each method with caveats, which are the marks of its table except "baseline"."""
     marks = {name: [m.words for m in table.marks if m.kind != BASELINE] for name, table in tables.items()}
     return [f"{name}: {'; '.join(words)}" for name, words in marks.items() if words]
 
@@ -224,7 +224,15 @@ def _differences(
     metric: str,
     intervals: Sequence[tuple[float, float] | None],
 ) -> list[Difference]:
-    """Return the difference of every pair of methods in one scope, with its interval."""
+    """Return the difference of every pair of methods in one scope.
+
+    Args:
+        names: the methods.
+        values: for each method {object: (value, weight in the scope's mean)}.
+        scope: a category, or "all".
+        metric: one of `METRICS`.
+        intervals: the confidence interval of each pair's mean difference.
+    """
     pairs = list(combinations(range(len(names)), 2))
     raw = [{o: values[a][o][0] - values[b][o][0] for o in values[a]} for a, b in pairs]
     weights = np.array([weight for _, weight in values[0].values()])

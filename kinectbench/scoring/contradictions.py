@@ -56,7 +56,7 @@ def contradictions(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_version(table: ScoreTable) -> Iterator[str]:
-    """Report keys that a table of its version must have, or cannot have."""
+    """Report an unknown version, keys that its tables must have or cannot have, and a bad method name."""
     version, known = table.score_version, VERSIONS["score"]
     if version > known:
         yield f"counted by score version {version}, and this kinectbench knows none after {known}"
@@ -84,7 +84,7 @@ def _of_names(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_rows(table: ScoreTable) -> Iterator[str]:
-    """Report faults of single rows, and contradictions between rows of one pair, recording or protocol."""
+    """Report rows that are impossible, or contradict other rows of the pair, recording or protocol."""
     thing: dict[str, tuple[str, str]] = {}
     whole: dict[str, tuple[int, float | None]] = {}
     pairs: dict[str, set[str]] = {}
@@ -113,14 +113,14 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
 
 
 def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
-    """Whether a row of a pair covers more than another; a missing value covers nothing."""
+    """Whether `row` counts more of the voxels or of the shape than `known`, its pair's row under `known`."""
     return (row.coverage_voxels or 0.0) > (known.coverage_voxels or 0.0) + ROUNDING or (
         (row.coverage_shape or 0.0) > (known.coverage_shape or 0.0) + ROUNDING
     )
 
 
 def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
-    """Report the faults of a single row."""
+    """Report values of one row that are impossible or contradict each other: threshold, coverage, CE, IoU."""
     figures = [getattr(row, name) for name in VOXEL_METRICS]
     if row.threshold not in THRESHOLDS:
         yield f"has a threshold of {row.threshold:g}, which is not one of the {len(THRESHOLDS)}"
@@ -224,7 +224,7 @@ def _fit(source: str, by_category: set[str], version: int) -> bool:
 
 
 def _of_missing(table: ScoreTable) -> Iterator[str]:
-    """Report contradictions about missing pairs: several keys state which were scored as empty."""
+    """Report contradictions of `missing_as_empty`, settings, `hashes` and rows on pairs scored as empty."""
     test = {row.pair: row.cells for row in table.rows}
     empty = set(table.missing_as_empty)
     if {name for name, cells in test.items() if not cells} != empty & test.keys():

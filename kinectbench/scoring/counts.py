@@ -32,7 +32,7 @@ class ProtocolCounts:
     Attributes:
         voxels: number of counted voxels.
         occupied: number of counted voxels that are occupied in the truth.
-        predicted: (17,) int64, number of counted voxels predicted occupied at each threshold.
+        predicted: (17,) int64, number of counted voxels predicted occupied at thresholds k / 20, k = 2 to 18.
         hit: (17,) int64, number of voxels both predicted occupied and occupied in the truth.
         ce_sum: sum of the cross-entropy in nats.
     """
@@ -71,14 +71,14 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 def tallies(
     prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """Return a prediction's tally, and {protocol: tally} for protocols that compare with another truth."""
+    """Return a prediction's tally against `truth`, and {protocol: tally} where a protocol's truth differs."""
     truths = {name: truth.under(PROTOCOLS[name]) for name in protocols}
     others = {name: tally(prediction, of, upsampling) for name, of in truths.items() if of is not truth}
     return tally(prediction, truth, upsampling), others
 
 
 def _from_histogram(values: Float64, counts: Int64) -> Tally:
-    """Return the tally of a histogram: `values` (m,) ascending, `counts` (m, 8)."""
+    """Return the tally of a histogram: `counts` of voxels (m, 8) by `values`, ascending, and code 0 to 7."""
     not_above = np.searchsorted(values, THRESHOLDS, side="right")
     tail = np.vstack([counts[::-1].cumsum(axis=0)[::-1], np.zeros((1, 8), np.int64)])
     clipped = np.clip(values, CE_CLIP, 1 - CE_CLIP)
@@ -87,7 +87,7 @@ def _from_histogram(values: Float64, counts: Int64) -> Tally:
 
 
 def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable[Packed]]) -> Tally:
-    """Tally a prediction part by part, in float64; `grids` are full, known and seen, divided likewise."""
+    """Tally a prediction that comes in parts, in float64; `grids`: full, known and seen, in such parts."""
     from kinectbench.scoring.kernels import count_reals
 
     bins, ce_sum = np.zeros((STEPS + 1, 8), np.int64), np.zeros(8)

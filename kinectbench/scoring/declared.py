@@ -130,7 +130,7 @@ def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list
 
 
 def changed_line(names: list[str], count: int) -> str:
-    """Return a line on files that `predict` did not write as they are: their number, and the first."""
+    """Return a line: how many of `count` files (the first is named) are not what `predict` wrote."""
     verb = "is" if len(names) == 1 else "are"
     return (
         f"{MethodFile.FILE}: {len(names)} of {count} files {verb} not what its run of `predict` wrote, such "

@@ -95,7 +95,7 @@ class Agreement:
 
     @property
     def is_large(self) -> bool:
-        """Whether the distance is reported even without an explanation."""
+        """Whether the distance is large for the object: reported even if no wrong unit or axes explain it."""
         return self.distance_m > LARGE * self.diagonal_m
 
     def line(self, slip: str, method: MethodFile) -> str:
@@ -136,7 +136,7 @@ def agreement(
     gap = _gap(tree, rng)
 
     def beyond(distance_m: float, scale: float) -> float:
-        """Return the part of a distance that exceeds the gaps between a cloud's points."""
+        """Return a distance less what gaps between a cloud's points, times `scale`, add to it."""
         return float(np.sqrt(max(distance_m**2 - (gap * scale) ** 2, 0)))
 
     own = distance(np.eye(4))
@@ -155,10 +155,10 @@ def agreement(
 
 
 def remedy(slip: str, method: MethodFile) -> str:
-    """Return the keys of method.json that correct an error, with their values; else "'T_camera_prediction'".
+    """Return what to set in method.json against an error: unit and axes with values, or T_camera_prediction.
 
     Args:
-        slip: the error, in the words of `mends`.
+        slip: the error, in words that `mends` yields.
         method: the present method.json.
     """
     for (words, factor), (signs, axes) in product(UNITS.items(), AXES.items()):

@@ -30,10 +30,17 @@ from kinectbench.scoring.uncertainty import MIN_OBJECTS
 
 @dataclass(frozen=True)
 class FromRows:
-    """The fields of a `ScoreTable` that follow from its rows.
+    """The fields of a `ScoreTable` that follow from its rows; a heading is such as `aligned-t-visible`.
 
-    `by_category`, `overall` and `iou_by_threshold` are None if a pair was not scored; the last also if rows
-    have no curves (older tables).
+    Attributes:
+        by_category: {heading: {category: averages}}; None if a pair was not scored.
+        overall: {heading: mean over the categories}; None if a pair was not scored.
+        truth_unknown_share: {object: share of its true shape that is not known}.
+        all_unknown_pairs: {heading: pairs that have no metrics, as the truth there is all unknown}.
+        notes: one line each.
+        extremes: {heading: pairs of the highest and of the lowest IoU}.
+        iou_by_threshold: {protocol: {category: mean IoU at each threshold}}; None if a pair was not scored,
+            or if rows have no curves (older tables).
     """
 
     by_category: dict[str, dict[str, CategoryAverages]] | None
@@ -85,7 +92,7 @@ def from_rows(
 
 
 def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
-    """Return {object: quality of its truth}: means over the object's recordings, or over its pairs."""
+    """Return {object: quality of its truth}: mean over recordings; of the unknown share, over its pairs."""
     of_object: dict[str, list[ScoreRow]] = {}
     for row in rows:
         of_object.setdefault(row.object, []).append(row)

@@ -64,13 +64,13 @@ def axes_problem(looked_at: Iterable[tuple[Prediction, Bools]]) -> str | None:
 
 
 def _remedy(order: tuple[int, ...], turned: tuple[bool, ...]) -> str:
-    """Return the numpy expression that brings a grid with these axes into the axes of the pairs."""
+    """Return the numpy expression that undoes swapped (`order`) and flipped (`turned`) axes of a grid."""
     swapped = f".transpose({', '.join(map(str, np.argsort(order)))})" if order != (0, 1, 2) else ""
     return f"grid{swapped}" + f"[{', '.join('::-1' if one else ':' for one in turned)}]" * any(turned)
 
 
 def _fits(prediction: Prediction, partial: Bools) -> Float64:
-    """Return how well a prediction fits a view with each of `ALL_AXES`: (48,), from -1 to 1.
+    """Return how well a prediction fits a view with axes swapped and flipped in 48 ways: (48,), from -1 to 1.
 
     The fit is the mean prediction in measured cells, minus the mean in the empty cells in front of them,
     divided by the largest predicted value.
@@ -96,7 +96,7 @@ def _mean(prediction: Prediction, cells: Int64, side: int, axes: Axes) -> float:
         prediction: (n, n, n).
         cells: (k, 3) indices, in the pair's axes, into a grid of the same cube.
         side: number of cells along an edge of that grid.
-        axes: see `Axes`.
+        axes: the pair's axis along each axis of the prediction; whether each of the pair's axes is flipped.
     """
     order, turned = axes
     there = np.where(turned, side - 1 - cells, cells)[:, list(order)]

@@ -12,7 +12,7 @@ from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHO
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
-    """Return the caveats that follow from a table's thresholds, missing pairs, version and closing, as marks.
+    """Return a table's caveats as marks: a baseline, old version, thresholds, missing pairs, closed meshes.
 
     Args:
         table: a score table; its stored `marks` are ignored.
@@ -84,6 +84,6 @@ def _closed(table: ScoreTable) -> str:
 
 
 def _listed(names: Sequence[str], at_most: int = 3) -> str:
-    """Return at most `at_most` names, and the number of the rest."""
+    """Return at most `at_most` names, and the number of the others."""
     more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
     return ", ".join(names[:at_most]) + more

@@ -46,14 +46,14 @@ def _mean(heights: Float64) -> Float64:
 
 
 def _areas(triangles: Float64) -> Float64:
-    """Return the signed areas (k,) of triangles (k, 3, 3), projected on the floor."""
+    """Return the signed areas (k,) of triangles (k, 3, 3), projected along z."""
     a, b = (triangles[:, corner, :2] - triangles[:, 0, :2] for corner in (1, 2))
     areas: Float64 = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
     return areas
 
 
 def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
-    """Yield the parts of triangles within the four walls, in pieces that cross neither floor nor ceiling."""
+    """Yield what of triangles is in 0 <= x, y <= side, in pieces that cross neither z = 0 nor z = side."""
     for axis in (0, 1):
         triangles = _cut(_cut(triangles, axis, 0)[1], axis, side)[0]
     below, above = _cut(triangles, 2, 0)
@@ -62,7 +62,7 @@ def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
 
 
 def _cut(triangles: Float64, axis: int, at: float) -> tuple[Float64, Float64]:
-    """Cut triangles (k, 3, 3) by a plane across an axis; return the pieces below it, and the pieces above."""
+    """Cut triangles (k, 3, 3) where coordinate `axis` is `at`; return the pieces below, and those above."""
     height = triangles[:, :, axis] - at
     up, down = height > 0, height < 0
     count = np.add(np.add(up[:, 0], up[:, 1], dtype=np.int8), up[:, 2])

@@ -12,7 +12,7 @@ from kinectbench.scoring.counts import CE_CLIP, ProtocolCounts
 
 
 def metrics(counts: ProtocolCounts, step: int) -> VoxelMetrics:
-    """Return all metrics at the threshold of index `step` (0 to 16)."""
+    """Return all metrics at the threshold (step + 2) / 20; `step` is 0 to 16."""
     predicted, hit = int(counts.predicted[step]), int(counts.hit[step])
     return VoxelMetrics(
         iou=iou(predicted, counts.occupied, hit),
@@ -30,7 +30,7 @@ def iou(predicted: int, occupied: int, hit: int) -> float:
 
 
 def ious(counts: ProtocolCounts) -> Float64:
-    """Return the IoU at every threshold: (17,) float64."""
+    """Return the IoU at each threshold k / 20, k = 2 to 18: (17,) float64."""
     return np.array(
         [iou(int(p), counts.occupied, int(h)) for p, h in zip(counts.predicted, counts.hit, strict=True)]
     )

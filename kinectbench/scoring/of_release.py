@@ -50,9 +50,9 @@ def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
 
 
 def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
-    """Report a contradiction about the unknown share of a row's true shape.
+    """Report a row whose unknown share of the true shape is not `share`, or that lacks scores in spite of it.
 
-    Protocols that count only a part of the voxels are not checked: that needs the pair file.
+    The latter is checked under `known` and protocols that count every voxel; others would need the pair file.
     """
     if row.unknown_share is not None and abs(row.unknown_share - share) > 10**-SHARE_DECIMALS:
         yield f"has {row.unknown_share:g} of its true shape unknown; the release says {share:g}"
@@ -61,7 +61,7 @@ def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
 
 
 def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Report hashes of pairs that are not scored, or of another truth."""
+    """Report entries of `hashes` for pairs outside the test and validation split, or of another truth."""
     known = {target.name: target for target in release.targets if target.split != "train"}
     for name, of in table.hashes.items():
         target = known.get(name)

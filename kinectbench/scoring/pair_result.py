@@ -62,7 +62,7 @@ class Counting:
 
     @property
     def further_grids(self) -> tuple[str, ...]:
-        """Grids of a pair file that these protocols read in addition to the common grids."""
+        """Grids of a pair file that these protocols read beside `full`, `known` and `seen`."""
         return further_grids(self.protocols)
 
 
@@ -138,7 +138,7 @@ def count_job(job: PairJob) -> PairResult | str:
 def count(
     prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
 ) -> PairResult:
-    """Count a prediction in memory; without `threshold` there are no surface metrics, and ceilings are 1."""
+    """Count a prediction in memory; without `threshold` there are no surface metrics, `ceilings` are 1."""
     side = len(prediction)
     reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
     surface = surfaces(prediction, truth, counting, threshold)
@@ -157,7 +157,7 @@ def surfaces(
 
 
 def ceilings(truth: PackedTruth, side: int, counting: Counting) -> Mapping[str, float]:
-    """Return {protocol: the best IoU of the truth itself, reduced to `side` cells}; 1 for sides from 256."""
+    """Return {protocol: the best IoU of the truth itself, reduced to side^3 cells}; 1 for sides from 256."""
     if side >= FULL_CELLS:
         return dict.fromkeys(counting.protocols, 1.0)
     best, others = ceiling_tallies(truth, side, counting.protocols, counting.upsampling)
@@ -193,7 +193,7 @@ class Journal:
         return pair in self._checked
 
     def add(self, job: PairJob, result: PairResult) -> None:
-        """Add a result.
+        """Write a pair's result to disk, unless an earlier run has.
 
         Raises:
             StorageError: the disk is full or read-only, or the journal's path is no plain file.

@@ -175,7 +175,7 @@ def _read(archive: zipfile.ZipFile, name: str, check: Callable[[NpyHeader], None
 
 
 def _check_levels(header: NpyHeader) -> None:
-    """Refuse levels that are no short list of numbers, before they are read."""
+    """Refuse `levels` of a packed prediction that are no list of 1 to 256 floats; only the header is read."""
     types = (np.float16, np.float32)
     is_list = len(header.shape) == 1 and 1 <= header.shape[0] <= MOST_LEVELS
     if not is_list or header.dtype.newbyteorder("=") not in types:
@@ -183,7 +183,7 @@ def _check_levels(header: NpyHeader) -> None:
 
 
 def _check_codes(header: NpyHeader) -> None:
-    """Refuse codes that are no cube of bytes, before they are read."""
+    """Refuse `codes` of a packed prediction that are no cube of bytes; only the header is read."""
     shape = header.shape
     if header.dtype != np.uint8 or len(shape) != 3 or len(set(shape)) != 1 or not 1 <= shape[0] <= MAX_CELLS:
         raise PredictionError(f"{CODES} must be (n, n, n) uint8 with n from 1 to {MAX_CELLS}")
@@ -200,7 +200,7 @@ def _checked_size(file: IO[bytes], most: int) -> int:
 
 
 def _check_claims(header: NpyHeader) -> None:
-    """Refuse shapes and dtypes before anything is allocated."""
+    """Refuse an array of wrong shape or type by its header, before memory is allocated for it."""
     shape, dtype = header.shape, header.dtype
     if _is_packed(shape, dtype):
         return
@@ -257,7 +257,7 @@ def _native(array: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def _refuse_first(array: NDArray[np.generic], bad: NDArray[np.bool_]) -> None:
-    """Report the first bad value, if any."""
+    """Refuse an array if a value of it is marked in `bad`; the error states the first one."""
     if bad.any():
         index = _first(bad)
         raise PredictionError(f"{array[index]} at {index}: every value must be in [0, 1]", what="bad-values")

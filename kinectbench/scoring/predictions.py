@@ -69,7 +69,7 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
 
 
 def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None) -> FoundPredictions:
-    """Do the work of `find_predictions` for an existing folder."""
+    """Find the file of each target (see `find_predictions`) in a folder that exists."""
     root = folder.resolve()
     files: dict[Target, Path] = {}
     missing: list[Target] = []
@@ -149,7 +149,7 @@ def _readable(folder: Path) -> Iterator[None]:
 
 
 def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
-    """Return a line for each of the first files that match no target, and one line for the rest.
+    """Return a line for each of the first files that match no target, and one with the number of others.
 
     Args:
         stray: names of these files, relative to the method's folder.
@@ -182,8 +182,8 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
         {name: folder}, sorted; a single method is called by its folder's name.
 
     Raises:
-        PredictionError: the folder is missing, holds neither, or is a release; or a method is a link out of
-            the folder, or its name cannot be a folder of results.
+        PredictionError: the folder is missing, holds no predictions, or is a release; or a method is a link
+            out of the folder, or its name cannot be a folder of results.
     """
     check_folder(folder)
     recordings = frozenset(target.recording for target in targets)
@@ -208,9 +208,9 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
 
 
 def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[Target]) -> list[str]:
-    """Return a line for each subfolder without a prediction beside several methods'; hidden ones are skipped.
+    """Return a line for each subfolder that holds no predictions, in a folder of several methods.
 
-    At most 20 are named; the rest is one line.
+    Hidden subfolders are skipped. At most 20 are named; one more line gives the number of the others.
 
     Args:
         folder: the folder that was given to `split_methods`.

@@ -34,12 +34,12 @@ class Protocol:
 
     @cached_property
     def looked_at(self) -> tuple[int, ...]:
-        """The codes of the voxels that the protocol would count if all were known."""
+        """The codes (1 occupied + 2 known + 4 seen) of voxels that would count if all were known."""
         return tuple(code for code in CODES if not (self.hidden and code & SEEN))
 
     @cached_property
     def codes(self) -> tuple[int, ...]:
-        """The codes of the voxels that the protocol counts."""
+        """The codes (1 occupied + 2 known + 4 seen) of the voxels that the protocol counts."""
         return tuple(code for code in self.looked_at if code & KNOWN or not self.known)
 
 

@@ -1,4 +1,4 @@
-"""The paper's own tables: of its real recordings and synthetic test sets; and its numbers of parameters.
+"""The paper's own tables: of its real recordings and synthetic test sets; and its networks' sizes.
 
 Source: Yang, Rosa, Markham, Trigoni, Wen: Dense 3D Object Reconstruction from a Single Depth View
 (3D-RecGAN++), IEEE TPAMI. All results are at 256^3 voxels; each table has the paper's number. Precision and

@@ -66,7 +66,7 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
 
 
 def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Mapping[str, Averages]]) -> Iterator[str]:
-    """Report curves of an older table that contradict the mean IoU of its rows at the threshold."""
+    """Report IoU curves of an older table that miss the mean IoU of its rows at the category's threshold."""
     for protocol, curves in (table.iou_by_threshold or {}).items():
         for category, curve in curves.items():
             used = table.thresholds.get(category)

@@ -21,9 +21,15 @@ from kinectbench.scoring.thresholds import read_thresholds
 
 @dataclass(frozen=True)
 class Request:
-    """The options of `score` that may contradict the predictions; see `score` for their meaning.
+    """The options of `score` that may contradict the predictions.
 
     Attributes:
+        protocols: names of protocols; None: all that apply, without shell.
+        thresholds_file: a file to read thresholds from.
+        save_thresholds: a file to write chosen thresholds to.
+        missing: "error" or "empty": how a missing prediction is treated.
+        upsampling: "half-pixel" or "corner-aligned".
+        close: how open meshes and points are made solid; None: not at all.
         jobs: number of processes on this machine, or the executor that counts on other machines.
         in_parts: whether only one part of the pairs is counted (`count_methods`).
     """
@@ -39,7 +45,7 @@ class Request:
 
 
 def check_request(request: Request, predictions: Path | None) -> Missing:
-    """Refuse errors that can be found without the release.
+    """Refuse wrong options, as far as they can be found without the release.
 
     Args:
         request: the options.
@@ -79,7 +85,7 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
             error, as it is left out.
 
     Raises:
-        SettingsError: an option applies only to the other kind of predictions.
+        SettingsError: an option does not apply to predictions in this frame (camera, or the pair's grid).
         PredictionError: the method.json is refused (`read_method`).
     """
     check_words(request.protocols, request.upsampling, request.close)
@@ -99,7 +105,7 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
 
 
 def _refuse_elsewhere(request: Request, what: str) -> None:
-    """Refuse to score what cannot be scored in parts or on other machines; `what` names it."""
+    """Refuse to score `what` (a plural noun for the message) in parts or on other machines."""
     if request.in_parts:
         raise SettingsError(f"{what} are not scored in parts; leave out --shard")
     if not isinstance(request.jobs, int):

@@ -45,10 +45,10 @@ class Plan:
         return None if method is None or method.threshold is None else nearest_step(method.threshold)
 
     def part(self, shard: Shard, *, surface: bool) -> dict[Target, Path | None]:
-        """Return the files that one part of the run counts.
+        """Return {pair: its file, None for an empty grid} of one part of the run.
 
-        They are those of the part's recordings, and of the validation pairs that its thresholds are chosen
-        on.
+        These are the pairs of the part's recordings and, for surface metrics, the validation pairs that their
+        threshold is chosen on.
 
         Args:
             shard: the part.
@@ -98,7 +98,7 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
 
 
 def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) -> tuple[Target, ...]:
-    """Return the pairs of the test split; check that the truth of all needed splits is open.
+    """Return the pairs of the test split; check that no truth of the needed splits is held back.
 
     Args:
         release: the release that is scored.
@@ -143,8 +143,8 @@ class Rounds:
 
         Args:
             files: the file of every pair; None: an empty grid.
-            fixed: given thresholds; None: they are searched.
-            own: the method's own threshold (see `searched_thresholds`).
+            fixed: given thresholds; None: they are searched on the validation pairs.
+            own: the method's own threshold, for categories without validation pairs.
         """
         total = len(files)
         validation = self._round(_of_split(files, "validation"), None, total)
@@ -155,7 +155,7 @@ class Rounds:
     def _round(
         self, files: Mapping[Target, Path | None], thresholds: Thresholds | None, total: int
     ) -> dict[Target, PairResult | str]:
-        """Count the pairs of one round; surface metrics only with thresholds."""
+        """Count the pairs of one split; surface metrics only with thresholds. `total`: pairs of all."""
         jobs = [
             PairJob(
                 target,
@@ -188,7 +188,7 @@ class Rounds:
 
 
 class _Silent:
-    """A console that prints nothing, as progress is reported by recording instead."""
+    """A console that prints nothing: progress is reported elsewhere, as each recording is done."""
 
     def heard(self, message: object) -> None: ...
     def warn(self, message: str, task: object = None) -> None: ...

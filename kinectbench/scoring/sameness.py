@@ -26,7 +26,7 @@ class Held(NamedTuple):
 
 
 def content_of(*arrays: NDArray[np.generic]) -> Held:
-    """Return the digest of a prediction, given its grid or the arrays of its shape."""
+    """Return a prediction's digest and its constant value, if any, given its grid or its shape's arrays."""
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
         digest.update(f"{array.shape} {array.dtype}".encode())
@@ -38,7 +38,7 @@ def content_of(*arrays: NDArray[np.generic]) -> Held:
 
 
 def same_lines(contents: Mapping[str, Held]) -> Iterator[str]:
-    """Yield a line for each value of constant predictions, and one if at least half equal another prediction.
+    """Yield a line per value that predictions have everywhere, and one if at least half of all equal another.
 
     Args:
         contents: {name of a prediction: its content}.

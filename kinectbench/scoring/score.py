@@ -103,7 +103,7 @@ def _with_what_is_said(
     asked: Plan,
     release: Release,
 ) -> ScoreTable:
-    """Return the table with warnings and the run's hash added, from method.json and the folder."""
+    """Return the table with warnings about method.json and folder added, and the run's hash if stated."""
     method = asked.found.method
     more = (
         *method_lines(predictions, method, release),

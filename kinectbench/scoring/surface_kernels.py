@@ -22,11 +22,11 @@ _PART_CELLS = 1 << 18
 
 @dataclass(frozen=True)
 class Cells:
-    """A set of cells, sorted by block.
+    """A set of cells, sorted by block of 8^3 cells.
 
     Attributes:
         index: (n,) int32, the cells as x << 16 | y << 8 | z, grouped by block, in C order within a block.
-        start: (b + 1,) int32, where each nonempty block begins in `index`.
+        start: (b + 1,) int32, where each nonempty block begins in `index`; n at last.
         box: (b, 6) int32, the smallest and the largest x, y, z of each block's cells.
     """
 
@@ -50,7 +50,7 @@ class SolidSurface:
     Attributes:
         packed: (256, 256, 32) uint8, the surface cells.
         cells: the same cells as a list.
-        moments: (n, 3) int16, opposite to the outward normal at each of `cells.index`; see `moments`.
+        moments: (n, 3) int16, sum of the offsets of solid cells around each of `cells`: it points inwards.
     """
 
     packed: Packed
@@ -65,7 +65,7 @@ class SolidSurface:
         return SolidSurface(packed, cells_of(packed), self.moments[is_set(mask, self.cells.index)])
 
     def parts(self) -> Iterator["SolidSurface"]:
-        """Yield pieces of whole blocks, of about `_PART_CELLS` cells."""
+        """Yield the surface in pieces of whole blocks, about `_PART_CELLS` cells each."""
         start, block = self.cells.start, 0
         while block < len(self.cells.box):
             first = start[block]

@@ -18,7 +18,7 @@ LEAST_OUTSIDE = 0.001
 def suspicious_lines(
     method: str, results: Mapping[Target, PairResult], thresholds: Thresholds
 ) -> Iterator[str]:
-    """Yield a line for each kind of probably wrong prediction, with the number of such predictions.
+    """Yield lines that count meshes cut off at the cube, predictions that are empty, and full ones.
 
     Args:
         method: the method's name; for a baseline, empty and full predictions are not reported.

@@ -30,7 +30,7 @@ def out_of_bounds(table: ScoreTable) -> Iterator[str]:
 
 
 def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[str]:
-    """Yield the faults of one field's value and its parts."""
+    """Yield a sentence for each value out of bounds in a field and its parts; `extra`: the field's bounds."""
     if extra and value not in (None, "") and (why := _outside(value, extra)):
         yield f"'{key}' is {printable(repr(value), 60)}, but {why}"
     elif isinstance(value, StoredPart) or (is_dataclass(value) and not isinstance(value, type)):
@@ -45,7 +45,7 @@ def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[
 
 
 def _outside(value: object, extra: Mapping[str, Any]) -> str:
-    """Return why a value is outside the bounds of its field, in a few words; "" if it is inside."""
+    """Return why a value breaks the bounds `extra`, such as {"minimum": 0}, in a few words; else ""."""
     if isinstance(value, list | tuple):
         if "minItems" in extra and not extra["minItems"] <= len(value) <= extra["maxItems"]:
             return f"must have {extra['minItems']} values"
@@ -69,12 +69,12 @@ def _outside(value: object, extra: Mapping[str, Any]) -> str:
 
 @cache
 def _bounded(kind: type) -> tuple[tuple[str, Mapping[str, object]], ...]:
-    """Return the fields of a class with their bounds."""
+    """Return (name, bounds) of each field of a class; bounds are such as {"minimum": 0}."""
     names = kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind)
     return tuple((name, _extra(kind, name)) for name in names)
 
 
 def _extra(kind: type, name: str) -> Mapping[str, object]:
-    """Return the bounds of a field in the schema."""
+    """Return the bounds of a class's field, such as {"minimum": 0}, from its schema; {} if it has none."""
     info: FieldInfo = (kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind))[name]
     return info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}

@@ -36,8 +36,8 @@ class Thresholds:
 
     Attributes:
         of: {category: threshold}, each k / 20 with k from 2 to 18.
-        source: "file:<sha256>", or the first of "validation", "pooled", "method", "fixed" that any
-            category has.
+        source: "file:<sha256>", or the first of these that any category has: "validation", "pooled" (pairs
+            of other categories), "method" (its own threshold), "fixed" (0.5).
         warnings: one line each.
         sources: {category: source of its threshold}.
         objects: objects whose pairs chose the thresholds; None if unknown, because a file does not name them
@@ -52,7 +52,7 @@ class Thresholds:
 
 
 def best_threshold(tallies: Sequence[Tally]) -> float:
-    """Return the threshold with the highest mean IoU over pairs and all voxels (protocol `paper`).
+    """Return the threshold with the highest IoU, averaged over pairs; all voxels count (protocol `paper`).
 
     Args:
         tallies: tallies of the validation pairs of one category, at least one.
@@ -73,8 +73,8 @@ def searched_thresholds(
 
     Args:
         targets: targets of the release; the categories of its test split get a threshold.
-        tallies: tallies of the predicted validation targets.
-        own: the method's own threshold, one of the seventeen; None if it has none.
+        tallies: voxel counts of each validation target that was predicted.
+        own: the method's own threshold, k / 20 with k from 2 to 18; None if it has none.
     """
     categories = sorted({target.category for target in targets if target.split == "test"})
     by_category: dict[str, list[Target]] = {category: [] for category in categories}
@@ -100,7 +100,7 @@ def searched_thresholds(
 
 
 def _without_validation(tallies: Mapping[Target, Tally], own: float | None) -> tuple[float, str]:
-    """Return the threshold of categories without a validation pair, and its source."""
+    """Return the threshold of categories without validation pair, and its source: own, pooled or 0.5."""
     if own is not None:
         return own, METHOD_SOURCE
     if tallies:
@@ -115,7 +115,7 @@ def _said_of(
     targets: Sequence[Target],
     tallies: Mapping[Target, Tally],
 ) -> str:
-    """Return a warning about categories whose threshold is not from their own validation pairs."""
+    """Return a warning: the threshold of `categories`, unpredicted in validation, is `value` (`source`)."""
     how = {
         METHOD_SOURCE: f"is the method's own, {value:g}",
         POOLED_SOURCE: f"is {value:g}, which all validation predictions give together",
@@ -134,8 +134,8 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
     `objects` are those whose pairs the thresholds were chosen on.
 
     Raises:
-        SettingsError: the file is missing or unreadable, a category is missing, a threshold is not one of the
-            seventeen, or it was chosen on an object of the test split.
+        SettingsError: the file is missing or unreadable, a category is missing, a threshold is not
+            k / 20 with k from 2 to 18, or was chosen on an object of the test split.
     """
     try:
         content = read_plain(path, ThresholdsFile.MAX_BYTES)
@@ -190,7 +190,7 @@ def _plain(name: str) -> str:
 
 
 def _step(value: float, where: str) -> float:
-    """Return the threshold k / 20 that equals a number."""
+    """Return the threshold k / 20 that equals a number; refuse others in a line that begins with `where`."""
     step = nearest_step(value)
     if step is None:
         raise SettingsError(
@@ -200,5 +200,5 @@ def _step(value: float, where: str) -> float:
 
 
 def nearest_step(value: float) -> float | None:
-    """Return the threshold k / 20 that equals a number; None if none of the seventeen does."""
+    """Return the threshold k / 20, k = 2 to 18, that equals a number up to rounding; None if none does."""
     return next((k / STEPS for k in THRESHOLD_STEPS if abs(value - k / STEPS) <= 1e-9), None)

@@ -24,7 +24,7 @@ class PackedTruth:
         seen: cells that the input view saw.
         voxel_size_m: edge of a cell, metres.
         surface_sigma_m: standard deviation of the truth's surface, metres; 0 if it is exact or not known.
-        others: {name: further grid} that some protocols distrust or compare with.
+        others: {name: grid} of cells that some protocols count as not known, or of other true shapes.
     """
 
     full: Packed
@@ -35,7 +35,7 @@ class PackedTruth:
     others: Mapping[str, Packed] = field(default_factory=dict)
 
     def flat(self) -> tuple[Packed, Packed, Packed]:
-        """Return `full`, `known` and `seen` as (v / 8,) bytes."""
+        """Return `full`, `known` and `seen`, each flattened to (256^3 / 8,) bytes."""
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
 
     def under(self, protocol: Protocol) -> "PackedTruth":
@@ -44,7 +44,7 @@ class PackedTruth:
         return of if protocol.truth == SOLID else replace(of, full=of.others[protocol.truth])
 
     def distrusting(self, name: str | None) -> "PackedTruth":
-        """Return the truth with the cells of another grid removed from `known`; itself if there are none."""
+        """Return the truth with the cells of grid `name` removed from `known`; itself if there are none."""
         if name is None or not self.others[name].any():
             return self
         return replace(self, known=self.known & ~self.others[name])

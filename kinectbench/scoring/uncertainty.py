@@ -91,7 +91,7 @@ def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
 def _add_resampled(
     means: Float64, rng: np.random.Generator, values: Float64, weights: Float64, groups: int
 ) -> None:
-    """Add the resampled means of one category, divided by the number of categories."""
+    """Add a category's resampled means to `means` (resamples, m), divided by the number of `groups`."""
     rows = min(RESAMPLES_AT_ONCE, max(1, DRAWN_AT_ONCE // values.size))
     for start in range(0, RESAMPLES, rows):
         batch = means[start : start + rows]

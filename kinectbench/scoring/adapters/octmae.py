@@ -75,10 +75,10 @@ def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
 
 
 def _cut_share(release: Release, view: RgbdView) -> dict[str, object]:
-    """Return `cut_share` of the object outside OctMAE's cube, and `cut_of`, "truth" or "seen".
+    """Return {"cut_share": share of the object outside OctMAE's cube, "cut_of": "truth" or "seen"}.
 
-    It is of the cells of the true solid, or, where the truth is held back, of the measured points; {} if
-    there are none, or no measured point places the cube.
+    The share is of the true solid's cells ("truth"), or of the measured points where the truth is held back
+    ("seen"). {} if there are none, or if no measured point places the cube.
     """
     seen_m, target = view.object_points_m, view.target
     if release.metadata.hides(target.recording):

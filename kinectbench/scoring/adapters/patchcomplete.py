@@ -1,8 +1,8 @@
 """PatchComplete (Rao et al., NeurIPS 2022): signed distances in 32^3 voxels of a cube.
 
 Source: its repository, commit 938303c: it reads `tsdf`, in units of the cube's edge, and writes
-`predicted_voxels`, in voxels; values up to 1e-10 are solid. The cube is that of the pair, in the camera's
-axes.
+`predicted_voxels`, in voxels; values up to 1e-10 are solid. The cube is that of the pair's grid,
+whose axes are the camera's.
 """
 
 from pathlib import Path

@@ -129,7 +129,15 @@ def adapt(
 def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
-    """Write the prediction of one view, and return its camera.json; None if the method wrote nothing.
+    """Convert one view's output; return its camera.json, or None if the method wrote nothing for the view.
+
+    Args:
+        release: the release that contains the view.
+        name: the method's name.
+        adapter: the method's adapter.
+        output: the folder that holds `<recording>/<view>/` with the output and camera.json.
+        target: the view.
+        folder: the prediction is written to `<recording>/<view>` below it.
 
     Raises:
         PredictionError: the output or camera.json cannot be used.
@@ -159,10 +167,10 @@ def _adapted(
 
 
 def _placed(camera: ViewCamera, name: str) -> Float64:
-    """Return T_camera_method of an untrusted camera.json.
+    """Return the similarity (4, 4) from the method's frame to the camera, as camera.json states it, checked.
 
     Raises:
-        PredictionError: T_camera_method is missing or no similarity, or the file is of another method.
+        PredictionError: it is missing or no similarity, or the file is of another method.
     """
     if camera.method != name or camera.T_camera_method is None:
         raise PredictionError(f"{ViewCamera.FILE}: not of `export --layout rgbd --for {name}`; export again")
@@ -172,7 +180,7 @@ def _placed(camera: ViewCamera, name: str) -> Float64:
 
 
 def _nothing(output: Path, adapter: Adapter, problems: list[str]) -> str:
-    """Return the message that says why no output can be converted."""
+    """Return why nothing in the folder `output` can be converted: the first of `problems`, or no files."""
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return f"{output}: nothing there can be used: {problems[0]}{more}"

@@ -58,7 +58,7 @@ def read_sam3d(path: Path) -> CameraShape:
 
 
 def _pose(path: Path) -> tuple[float, Float64, Float64]:
-    """Read scale, rotation (3, 3) and translation (3,) from pose.npz."""
+    """Read scale s, rotation R (3, 3), translation t (3,) of pose.npz: a row vector p becomes s p R + t."""
     advice = (
         f"save rotation, translation and scale of its output there: np.savez('{POSE}', rotation=..., ...)"
     )

@@ -36,7 +36,7 @@ def baselines_beside(
 ) -> list[ScoreTable]:
     """Score every baseline that the release allows; `score` gives the same for the baseline's files.
 
-    Tables are kept in `out/baselines/<name>/scores.json`, tables in space in `out/baselines/<name>+camera/`.
+    Tables are kept in `out/baselines/<name>/scores.json`, those of camera in `out/baselines/<name>+camera/`.
     A kept table is used again if release, settings and the versions of counting and of the baselines are the
     same, and if a few of its rows, which are computed again, agree. Thresholds are chosen per baseline on the
     validation split; without one they are 0.5.
@@ -44,7 +44,7 @@ def baselines_beside(
     Args:
         release: the release that is scored.
         out: folder of the scores.
-        protocols: names of `PROTOCOLS` that the pairs allow; or protocols of space, of which only `camera` is
+        protocols: names of `PROTOCOLS` that the pairs allow; or camera and aligned, of which only camera is
             scored.
         upsampling: "half-pixel" or "corner-aligned".
         without: names of baselines that are left out.

@@ -49,7 +49,7 @@ def score_baselines(
     Args:
         release: the release that is predicted.
         out: folder for the results.
-        protocols: names of `PROTOCOLS`, or protocols of space; default: the usual ones that the pairs allow.
+        protocols: names of `PROTOCOLS`, or camera, aligned or both; default: all that apply, without shell.
         thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
         upsampling: "half-pixel" or "corner-aligned".
         surface: whether surface metrics are computed.
@@ -157,7 +157,7 @@ def baselines_that_differ(
 
 
 def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -> None:
-    """Report the progress within one round as progress over all rounds."""
+    """Report progress over all rounds: `before` pairs were done in earlier rounds, `done` in this one."""
     progress(before + done, pairs)
 
 
@@ -168,7 +168,11 @@ def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> 
 
 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
-    """Return every baseline's counts of one pair; surface metrics and ceilings for a test pair only."""
+    """Return {baseline: its counts of one pair}.
+
+    Of a test pair also surface metrics, if requested, at the threshold of baseline and category, and the best
+    IoU that a grid of the prediction's side can reach.
+    """
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256, counting.further_grids)
     reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side
     results = {}

@@ -1,4 +1,4 @@
-"""Score baselines in memory under the protocols of space: their cells are taken as solids."""
+"""Score baselines in memory under the protocols camera and aligned: their cells are taken as a solid."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -88,7 +88,14 @@ def space_baselines(
 def space_baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
 ) -> set[str]:
-    """Score a few pairs again; return the names of the baselines whose tables (by name) have other rows."""
+    """Score a few pairs again; return the names of baselines whose tables have other rows.
+
+    Args:
+        release: the release that was predicted.
+        tables: {baseline: its table}.
+        protocols: camera, aligned or both.
+        jobs: number of processes.
+    """
     rates = base_rates(release, jobs)
     tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
     pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
@@ -112,7 +119,7 @@ def space_baselines_that_differ(
 
 
 def _tallies(task: BaselineTask) -> Tallies:
-    """Return {baseline: tally of a validation pair}; thresholds are chosen by these tallies."""
+    """Return {baseline: voxel counts of a validation pair}, by which thresholds are chosen."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
     return {name: tally(prediction, truth) for name, prediction in predicted(task)}
 
@@ -120,7 +127,13 @@ def _tallies(task: BaselineTask) -> Tallies:
 def _results(
     thresholds: Mapping[str, Mapping[str, float]], asked: tuple[Asked, ...], task: BaselineTask
 ) -> Results:
-    """Return {baseline: result of one view, or why it cannot be scored}."""
+    """Return {baseline: result of one view, or why it cannot be scored}.
+
+    Args:
+        thresholds: {baseline: {category: threshold}}.
+        asked: the (protocol, kind of registration) pairs to score.
+        task: the view and its baselines.
+    """
     truth = read_space_truth(files_of(task.release, task.target))
     category = task.target.category
     results: Results = {}

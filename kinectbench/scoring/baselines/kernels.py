@@ -68,15 +68,15 @@ def sweep_plane(
 def mirror_gain(
     points: Float64, along: Float64, normal: Float64, offset: float, block: int, gain: NDArray[np.int8]
 ) -> int:
-    """Return the gain of a mirror plane: the sum of `gain` at mirrored points, -1 each outside the grid.
+    """Return the sum of `gain` at the mirrored points; a point that is mirrored out of the grid counts -1.
 
     Args:
-        points: (n, 3) cell coordinates.
+        points: (n, 3), in cells.
         along: (n,) points @ normal.
-        normal: (3,) unit normal of the plane.
+        normal: (3,) unit normal of the mirror plane.
         offset: the plane is normal . x = offset.
-        block: cells per side of one block of `gain`.
-        gain: (m, m, m) gain of a mirrored point in each block.
+        block: cells along a side of each block of `gain`.
+        gain: (m, m, m) 1 for blocks in the partial view, -1 in observed free space, else 0.
     """
     total, side = 0, len(gain)
     for n in range(len(points)):

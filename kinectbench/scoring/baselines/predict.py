@@ -33,7 +33,7 @@ class BaselineTask:
     Attributes:
         release: the release that contains the pair.
         target: the pair.
-        base_rate: base rate of the pair's category; NaN where its truth is held back.
+        base_rate: share of occupied voxels in the category's truth; NaN where that is held back.
         names: the baselines' names.
     """
 
@@ -46,8 +46,8 @@ class BaselineTask:
 def possible_baselines(release: Release) -> tuple[str, ...]:
     """Return the names of baselines that this release allows.
 
-    Baselines that learn need training pairs in every category. `base-rate` needs some open truth in every
-    category.
+    Baselines that learn need training pairs in every category. `base-rate` needs in every category some truth
+    that is solid and not held back.
     """
     trained = {target.category for target in release.open_split("train")}
     known = {target.category for split in SOURCES for target in release.open_split(split)}

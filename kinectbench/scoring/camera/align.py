@@ -78,7 +78,7 @@ class _Pair:
         return NearestOfMoving(theirs.samples, len(ours)), NearestOfMoving(ours.samples, len(theirs))
 
     def thinned(self, most: int) -> "_Pair":
-        """Return at most `most` samples a surface; the true ones are moved off the steps of their voxels."""
+        """Return the pair with at most `most` samples per surface, the true ones smoothed."""
         made = self.truth.smoothed
         if most not in made:
             few = replace(self, theirs=self.theirs.thinned(most))
@@ -105,7 +105,7 @@ def register_kinds(
 ) -> dict[str, SurfaceRegistration]:
     """Return {kind: registration}, as `register_surface` gives it for each kind; shared work is done once.
 
-    Without a known true surface, it is the identity, and not ok.
+    Without a known true surface, each is the identity, with `ok` False.
     """
     known = truth.known_surface
     if not len(known):
@@ -148,8 +148,8 @@ def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float6
 
     Returns:
         Moved predicted samples (k, 3), their matched true samples (k, 3) and the normals there (k, 3); the
-        mean of the moved samples (3,); robust weights (k,); and the number of matches from prediction to
-        truth, which come first.
+        mean of the moved samples (3,); a robust weight per match (k,); and the number of matches from
+        prediction to truth, which come first.
     """
     from kinectbench.core.geometry.gauss_newton import robust_weights
     from kinectbench.scoring.camera.kernels import mapped
@@ -174,9 +174,10 @@ def _far(pair: _Pair, T: Float64) -> float:
 
 
 def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> tuple[Float64, float]:
-    """Take up to `count` steps from `start`; return the similarity and how far the last step moved samples.
+    """Take up to `count` registration steps from `start`; return the similarity and the last step's length.
 
-    That motion is in metres. It is 0 if the steps only slide or turn the shape along a surface that fits.
+    The length is in metres, 0 if the steps only slide or turn the shape along a surface that fits. `kind` is
+    as in `register_surface`; `along` is the weight of point-to-point beside point-to-plane distances.
     """
     from kinectbench.core.geometry.gauss_newton import NormalEquations
     from kinectbench.scoring.camera.steps import similarity_about, step_equations

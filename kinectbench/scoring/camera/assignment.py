@@ -110,7 +110,7 @@ def _best(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _list(point, places, prices, listed: NDArray[np.int64], costs) -> float:  # type: ignore[no-untyped-def]
-    """Fill a point's list with its cheapest places; return the cost of the cheapest place not listed."""
+    """Fill `listed` with a point's cheapest places, `costs` with all costs; return the least of the rest."""
     for j in range(len(prices)):
         x, y, z = places[0, j] - point[0], places[1, j] - point[1], places[2, j] - point[2]
         costs[j] = np.sqrt(x * x + y * y + z * z) + prices[j]

@@ -50,10 +50,10 @@ def as_papers(
     """Return metrics as the code of OctMAE, PCN and SDS-Complete computes them.
 
     Args:
-        octmae: OctMAE's metrics by key, already computed from the distances of our own metrics.
+        octmae: {field of the result: value} of OctMAE's metrics, which the caller has computed.
         ours: the predicted surface in known space, not empty.
         theirs: the known true surface, not empty.
-        size_m: diagonal of the truth's bounding box, metres; PCN's metrics are in this unit.
+        size_m: diagonal of the truth's bounding box, metres; PCN's distances are in thousandths of it.
         emd: whether the earth mover's distance is computed, which takes seven seconds.
     """
     one, other = points_by_area(ours), points_by_area(theirs)

@@ -1,4 +1,4 @@
-"""Score a prediction in the pair's grid under the protocols of space: its cells are taken as a solid."""
+"""Score a prediction in the pair's grid under the protocols camera and aligned: its cells are a solid."""
 
 from dataclasses import dataclass
 from pathlib import Path

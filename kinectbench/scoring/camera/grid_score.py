@@ -1,4 +1,4 @@
-"""Score a method whose predictions are in the pairs' grids under the protocols of space; return its table."""
+"""Score a method that predicts in the pairs' grids under the protocols camera and aligned."""
 
 from collections.abc import Sequence
 
@@ -60,7 +60,7 @@ def score_grid_in_space(
         release: the release that was predicted.
         asked: the method's files, and the thresholds or how to choose them.
         method: the method's name.
-        protocols: protocols of space (`space_alone`).
+        protocols: camera, aligned or both.
         missing: "error" or "empty", for the table's settings; `asked` already treats missing files so.
         jobs: number of processes.
         progress: called with (test views done, test views in all).

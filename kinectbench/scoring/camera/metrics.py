@@ -1,4 +1,4 @@
-"""Metrics under the protocols of space: surface distances, and voxel metrics (such as IoU) of solids."""
+"""Metrics under the protocols camera and aligned: surface distances, and voxel metrics (IoU) of solids."""
 
 import math
 from collections.abc import Callable
@@ -147,7 +147,10 @@ def figures_by_part(
 
 
 def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
-    """Measure at most `most` samples of `one` against `other`; distances are infinite if either is empty."""
+    """Measure at most `most` samples of `one` against `other`; distances are infinite if either is empty.
+
+    `seen` (n,) says which samples of `one` lie in space that the view saw.
+    """
     which = _drawn(one, most)
     queries, is_mesh = one.chosen(which), one.is_triangle
     if not len(other) or not len(one):
@@ -203,7 +206,7 @@ def _tolerances_m(truth: SpaceTruth) -> dict[str, float]:
 
 
 def _as_octmae(there: Way, back: Way) -> dict[str, float]:
-    """Return OctMAE's metrics by key: mean of both directions, and F at four distances (eval.py, 08c1be6)."""
+    """Return OctMAE's metrics by key: mean distances, and F-scores at 5 to 30 mm (its eval.py, 08c1be6)."""
     ways = (there, back)
     mm = MM_PER_M
     return {

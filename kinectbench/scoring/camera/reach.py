@@ -10,13 +10,16 @@ from kinectbench.scoring.camera_shape import CameraShape
 
 
 def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -> float | None:
-    """Return the share of the known true solid outside the method's volume; None if either is missing.
+    """Return the share of the known true solid outside the volume that a method covers.
 
     Args:
         truth: the truth of the view.
         shape: the predicted shape, camera frame; a grid of cells or distances also bounds the volume.
         volume_m: (2, 3), lowest and highest corner of the volume in the camera frame, as method.json declares
             it; None: not declared.
+
+    Returns:
+        The share; None if nothing bounds the volume, or if no cell of the true solid is known.
     """
     if volume_m is None and shape.cells is None:
         return None

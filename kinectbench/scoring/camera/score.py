@@ -56,7 +56,7 @@ def score_in_camera(
         folder: the method's predictions; untrusted.
         declared: the method's method.json.
         method: the method's name.
-        protocols: protocols of space (`protocols_in_space`).
+        protocols: camera, aligned or both.
         missing: "error" lists a missing prediction as a failure; "empty" gives it the worst value of each
             metric.
         jobs: number of processes.
@@ -300,7 +300,7 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
 
 
 def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> list[str]:
-    """Return lines on predictions without an inside (open meshes, points): those left open, those closed."""
+    """Return a line on open meshes and points that stay without inside, and one on those that were closed."""
     open_ones = {t.name: of.rows[0].closed for t, of in sorted(results.items()) if of.rows[0].solid is False}
     without = [name for name, closed in open_ones.items() if closed is None]
     closed = [name for name in open_ones if name not in without]

@@ -266,7 +266,10 @@ def _squares(
     normals: Float64,
     voxel_size_m: float,
 ) -> Surface:
-    """Return squares of a cell's size as a surface; areas are those of the surface that they approximate."""
+    """Return squares of a cell's size as a surface, one sample each; arguments as the fields of `Surface`.
+
+    A sample's area is that of the slanted surface that its square stands for, not of the square.
+    """
     # A plane with this normal has as many steps or crossings for each cell of its area.
     steps = np.abs(normals).sum(axis=1)
     areas, owner = voxel_size_m**2 / np.where(steps > 0, steps, 1), np.arange(len(centers_m))
@@ -274,7 +277,7 @@ def _squares(
 
 
 def _box(cells: Bools) -> tuple[Int64, Int64]:
-    """Return the occupied cells' first index along each axis, and the last + 1: (3,) each; 0 if none."""
+    """Return the occupied cells' first index along each axis, and the last one + 1: (3,) each; 0 if none."""
     columns = np.asarray(cells.any(axis=2))
     if not columns.any():
         return np.zeros(3, np.int64), np.zeros(3, np.int64)

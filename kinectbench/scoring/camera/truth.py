@@ -1,4 +1,4 @@
-"""The truth of a view, in the form that the protocols of space compare predictions with."""
+"""The truth of a view, in the form that the protocols camera and aligned compare predictions with."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +28,7 @@ PARTS: tuple[ShapePart, ...] = ("whole", "visible", "occluded")
 
 @dataclass(frozen=True)
 class SpaceTruth:
-    """The truth of a view in its grid's frame, metres, which the protocols of space compare predictions with.
+    """The truth of a view in its grid's frame, metres, which predictions are compared with.
 
     Attributes:
         full: (256, 256, 32) uint8, packed: the true solid.

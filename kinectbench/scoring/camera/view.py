@@ -100,7 +100,7 @@ class ViewResult:
             the first, then the best and the mean.
         unknown_share: share of the true shape's cells that are not known.
         digest: BLAKE3 of the prediction's file, or of several files' digests; None without a prediction.
-        cells: side of the prediction's grid; 256 in the camera frame; 0 without a prediction.
+        cells: cells along a side of the prediction's grid; 256 in the camera frame; 0 without a prediction.
     """
 
     rows: tuple[Scored, ...]

@@ -16,7 +16,7 @@ BINS = 10
 
 @dataclass
 class Votes:
-    """The solids of all predictions of a view, grouped by registration.
+    """The solids of all predictions of a view, grouped by protocol and kind of registration.
 
     Attributes:
         solids: {(protocol, kind of registration): packed cells (256, 256, 32) of each solid prediction}.
@@ -27,9 +27,16 @@ class Votes:
     def calibration(
         self, truth: SpaceTruth, asked: tuple[str, str | None], part: ShapePart, k: int
     ) -> Calibration | None:
-        """Return the calibration of k predictions over a part's known cells.
+        """Return how often a part's known cells are truly solid, by the share of predictions that say so.
 
-        None if one of them has no inside, or if no counted cell is solid in any of them.
+        Args:
+            truth: the truth of the view.
+            asked: (protocol, kind of registration) of the solids.
+            part: whole, visible or occluded.
+            k: number of predictions of the view.
+
+        Returns:
+            None if a prediction has no inside, or if no counted cell is solid in any of them.
         """
         solids = self.solids.get(asked, [])
         if len(solids) < k:
@@ -45,7 +52,7 @@ class Votes:
 
 
 def calibration_of(cells: Int64, solid: Int64) -> Calibration | None:
-    """Return the calibration in ten bins of the share of predictions that call a cell solid.
+    """Return how often cells are truly solid, in ten bins of the share of predictions that call them solid.
 
     Cells that no prediction calls solid are left out.
 

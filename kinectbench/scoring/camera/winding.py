@@ -71,8 +71,9 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
     """Build a complete binary tree over triangles (n, 3, 3): the children of node i are 2 i and 2 i + 1.
 
     Returns:
-        The sorted triangles, padded with empty ones; and for each node the sum of its triangles'
-        area-weighted normals (2 k, 3), and the centre (2 k, 3) and radius (2 k,) of a ball around them.
+        The sorted triangles, padded with empty ones; and for each node (k leaves, from k on) the sum of its
+        triangles' area-weighted normals (2 k, 3), and the centre (2 k, 3) and radius (2 k,) of a ball around
+        them.
     """
     leaves = 1 << max(0, int(np.ceil(np.log2(len(corners) / LEAF))))
     filling = np.broadcast_to(corners[-1, 0], (leaves * LEAF - len(corners), 3, 3))
@@ -105,6 +106,9 @@ def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most
 
     Space is processed in cubic blocks: a block is subdivided unless the winding number at its centre is sure
     to decide for all of it. The result is NaN if this takes more than `most` steps.
+
+    `triangles`, `total`, `middle` and `radius` are as `_tree` returns them; `low` and `high` (3,) are corners
+    of the mesh's box. `root` is the side of the largest blocks, `coarse` of the smallest outside the grid.
     """
     side, outside, steps = found.shape[0], 0.0, 0
     first, last = np.floor(low / root).astype(np.int64), np.floor(high / root).astype(np.int64)
