@@ -103,7 +103,7 @@ class ReferenceQuality:
         )
 
     def is_possible(self, registration: Registration) -> bool:
-        """Whether a registration is accepted, with an inlier ratio near the mean or above, or 70 % overlap."""
+        """Whether a registration is accepted; below 70 % overlap it also needs about the mean inlier ratio."""
         reference = registration.inlier_share >= self.inlier_share - MUCH_FEWER_INLIERS
         return (reference or registration.overlap >= SAME_VIEW) and is_accepted(registration)
 
@@ -203,7 +203,7 @@ class Follower:
         return Followed(segment, index, np.eye(4), None)
 
     def _accepted(self, index: int, followed: Followed) -> Followed:
-        """Accept a registered frame; make it a keyframe if it moved far from its own or overlaps it little."""
+        """Accept a registered frame; make it a keyframe if it is far from its own or overlaps it little."""
         assert followed.registration is not None
         self.reference = self.reference.after(followed.registration)
         if not is_keyframe(followed.registration, self.maps[index]):
