@@ -233,7 +233,16 @@ def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
 def _candidate(
     plane: Float64, inliers: Bools, surface: SceneSurface, cameras_world: Float64, up: Float64, way: int
 ) -> PlaneCandidate:
-    """A plane (4,) with its evidence: `inliers` (n,) are the points on it, `up` (3,) is a unit vector."""
+    """A plane with its evidence.
+
+    Args:
+        plane: (4,), its unit normal up.
+        inliers: (n,) bool, which points of the surface are on it.
+        surface: the scene's surface, n points.
+        cameras_world: (m, 3) positions of the cameras.
+        up: (3,) unit, the direction from which the plane's tilt is measured.
+        way: index of the way of holding the cameras by which its normal is up.
+    """
     local = transform_points(floor_frame(plane), surface.points_world)
     below = local[:, 2] < -BELOW_INLIERS * surface.inlier_m * surface.times_noise
     # Numbers of cells need no dense grid, which one pose kilometres off would make too large for the memory.

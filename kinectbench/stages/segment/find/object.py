@@ -287,7 +287,7 @@ def _find_on_floor(
     given_box: OrientedBox | None,
     settings: FloorCuts,
 ) -> Segmentation:
-    """`find_floor_and_object` with a known floor."""
+    """Find the object on the known floor of a scene: the piece in view, or what a given box holds."""
     if given_box is not None:
         check_anchor(given_box, scene.floor, trajectory, scene.scale)
     cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale

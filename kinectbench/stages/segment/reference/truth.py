@@ -80,7 +80,11 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
 
 
 def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float, path: Path) -> SolidShape:
-    """Voxelise the inside of a mesh on a grid around it; it is SURFACE as deep as fused surfaces reach."""
+    """Voxelise the inside of a mesh on a grid around it, turned by `yaw_rad` about the floor's normal.
+
+    Voxels are SURFACE as deep below the mesh as a fused surface counts as measured, and INTERIOR below that;
+    those outside are OTHER. `path` is for messages.
+    """
     from scipy import ndimage
 
     vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
