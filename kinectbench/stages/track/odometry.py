@@ -103,7 +103,7 @@ class ReferenceQuality:
         )
 
     def is_possible(self, registration: Registration) -> bool:
-        """Whether a registration is accepted; below 70 % overlap it also needs about the mean inlier ratio."""
+        """Whether a registration is accepted and has 70 % overlap or nearly the mean inlier ratio."""
         reference = registration.inlier_share >= self.inlier_share - MUCH_FEWER_INLIERS
         return (reference or registration.overlap >= SAME_VIEW) and is_accepted(registration)
 

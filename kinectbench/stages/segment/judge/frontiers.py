@@ -206,7 +206,8 @@ class _Piece:
     Attributes:
         voxel_m: edge of a voxel, metres.
         cells: (i, j, k) bool, which voxels of the window are the piece.
-        free: (i + 2, j + 2, k + 2) bool, which voxels of the window and one more on each side are free.
+        free: (i + 2, j + 2, k + 2) bool, which voxels of the window and one more on each side are free, or
+            unknown below an underside.
         corner: (3,) index of the window's first voxel in the grid.
     """
 
