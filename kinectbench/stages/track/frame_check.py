@@ -194,7 +194,7 @@ class _Checker:
         return [side.tolist() for side in sides if len(side)]
 
     def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """Register a frame to the agreeing frames on either side."""
+        """Register a frame to the nearest of the frames `sound` before it, and to those after it."""
         checks = [self._check(frame, side, coarsest=2) for side in self._sides(frame, sound)]
         return [each for each in checks if each is not None]
 

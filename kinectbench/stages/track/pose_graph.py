@@ -115,7 +115,7 @@ class _Graph:
     T_prior: Float64 | None
 
     def descend(self, poses: Float64, kernel: float, iterations: int) -> Float64:
-        """Levenberg-Marquardt: reject a step that raises the cost, and increase the damping."""
+        """Lower the cost by Levenberg-Marquardt: a step that raises it is rejected, the next more damped."""
 
         def advance(state: tuple[Float64, float, float]) -> tuple[tuple[Float64, float, float], float]:
             """The next poses, cost and damping, and the size of the step."""

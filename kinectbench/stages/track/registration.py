@@ -301,7 +301,7 @@ def better(best: Registration | None, other: Registration) -> Registration:
 
 
 def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
-    """Search around `T_start` (4, 4) for the registration of a frame to another with the highest score."""
+    """Register a frame to another from many poses around `T_start` (4, 4); the result of highest score."""
     points, maps = source[COARSEST], target[COARSEST]
     T_settled, _ = _settle(source, target, T_start)
     terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_observability=True)

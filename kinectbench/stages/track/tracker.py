@@ -195,7 +195,7 @@ class _Placer:
         return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
 
     def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
-        """At most two rows: the frame's own keyframe, and its neighbours that share most of the view."""
+        """Rows of at most two keyframes: the frame's own, then those connected to it that share most view."""
         home = self.row[frame.keyframe]
         view = keyframe_thumbnail(self.maps[index])
         shared = [
