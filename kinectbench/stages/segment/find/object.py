@@ -116,7 +116,7 @@ def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> N
 
 
 def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
-    """Which points (n, 3) above the floor cut belong to pieces no higher than 6 cm: (n,) bool."""
+    """Which points (n, 3) above the floor cut are of pieces that end 6 cm above the floor or lower: (n,)."""
     if not len(points_floor):
         return np.zeros(0, dtype=bool)
     label = label_pieces(points_floor, cell_m)

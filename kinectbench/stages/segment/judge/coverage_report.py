@@ -183,8 +183,7 @@ def coverage_report(
     """Measure how well a recording shows its object; each fault gives a warning.
 
     Faults are a trajectory graded "not good", a side that no frame looks at, few frames, something that
-    moves, depth near the object beyond `max_depth_m`, and signs that the floor or the object was chosen
-    wrongly.
+    moves, depth near the object beyond `max_depth_m`, and signs of a wrongly chosen floor or object.
 
     Args:
         sequence: the recording.

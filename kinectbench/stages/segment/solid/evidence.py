@@ -68,7 +68,7 @@ class Rules:
     """The parameters of a solid; lengths in metres.
 
     Attributes:
-        layers: numbers of the grid's layers below, at and above the floor.
+        layers: how many layers of the grid lie below, at and just above the floor.
         ray_width_m: width of a pixel's ray at the object, with the error of the poses; 0: negligible.
         limits: the sensor's limits, which define air.
         underside: what a person says of the object's underside: closed, open or unseen.
