@@ -228,7 +228,7 @@ def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
     """The images of a view: {"depth.png": PNG file (uint16 mm), "color.jpg": JPEG file if there is colour}.
 
     Raises:
-        StorageError: an image is damaged.
+        StorageError: depth is missing or damaged, or colour is damaged and no JPEG.
     """
     encoded = sequence.frames.color_encoded(frame)
     color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
@@ -350,7 +350,7 @@ def _read_mask(path: Path) -> Bools | None:
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:
-    """Colour as a JPEG: the recorded file if it is one, else encoded once. StorageError: it is damaged."""
+    """Colour as a JPEG: a recorded JPEG as it is, unchecked; else encoded here, StorageError if damaged."""
     import cv2
 
     if suffix in (".jpg", ".jpeg"):
