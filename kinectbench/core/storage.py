@@ -165,7 +165,9 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
                     if old.exists() and not folder.exists():
                         old.rename(folder)
                     raise
-            shutil.rmtree(old, ignore_errors=True)
+                finally:
+                    if folder.exists():
+                        shutil.rmtree(old, ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         _half_filled.discard(temporary)

@@ -124,7 +124,7 @@ class Learner:
         average_gradients(parameters, self._size)
         optimiser.step()
         average_buffers(self.network, self._size)
-        if not all(torch.isfinite(values).all() for values in self.network.state_dict().values()):
+        if not all(torch.isfinite(values).all() for values in parameters):
             raise StepError(DIVERGED)
 
     def _autocast(self) -> torch.autocast:

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from kinectbench.core.artefacts.method import TrainingRow
-from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core.errors import KinectBenchError, PredictionError, SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.locks import locked
@@ -193,7 +193,7 @@ def _run(
 ) -> None:
     """Train until the steps or the time are used up, and save the progress.
 
-    It is also saved after an interrupt or an error of ours, but not after a `StepError`.
+    It is also saved after an interrupt or an error of ours, but not after an error of a step or of an output.
     """
     config, state, device = training.config, training.state, training.device
     started = saved = time.monotonic()
@@ -223,7 +223,7 @@ def _run(
             if now - saved >= SAVE_EVERY_S:
                 training.save()
                 saved = time.monotonic()
-    except StepError:  # incomplete step: keep the last saved state
+    except (StepError, PredictionError):  # incomplete step, or useless weights: keep the last saved state
         raise
     except (KeyboardInterrupt, KinectBenchError):
         with interrupts_held():

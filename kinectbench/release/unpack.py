@@ -114,9 +114,13 @@ def _of_tar(file: BinaryIO) -> Iterator[_Part]:
             opened = partial(members.extractfile, member) if member.isreg() else None
             yield _Part(member.name, member.size, opened)
     most = unpacked_bound(size_of(file))
-    while packed and content.read(COPIED_BYTES):  # gzip's checksum stands at the end
-        if content.tell() > most:
-            raise ValueError(f"it unpacks to more than {most} bytes")
+    try:
+        while packed and content.read(COPIED_BYTES):  # gzip's checksum stands at the end
+            if content.tell() > most:
+                raise ValueError(f"it unpacks to more than {most} bytes")
+    except gzip.BadGzipFile as error:
+        if "Not a gzipped file" not in str(error):  # further bytes behind the archive are passed over
+            raise
 
 
 def _of_zip(file: BinaryIO) -> Iterator[_Part]:

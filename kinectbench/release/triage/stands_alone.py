@@ -98,9 +98,11 @@ def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
     if not rest.any():
         return False
     covered = (_tops(cells & ~part) > _tops(part))[columns].mean()
-    away = ndimage.distance_transform_edt(~part)[rest].max()
-    large = rest.sum() >= LEAST_REST * cells.sum() or away >= LEAST_AWAY * max(cells.shape)
-    return bool(large and covered <= MOST_COVERED and _balances(part, low) and _balances(rest, low))
+    if covered > MOST_COVERED or not (_balances(part, low) and _balances(rest, low)):
+        return False
+    if rest.sum() >= LEAST_REST * cells.sum():
+        return True
+    return bool(ndimage.distance_transform_edt(~part)[rest].max() >= LEAST_AWAY * max(cells.shape))
 
 
 def _tops(cells: Bools) -> NDArray[np.int64]:

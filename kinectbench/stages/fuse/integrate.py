@@ -168,7 +168,13 @@ def _integrate_batch(
 
 
 def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
-    """Noise parameters (9,) for the kernels: depth (3), pose (2), half diagonal, 1 / fading, window (2)."""
+    """A frame's parameters (9,) for the kernels, in metres and 1/m.
+
+    In this order: SIGMA_NEAR_M, SIGMA_GROWTH_PER_M and SIGMA_NEAR_DEPTH_M of the noise of depth;
+    `pose_sigma_m` and `vote_sigma_m`; half a voxel's diagonal; 1 / the distance within which the weight falls
+    to its least; and two numbers of standard deviations from the surface: up to the first the weight is full,
+    on both sides, and beyond the second, in front, it is full again.
+    """
     depth = (SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M)
     poses = (frame.pose_sigma_m, frame.vote_sigma_m)
     fading_per_m = 1 / (FADING_VOXELS * voxel_size_m)
@@ -179,7 +185,10 @@ def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
 def _clear_m(
     frame: DepthFrame, voxel_size_m: float, truncation_m: float, farthest_m: float
 ) -> Callable[[Float32], Float32]:
-    """Make a function of depth: how far in front of it `_add` starts to equal `_add_clear`, at any slant."""
+    """Make a function of measured depth: how far in front of it, metres, `_add_clear` equals `_add`.
+
+    This holds for any slant of the surface.
+    """
     least_m = max(truncation_m, HALF_DIAGONAL * voxel_size_m)
     sigmas = MAX_SLANT * CLEAR_SIGMAS if frame.closely else SURFACE_SIGMAS
 
@@ -199,6 +208,13 @@ def _integrate(  # type: ignore[no-untyped-def]
 
     As separate loops, all but the fetching can be vectorised by the compiler. Each block passes through
     memory once for all frames.
+
+    For f frames and n blocks: `seen` (f, n) as from `visible_blocks`; `blocks` (n, 3) block coordinates;
+    `tsdf`, `weight` and `votes` (n, 512), changed in place; `noise` (f, 9) as from `_noise_m`. `pixels`
+    (f, height, width) uint64 have a float32 depth, metres, in the lower half and its float32 weight in the
+    upper one, and an empty border. `to_pixels` (f, 3, 4) maps the volume's frame to camera axes, with x and y
+    multiplied by fx and fy. `middle` (2,) is the principal point, moved for the border and for rounding.
+    `voxel` (edge) and `truncation` are in metres.
     """
     index = np.empty(BLOCK_CELLS, np.uint32)
     fetched = np.empty(BLOCK_CELLS, np.uint64)
@@ -234,7 +250,7 @@ def _integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
-    """Set `inside` (3, 512): the projected offsets from a block's corner to the centres of its voxels."""
+    """Set `inside` (3, 512): `to_pixels` (3, 4) applied to the offsets of voxels from a block's corner."""
     for axis in range(3):
         for n in range(BLOCK_CELLS):
             i, j, k = n // SLAB_CELLS, n // BLOCK_VOXELS % BLOCK_VOXELS, n % BLOCK_VOXELS
@@ -244,7 +260,12 @@ def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _project(index, z, corner, inside, middle, width, height):  # type: ignore[no-untyped-def]
-    """Set depth and pixel index of each voxel of a block; outside the image, a pixel of the empty border."""
+    """Set `z` (512,) and `index` (512,): depth and pixel of each voxel of a block.
+
+    Voxels outside the image get a pixel of the empty border. `corner` (3,) is the block's corner and `inside`
+    (3, 512) the voxels' offsets from it: camera axes, x and y multiplied by fx and fy. `middle` (2,) is the
+    principal point, moved for rounding; `width` and `height` include the border.
+    """
     f32 = np.float32
     right, bottom, row_length = f32(width - 1), f32(height - 1), np.int32(width)
     across, down, along = inside[0], inside[1], inside[2]
@@ -261,7 +282,12 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # type: ignore[no-untyped-def]
-    """Add a frame's weighted distances, weights and votes to a block's sums; return whether it has any."""
+    """Add a frame's weighted distances, weights and votes to a block's sums; return whether it has any.
+
+    The sums (512,) are of weight * distance, of weights, and of votes. `fetched` (512,) uint64 has, for each
+    voxel's pixel, the float32 depth (lower half) and weight (upper half). `z` (512,) is each voxel's depth,
+    metres, `noise` (9,) is as from `_noise_m`.
+    """
     f32 = np.float32
     near, growth, near_depth, pose, vote_pose = noise[0], noise[1], noise[2], noise[3], noise[4]
     half_diagonal, fading_per_m, window, clear = noise[5], noise[6], noise[7], noise[8]
@@ -293,7 +319,10 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add_clear(new_total, new_weight, new_votes, fetched, truncation):  # type: ignore[no-untyped-def]
-    """Do what `_add` does if all voxels are far in front of the measured depth: all votes are `free`."""
+    """Do what `_add` does, for a block that lies far in front of all measured depth.
+
+    There, each distance is the truncation and each vote is `free`.
+    """
     any_added = np.float32(0)
     for n in range(BLOCK_CELLS):
         added = abs(np.uint32(fetched[n] >> HALF_BITS).view(np.float32))
@@ -337,6 +366,9 @@ def _set_pixels(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-unt
     negative, which means that the pixel only makes voxels well in front of it free.
 
     It works row by row on slices, because indices that may be negative stop the compiler from vectorising.
+
+    `pixels` (height + 2, width + 2, 2) float32 are set; `depth_m` is (height, width), 0 = none. `slope` (2,)
+    is fx and fy divided by the 4 pixels over which the slant is measured; `noise` (9,) as from `_noise_m`.
     """
     f32 = np.float32
     height, width = depth_m.shape

@@ -40,7 +40,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
     free_votes, surface_votes = volume.free, volume.surface
 
     def surface_of(brick: Int32) -> tuple[Int32, TriangleMesh]:
-        """A brick's first block (3,), and its surface in voxels from the corner of that block."""
+        """The first block (3,) of a brick (a cube of blocks), and the surface in it, in voxels from there."""
         first = (brick * BRICK_BLOCKS).astype(np.int32)
         # One block more than the brick on the far sides: cells across the border belong to this brick.
         side = BRICK_BLOCKS * BLOCK_VOXELS + 1
@@ -67,7 +67,10 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
 
 
 def _edge_keys(vertices: Float64, first: Int64) -> Int64:
-    """An integer for each marching-cubes vertex that identifies its grid edge (or corner) across bricks."""
+    """An integer for each vertex (n, 3) of marching cubes, equal for vertices on the same edge of the grid.
+
+    Vertices are in voxels from the voxel `first` (3,); one on a corner of the grid gets the corner's integer.
+    """
     low = np.floor(vertices)
     axis = np.argmax(vertices - low, axis=1)
     axis[np.all(vertices == low, axis=1)] = 3
@@ -102,7 +105,11 @@ def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajector
 def _add_colors(  # type: ignore[no-untyped-def]
     total, count, vertices, depth_m, color, T, intrinsics
 ):
-    """Add the colour of the nearest pixel to each vertex whose depth that pixel measured."""
+    """Add the colour of the nearest pixel to each vertex whose depth that pixel measured.
+
+    `total` (n, 3) and `count` (n,) are the sums to add to, for `vertices` (n, 3) in the world frame, metres.
+    `T` (4, 4) maps the world to the camera.
+    """
     fx, fy, cx, cy = intrinsics
     height, width = depth_m.shape
     for n in range(len(vertices)):

@@ -59,7 +59,11 @@ def blocks_near_surface(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _blocks_on_rays(depth, step, intrinsics, T, offsets):  # type: ignore[no-untyped-def]
-    """Blocks around the points of sampled pixels, (n, 3) int64, in their order; repeats in a row left out."""
+    """Blocks (n, 3) int64 around the points of every `step`-th pixel; consecutive repeats are left out.
+
+    `T` (3, 4) maps the camera frame, metres, to block coordinates. A block is taken at each of the `offsets`
+    from a pixel's depth, metres.
+    """
     fx, fy, cx, cy = intrinsics
     height, width = depth.shape
     samples = ((height - 1) // step + 1) * ((width - 1) // step + 1)
@@ -139,7 +143,12 @@ def _of_tiles(depth):  # type: ignore[no-untyped-def]
 def _visible(  # type: ignore[no-untyped-def]
     blocks, block_m, clear_to, farthest, T, intrinsics, width, height, truncation_m
 ):
-    """Compute `visible_blocks` from an axis-aligned box around each block in the camera frame."""
+    """Compute `visible_blocks` from an axis-aligned box around each block in the camera frame.
+
+    `clear_to` is, for each tile of pixels, the depth up to which voxels can only be free, and `farthest` that
+    of the farthest surface that updates voxels (0: none), metres. `T` (4, 4) maps the volume's frame to the
+    camera.
+    """
     seen = np.zeros(len(blocks), np.uint8)
     fx, fy, cx, cy = intrinsics
     half = np.empty(3)
@@ -169,7 +178,11 @@ def _visible(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-untyped-def]
-    """First and last tile that coordinates from low to high project to, by 1 / nearest and 1 / farthest z."""
+    """First and last tile, along one image axis, of the pixels to which a box projects.
+
+    The box lies at `low` to `high` along that axis, metres; `by_near` and `by_far` are 1 / its nearest and
+    farthest z. `middle` is the principal point, `count` the width or height of the image, pixels.
+    """
     first = focal * min(low * by_near, low * by_far) + middle - 0.5
     last = focal * max(high * by_near, high * by_far) + middle + 1
     return int(max(first, 0.0)) // TILE_PX, int(np.floor(min(last, count - 1.0) / TILE_PX))
@@ -177,7 +190,7 @@ def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _any_beyond(farthest, left, right, top, bottom, depth_m):  # type: ignore[no-untyped-def]
-    """Whether any of these tiles has measured depth at or beyond `depth_m`."""
+    """Whether the farthest depth in any tile of this rectangle is `depth_m` or more; 0 means no depth."""
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):
             if farthest[row, column] > 0 and farthest[row, column] >= depth_m:
@@ -187,7 +200,7 @@ def _any_beyond(farthest, left, right, top, bottom, depth_m):  # type: ignore[no
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _all_beyond(clear_to, left, right, top, bottom, depth_m):  # type: ignore[no-untyped-def]
-    """Whether the space in front of all these tiles is clear up to `depth_m`."""
+    """Whether voxels up to `depth_m` can only be free in all tiles of this rectangle, by their `clear_to`."""
     least = np.float32(np.inf)
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):

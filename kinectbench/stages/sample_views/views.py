@@ -225,7 +225,11 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
 
 
 def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
-    """The images of a view by file suffix: depth (uint16 mm), and colour, if any; StorageError: damaged."""
+    """The images of a view: {"depth.png": PNG file (uint16 mm), "color.jpg": JPEG file if there is colour}.
+
+    Raises:
+        StorageError: depth is missing or damaged, or colour is damaged and no JPEG.
+    """
     encoded = sequence.frames.color_encoded(frame)
     color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
     return {"depth.png": png(depth_in_mm(sequence.depth_m(frame))), **color}
@@ -303,7 +307,7 @@ def picture_digest(pictures: Mapping[str, bytes]) -> str:
     The depth file itself may differ with the version of zlib; colour is usually stored as recorded.
 
     Args:
-        pictures: images as from `pictures_of`.
+        pictures: {"depth.png": PNG file, "color.jpg": JPEG file if there is one}.
 
     Raises:
         StorageError: the depth image is damaged.
@@ -346,7 +350,7 @@ def _read_mask(path: Path) -> Bools | None:
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:
-    """Colour as a JPEG: the recorded file if it is one, else encoded once. StorageError: it is damaged."""
+    """Colour as a JPEG: a recorded JPEG as it is, unchecked; else encoded here, StorageError if damaged."""
     import cv2
 
     if suffix in (".jpg", ".jpeg"):

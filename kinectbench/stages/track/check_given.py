@@ -56,7 +56,7 @@ class GivenCheck:
 
     @property
     def agrees(self) -> Bools:
-        """Whether each frame (n,) was compared with others and does not disagree; outliers count, too."""
+        """Whether each frame (n,) was compared with others and does not disagree, outliers included."""
         return np.isfinite(self.frames.shift_m) & ~self.frames.disagrees
 
 
@@ -94,10 +94,10 @@ def check_given(
 def as_refined(
     sequence: Sequence, checked: GivenCheck, T_refined: Float64, settings: TrackingSettings
 ) -> GivenCheck:
-    """Return the check, with the figures of refined poses (n, 4, 4) added.
+    """Return the check, with two figures of refined poses (n, 4, 4) added.
 
-    These are the distant residual at the refined poses, and their distance from the given ones, None if
-    fewer than three frames have both.
+    They are the residual between distant frames at the refined poses; and the rms distance of the refined
+    camera centres from the given ones, after alignment (None if fewer than three frames have both poses).
     """
     maps, every = MapCache(sequence), settings.check_stride_px
     maps.calibrate(checked.calibration)

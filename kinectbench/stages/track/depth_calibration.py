@@ -101,7 +101,10 @@ def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _accepted(sums: Sequence[Float64]) -> DepthCalibration:
-    """The correction by all pairs; none for fewer than six, or if one half's does not improve the other."""
+    """The correction by all pairs; none for fewer than six, or if one half's does not improve the other half.
+
+    `sums` has a normal matrix for each pair, with the residual in the last row and column.
+    """
     accepted = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
     return DepthCalibration(_solved(sums)) if accepted else NO_CALIBRATION
 
@@ -109,7 +112,9 @@ def _accepted(sums: Sequence[Float64]) -> DepthCalibration:
 def _left(solved: Sequence[Float64], judged: Sequence[Float64]) -> float:
     """Cross-validated ratio of squared residuals, with to without correction: the worse of two halves.
 
-    Each half of the products `judged` is corrected by the estimate from the other half of `solved`.
+    Args:
+        solved: normal matrix of each pair, with the residual in the last row and column, for the estimates.
+        judged: the same for the residuals; each half of the pairs is corrected by the other's estimate.
     """
     half = len(solved) // 2
     return max(
@@ -118,7 +123,10 @@ def _left(solved: Sequence[Float64], judged: Sequence[Float64]) -> float:
 
 
 def _falls_to(products: Sequence[Float64], coefficients_per_m: Float64) -> float:
-    """Ratio of the squared residuals with these coefficients to those without correction."""
+    """Ratio of squared residuals, with these k coefficients to without correction.
+
+    `products` are normal matrices (k + 1, k + 1), with the residual in the last row and column.
+    """
     one, whole = np.append(coefficients_per_m, 1.0), np.sum(products, axis=0)
     return 1 + float(one @ whole @ one - whole[-1, -1]) / max(float(whole[-1, -1]), 1e-12)
 
@@ -134,10 +142,10 @@ def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[Float64, Float64]]
 
 
 def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
-    """Weighted products (k + 1, k + 1) of the derivatives by k coefficients and the residual (last), twice.
+    """Two matrices (k + 1, k + 1), each the sum of w J J^T over the pair's points; None: too little overlap.
 
-    In the first, the pair's motion is fixed; in the second, it is eliminated. None if the frames overlap too
-    little.
+    J is (derivatives of the residual by the k coefficients, residual), w its weight. In the first matrix, the
+    pair's motion is fixed; in the second, it is eliminated.
     """
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)
@@ -148,9 +156,11 @@ def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
 
 
 def _linearised(view: CalibrationView) -> tuple[Float64, Float64, Float64]:
-    """Linearise a pair's residuals (m,): to first order they become residuals + rows @ (twist, coefficients).
+    """Linearise a pair's m residuals by the pair's motion and the k coefficients of the correction.
 
-    Returns the rows (m, 6 + k), the residuals, and the weights (m,).
+    Returns:
+        rows (m, 6 + k), residuals (m,), and their weights (m,). For a small twist and small coefficients the
+        residuals become residuals + rows @ (twist, coefficients).
     """
     source, target = view.source, view.target
     every = max(1, len(source.points) // POINTS_PER_PAIR)

@@ -138,7 +138,10 @@ class _Checker:
             self.step_m[frame] = checked.certain_shift_m
 
     def recheck(self, posed: Int64) -> None:
-        """Check again the frames that move far, agree less well than is typical, or were not compared."""
+        """Compare again the frames that moved far, fit worse than usual, or were not compared.
+
+        `posed` (k,) are the indices of all frames with a pose.
+        """
         # The first check runs at the finest level, which recovers only part of a large shift.
         median_m = np.median([checked.shift_m for checked in self.found.values()] or [0.0])
         recheck_above_m = max(self.max_shift_m / 2, RECHECK_TIMES * median_m)
@@ -177,18 +180,21 @@ class _Checker:
         return float(np.median(residuals)) if len(residuals) else np.nan
 
     def _sound(self, wrong: list[int]) -> Int64:
-        """The reference frames that were compared, but for the wrong ones."""
+        """The reference frames that were compared, without the frames `wrong`."""
         return self.compared[np.isin(self.compared, list(self.found)) & ~np.isin(self.compared, wrong)]
 
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
-        """Up to three agreeing reference frames before a frame, and after it; unordered: the most similar."""
+        """The last three of the frames `sound` before a frame, and the first three after it.
+
+        If the frames are in no order of time: one list, of the three with the most similar views.
+        """
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
         if not self.ordered:
             sides = [nearest_views(self.T, frame, sound)[:NEXT_IN_TIME]]
         return [side.tolist() for side in sides if len(side)]
 
     def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """Register a frame to the agreeing frames on either side."""
+        """Register a frame to the nearest of the frames `sound` before it, and to those after it."""
         checks = [self._check(frame, side, coarsest=2) for side in self._sides(frame, sound)]
         return [each for each in checks if each is not None]
 
@@ -208,7 +214,11 @@ class _Checker:
         return odd & find_outliers(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
-        """Search around the given pose and, if ordered, the nearest frame's; `best` if nothing is better."""
+        """Search for a pose at which a frame fits the nearest of the frames `sound` clearly better.
+
+        The search starts at the frame's given pose and, if frames are in the order of time, also at the
+        nearest frame's. `best`, the result so far, is returned if nothing better is found.
+        """
         others = sound[sound != frame]
         if self.ordered:
             near = int(others[np.argmin(np.abs(others - frame))])
@@ -228,7 +238,7 @@ class _Checker:
         )
 
     def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
-        """Compare a frame with an earlier frame, from its given pose; if not accepted, from zero motion."""
+        """Register a frame to an earlier one, from its given pose; if not accepted, from zero motion."""
         checked = self._check(frame, [before], coarsest)
         if checked is not None and is_accepted(checked.registration):
             return checked
@@ -300,7 +310,7 @@ class _Checker:
 
 @dataclass(frozen=True)
 class _TypicalQuality:
-    """The inlier ratio and intensity correlation that nearly all of the recording's registrations reach."""
+    """The inlier ratio and the intensity correlation that nearly all registrations of the recording reach."""
 
     inlier_share: float
     correlation: float
@@ -324,7 +334,10 @@ class _TypicalQuality:
 
 
 def nearest_views(T: Float64, frame: int, among: Int64) -> Int64:
-    """The other frames of `among`, the most similar view first: 1 m apart counts as 1 rad between axes."""
+    """The other frames of `among` (k,), the most similar view first.
+
+    Views differ by the distance of the cameras, metres, plus the angle between the optical axes, radians.
+    """
     others = among[among != frame]
     apart_m = np.linalg.norm(T[others, :3, 3] - T[frame, :3, 3], axis=1)
     cosine = T[others, :3, 2] @ T[frame, :3, 2]

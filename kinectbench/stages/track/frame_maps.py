@@ -68,7 +68,7 @@ class ReducedFrame:
 
     Attributes:
         depth: (height, width) uint16, 0.1 mm, 0 = none.
-        gray: (height, width) uint8; (0, 0) where colour is missing or not registered to depth.
+        gray: (height, width) uint8; of shape (0, 0) where colour is missing or not registered to depth.
     """
 
     depth: NDArray[np.uint16]
@@ -83,7 +83,7 @@ class Level:
         camera: intrinsics at this resolution.
         depth_m: (height, width) float32, 0 = none.
         normals: (height, width, 3) float32, camera frame, towards the camera; 0 = none.
-        intensity: (height, width) float32, 0 to 255; (0, 0) where colour is missing or not registered.
+        intensity: (height, width) float32, 0 to 255; of shape (0, 0) where there is no registered colour.
         points: (m, 8) float32: position (metres, camera frame), normal, sigma (metres), intensity.
         normal_noise: standard deviation of the normals along either tangent (radians), divided by sigma /
             depth and by the cosine of the slant.
@@ -124,7 +124,7 @@ class FrameMaps:
         return self._inputs[0][2].size > 0
 
     def reduced(self, enough_px: int, *, with_intensity: bool) -> "FrameMaps":
-        """The same frame, at half the resolution if that is `enough_px` wide; intensity only on request."""
+        """The same frame, at half the resolution if it then is at least `enough_px` wide."""
         camera, depth_m, intensity = self._inputs[0]
         if camera.width >= 2 * enough_px:
             camera, depth_m, intensity = _halved_inputs(camera, depth_m, intensity)
@@ -230,13 +230,13 @@ class MapCache:
         self._kept.pop(index, None)
 
     def undo_shutter(self, shutter: RollingShutter) -> None:
-        """Undo this rolling shutter in maps made from now on; drop maps and depth averages made without."""
+        """Undo a rolling shutter in all maps from now on; drop maps and averaged depth made so far."""
         self.shutter = shutter
         self.averaged.clear()
         self._kept.clear()
 
     def calibrate(self, calibration: DepthCalibration) -> None:
-        """Correct the depth of all frames from now on, by this calibration alone."""
+        """Correct the depth of all frames from now on; this calibration replaces an earlier one."""
         camera = reduced_camera(self.sequence.camera, _reduction(self.sequence.camera))
         none = calibration.is_none
         self.correction_per_m = None if none else calibration.correction_per_m(camera.width, camera.height)
@@ -244,7 +244,7 @@ class MapCache:
 
 
 def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
-    """Read a frame's colour as grey, working resolution; None if missing, damaged or not of depth's shape."""
+    """Read colour as grey, working resolution; None if missing, damaged or of another size than depth."""
     import cv2
 
     gray, camera = gray_frame(sequence, index, cv2.IMREAD_GRAYSCALE), sequence.camera

@@ -176,7 +176,7 @@ class _Case:
 
     @cached_property
     def held_out(self) -> Bools:
-        """Whether each frame (n,) has a pose and is no keyframe; if no such frame has a residual, `posed`."""
+        """Frames (n,) with a pose that are no keyframes; if none of these has a residual, all with a pose."""
         others = self.posed.copy()
         others[self.tracked.keyframes] = False
         return others if np.isfinite(self.residual_m[others]).any() else self.posed
@@ -264,10 +264,10 @@ def _arc_rad(case: _Case) -> float | None:
 
 
 def _loop_correction_m(loops: Iterable[ConstraintCorrection]) -> float | None:
-    """Rms correction of the accepted loops, metres; None if none is left.
+    """Rms correction of the accepted loops, metres; None without such loops.
 
-    A loop between views that hardly overlap may itself be wrong by decimetres. The largest corrections, of up
-    to one loop in twenty, are therefore left out where they are within the expected error of the loop itself.
+    A loop between views that hardly overlap may itself be wrong by decimetres. Of the largest corrections
+    (one in twenty), those within the expected error of their loop are therefore left out.
     """
     believed = [each for each in loops if each.accepted and np.isfinite(each.shift_m)]
     believed.sort(key=lambda each: -each.shift_m)

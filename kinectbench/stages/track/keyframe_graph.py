@@ -91,7 +91,7 @@ def build_graph(
 
 
 class _Builder:
-    """Builds the keyframe graph step by step."""
+    """Builds the keyframe graph step by step; a group is one or more segments joined into one world."""
 
     def __init__(
         self, maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None
@@ -140,7 +140,7 @@ class _Builder:
         self._try((a, b, None) for a, b in sorted(tries))
 
     def add_covisibility_constraints(self) -> None:
-        """Register pairs of keyframes whose poses predict a shared view; choose the largest views first."""
+        """Register pairs of keyframes whose poses predict a shared view, those that share most first."""
         tries: dict[int, int] = defaultdict(int)
         chosen = []
         pairs = sorted(self._covisible_pairs(), key=lambda pair: (-pair[0], pair[1:]))
@@ -176,7 +176,7 @@ class _Builder:
                 (self.constraints if made.weight else self.refused).append(made)
 
     def _constraint(self, pair: tuple[int, int, Float64 | None]) -> Constraint | None:
-        """Register keyframe b to a: a constraint, of weight 0 if rejected; None without initial pose."""
+        """Register keyframe b to a: a constraint, of weight 0 if rejected; None: no initial pose found."""
         a, b, T_a_b = pair
         frames = self.keyframes[a], self.keyframes[b]
         near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]
@@ -259,7 +259,7 @@ class _Builder:
         return np.asarray(invert_rigid(self.T_world[a]) @ self.T_world[b])
 
     def _joining_constraints(self) -> dict[tuple[int, int], list[Constraint]]:
-        """Constraints between each pair of groups, if nearly as good as those of consecutive keyframes."""
+        """{(lower group, higher group): constraints between them with nearly the odometry's inlier ratio}."""
         along = [each.registration for each in self.constraints if each.kind == "odometry"]
         typical_share = np.median([each.inlier_share for each in along] or [0.0])
         between: dict[tuple[int, int], list[Constraint]] = defaultdict(list)
@@ -302,7 +302,7 @@ class _Builder:
                 self._refuse_contradictions()
 
     def _refuse_contradictions(self) -> None:
-        """Refuse loops within a group that break the drift bound."""
+        """Refuse loops within a group that differ from its poses by more than odometry may drift."""
         kept: list[Constraint] = []
         for each in self.constraints:
             a, b = self._ends(each)

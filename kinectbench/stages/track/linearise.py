@@ -139,7 +139,7 @@ def linearise(
 
 
 def _correlation(P: Float64, exposure: Float64) -> float:
-    """Correlation of source and target intensities, from photometry's weighted products."""
+    """Correlation of source and target intensities, from the sums P (9, 9) of `_accumulate`."""
     products = P[[0, 1, 8]][:, [0, 1, 8]]  # of the source's intensity, 1 and the residual
     # The target's intensity is the residual + gain * source + offset.
     to_target = np.array([exposure[0], exposure[1], 1.0])
@@ -159,6 +159,9 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, nogil=True)
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_observability):  # type: ignore[no-untyped-def]
     """Sum the normal equations of a pair of frames over the source's points, at the pose T.
+
+    `points` are the source's, as in `Level.points`; `depth`, `normals`, `intensity` and `intrinsics` are the
+    target's; the other arguments are those of `linearise`.
 
     Returns:
         A, P, S, M, each symmetric, then the numbers of inliers, violations and compared intensities, then

@@ -30,7 +30,11 @@ POINT_COLUMNS = 8
 def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no-untyped-def]
     """Reduce native depth by blocks of pixels to uint16; the mean of the nearest surface keeps edges sharp.
 
-    Only depth between 0.3 and 4.5 m counts.
+    Args:
+        native: (height, width) depth; only 0.3 to 4.5 m counts.
+        depth_scale: native units per metre.
+        factor: a block has `factor` x `factor` pixels.
+        stored_per_m: units of the result per metre.
     """
     height, width = native.shape[0] // factor, native.shape[1] // factor
     out = np.zeros((height, width), np.uint16)
@@ -83,7 +87,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
-    """Average depth over 5 x 5 pixels of the same surface; used for normals only."""
+    """Average depth over those of 5 x 5 pixels that differ by less than `gate` times depth; for normals."""
     height, width = depth_m.shape
     out = np.zeros((height, width), np.float32)
     total, count = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -107,7 +111,10 @@ def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
-    """Normals (height, width, 3) from the pixels two to each side; 0 where these are not one surface."""
+    """Normals (height, width, 3) from the pixels two to each side, left, right, above and below.
+
+    0 where one of these differs from the centre by more than `gate` times the depth: not one surface.
+    """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     over_fx, over_fy = 1 / fx, 1 / fy

@@ -88,7 +88,7 @@ class Odometry:
 
 @dataclass(frozen=True)
 class ReferenceQuality:
-    """Running means of inlier ratio and intensity correlation of this recording's registrations."""
+    """The usual quality: running means of inlier ratio and intensity correlation of the registrations."""
 
     inlier_share: float
     correlation: float
@@ -103,12 +103,12 @@ class ReferenceQuality:
         )
 
     def is_possible(self, registration: Registration) -> bool:
-        """Whether a registration is accepted, and is not much below the reference or overlaps by 70 %."""
+        """Whether a registration is accepted and has 70 % overlap or nearly the mean inlier ratio."""
         reference = registration.inlier_share >= self.inlier_share - MUCH_FEWER_INLIERS
         return (reference or registration.overlap >= SAME_VIEW) and is_accepted(registration)
 
     def meets_reference(self, registration: Registration) -> bool:
-        """Whether a registration reaches the reference quality, with small margins, and overlaps by 40 %."""
+        """Whether a registration reaches both means, less small margins, and overlaps by at least 40 %."""
         return (
             registration.inlier_share >= self.inlier_share - INLIER_SLACK
             and registration.overlap >= REFERENCE_OVERLAP
@@ -203,7 +203,7 @@ class Follower:
         return Followed(segment, index, np.eye(4), None)
 
     def _accepted(self, index: int, followed: Followed) -> Followed:
-        """Accept a registered frame; make it the next keyframe after a large motion."""
+        """Accept a registered frame; make it a keyframe if it is far from its own or overlaps it little."""
         assert followed.registration is not None
         self.reference = self.reference.after(followed.registration)
         if not is_keyframe(followed.registration, self.maps[index]):

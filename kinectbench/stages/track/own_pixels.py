@@ -57,7 +57,7 @@ def track_own_pixels(
 
 
 def _at_rest(sequence: Sequence, trajectory: Trajectory, settings: TrackingSettings) -> list[str]:
-    """A warning if given poses were ignored although they agree with the object's poses."""
+    """A warning if the given poses, which were ignored, agree with those found: the object did not move."""
     given = sequence.given_trajectory
     if given is None:
         return []

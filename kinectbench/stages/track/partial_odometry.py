@@ -37,7 +37,10 @@ _ask: ContextVar[Ask | None] = ContextVar("partial_odometry", default=None)
 
 @contextmanager
 def using_partial_odometry(ask: Ask) -> Iterator[None]:
-    """Within the block, let the next tracked sequence continue the earlier odometry if the frames match."""
+    """Within the block, let the next tracked sequence continue an earlier odometry if the frames match.
+
+    `ask` returns that odometry, or None; it is called when tracking starts.
+    """
     token = _ask.set(ask)
     try:
         yield

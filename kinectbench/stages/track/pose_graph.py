@@ -97,7 +97,17 @@ def growth(constraint: Constraint) -> float:
 
 @dataclass(frozen=True)
 class _Graph:
-    """Constraints and priors as arrays."""
+    """The m constraints between k poses, and the priors, as arrays.
+
+    The argument `kernel` of its methods is the squared error, in squared standard deviations, at which a
+    constraint has a quarter of its weight; `poses` are (k, 4, 4).
+
+    Attributes:
+        measured: (m, 4, 4) the constraints' T_a_b.
+        information: (m, 6, 6) their information.
+        ends: (m, 2) the rows of a and b in `poses`.
+        T_prior: (k, 4, 4) poses used as weak priors, NaN where unknown; or None.
+    """
 
     measured: Float64
     information: Float64
@@ -105,7 +115,7 @@ class _Graph:
     T_prior: Float64 | None
 
     def descend(self, poses: Float64, kernel: float, iterations: int) -> Float64:
-        """Levenberg-Marquardt: reject a step that raises the cost, and increase the damping."""
+        """Lower the cost by Levenberg-Marquardt: a step that raises it is rejected, the next more damped."""
 
         def advance(state: tuple[Float64, float, float]) -> tuple[tuple[Float64, float, float], float]:
             """The next poses, cost and damping, and the size of the step."""
@@ -177,6 +187,7 @@ class _Graph:
 def _errors(poses: Float64, measured: Float64, ends: NDArray[np.int64]) -> Float64:
     """Errors measured^-1 T_a^-1 T_b (m, 6): rotation vector, radians, and translation, metres.
 
+    `measured` (m, 4, 4) are the constraints' T_a_b, `ends` (m, 2) the rows of a and b in `poses` (k, 4, 4).
     To first order, a twist of T_b adds to the error, and a twist of T_a adds -Ad(measured^-1) times itself.
     """
     back = invert_rigid(measured)
@@ -196,7 +207,14 @@ def adjoint(T: Float64) -> Float64:
 
 
 def _solve(blocks: Float64, rows: NDArray[np.int64], columns: NDArray[np.int64], right: Float64) -> Float64:
-    """Solve a sparse system of 6 x 6 blocks (b, 6, 6) at block rows and columns (b,); right (k, 6, 1)."""
+    """Solve a sparse system of k x k blocks of 6 x 6: the solution (k, 6).
+
+    Args:
+        blocks: (b, 6, 6) the blocks that are not 0; those at one place are added.
+        rows: (b,) block row of each.
+        columns: (b,) block column of each.
+        right: (k, 6, 1) the right side.
+    """
     offsets = np.arange(6)
     i = np.broadcast_to(6 * rows[:, None, None] + offsets[:, None], blocks.shape)
     j = np.broadcast_to(6 * columns[:, None, None] + offsets, blocks.shape)

@@ -107,7 +107,8 @@ def register(
         targets: one or more other frames.
         T_targets_source: (4, 4) for each target, the initial poses.
         coarsest: level to start at, 0 the finest.
-        prior: (6, 6) information of the initial pose, times `CORRELATED_POINTS`, as points count in full.
+        prior: (6, 6) information of the initial pose, multiplied by `CORRELATED_POINTS`, because the points'
+            residuals are summed here as if they were independent.
         every: stride of the points used at the finest level.
 
     Returns:
@@ -142,7 +143,11 @@ def _advanced(
     every: int,
     moving: Moving,
 ) -> tuple[Moving, float]:
-    """Advance a registration by one step at a level; also return the step's largest component."""
+    """Advance a registration by one step at a level; also return the step's largest component.
+
+    `starts` are the initial poses, (4, 4) for each target; `moving` is the motion since then, and for each
+    target its exposure and its last terms. The other arguments are those of `register`.
+    """
     motion, exposures, _ = moving
     linear_terms = _linearised(source, targets, [start @ motion for start in starts], exposures, level, every)
     known = NormalEquations.of_prior(prior, twist_from_rigid(motion))
@@ -175,7 +180,11 @@ def _linearised(
     level: int,
     every: int,
 ) -> list[LinearTerms]:
-    """The terms for each target at a level; the finest level adds observability and uses fewer points."""
+    """The terms of the registration to each target at a level.
+
+    The finest level also has the terms for observability, and uses only every n-th point (`every`).
+    `exposures` are (2,) for each target: gain and offset of intensity.
+    """
     finest = level == 0
     return [
         linearise(
@@ -198,7 +207,11 @@ def _figures(
     linear_terms: Sequence[LinearTerms],
     every: int,
 ) -> tuple[Registration, Float64]:
-    """The registration's figures, and the unobservable directions (6, k), as in `Observability.motions`."""
+    """A registration with its figures, and the unobservable directions: twists as columns (6, k).
+
+    `T_target_source` (4, 4) is the pose of the first target, `linear_terms` are those of each target at the
+    finest level, linearised with a stride of `every` points.
+    """
     inliers = sum(terms.inliers for terms in linear_terms)
     compared = inliers + sum(terms.violations for terms in linear_terms)
     squares = sum(terms.inliers * terms.residual_m**2 for terms in linear_terms)
@@ -288,7 +301,7 @@ def better(best: Registration | None, other: Registration) -> Registration:
 
 
 def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
-    """Search around `T_start` (4, 4) for the registration of a frame to another with the highest score."""
+    """Register a frame to another from many poses around `T_start` (4, 4); the result of highest score."""
     points, maps = source[COARSEST], target[COARSEST]
     T_settled, _ = _settle(source, target, T_start)
     terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_observability=True)

@@ -50,7 +50,9 @@ class _Pair:
 
 
 def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
-    """Estimate the rolling shutter and the colour's delay, if the camera moves fast; None without either.
+    """Estimate the rolling shutter and the colour's delay.
+
+    None if too few frames differ enough in motion from their keyframe, or if both times are 0.
 
     Args:
         maps: maps of the frames, without a shutter undone.
@@ -93,7 +95,10 @@ def flow_rad_per_s(rates: Float64, depth_m: float) -> Float64:
 
 
 def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> list[_Pair]:
-    """At most 12 pairs of a frame and its keyframe, of the half whose motions differ most; [] if too few."""
+    """At most 12 pairs of a frame and its keyframe, from the half whose motions differ most.
+
+    [] if the motions differ in too few frames. `motion` is (n, 12), as from `motions_of`.
+    """
     frames = odometry.frames
     homes = np.array([index if frame is None else frame.keyframe for index, frame in enumerate(frames)])
     chosen_frames = evenly(len(frames), DEPTH_FRAMES).tolist()

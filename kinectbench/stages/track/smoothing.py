@@ -84,7 +84,9 @@ def _accelerations(poses: Float64, times_s: Float64) -> Float64:
 
 
 def _variances(accelerations: Float64, weights: list[Float64], information: Float64) -> tuple[Float64, float]:
-    """Split the measured accelerations into the camera's motion and the noise of its poses.
+    """Split the measured accelerations (n - 2, 6) into the camera's motion and the noise of its poses.
+
+    `weights` are those of three consecutive poses for an acceleration, `information` (n, 6, 6) is the poses'.
 
     Returns:
         (6,) variance of the camera's own accelerations; and the scale factor for the poses' covariance.

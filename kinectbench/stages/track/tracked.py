@@ -23,7 +23,7 @@ class Constraint:
         a: index of the earlier frame in the sequence.
         b: index of the later frame.
         registration: registration of b to a.
-        kind: odometry: consecutive keyframes; covisible: near in time; loop: a place seen again.
+        kind: odometry: consecutive keyframes; covisible: at most three keyframes apart; loop: all others.
         weight: 0 to 1, the weight that the robust kernel of the pose graph assigned.
     """
 

@@ -119,7 +119,7 @@ def _place(
 
 @dataclass(frozen=True)
 class _Placed:
-    """A frame's pose, which does not count if there is a reason; and its registration to nearby keyframes."""
+    """A frame's pose and its registration to nearby keyframes; or the reason why its pose does not count."""
 
     state: State
     reason: str | None = None
@@ -138,7 +138,7 @@ class _FirstTry:
 
 
 def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed:
-    """A placed frame; with a reason against its pose if its keyframe could not be placed."""
+    """The placed frame `index`; its pose does not count if its keyframe could not be placed."""
     frame, each = odometry.frames[index], placed[index]
     if frame is None or each.reason is not None or placed[frame.keyframe].reason is None:
         return each
@@ -195,7 +195,7 @@ class _Placer:
         return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
 
     def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
-        """At most two rows: the frame's own keyframe, and its neighbours that share most of the view."""
+        """Rows of at most two keyframes: the frame's own, then those connected to it that share most view."""
         home = self.row[frame.keyframe]
         view = keyframe_thumbnail(self.maps[index])
         shared = [
@@ -207,7 +207,10 @@ class _Placer:
         return (own + [k for _, k in sorted(shared)])[:NEIGHBOURS]
 
     def _registered(self, index: int, around: list[int], T_world: Float64) -> Registration:
-        """The registration to the keyframes around: a keyframe is measured at its pose, other frames move."""
+        """Register a frame, from the pose `T_world`, to the keyframes in the rows `around`.
+
+        A keyframe does not move: only its residuals are measured.
+        """
         source = self.maps[index]
         targets = [self.maps[self.graph.keyframes[k]] for k in around]
         starts = [invert_rigid(self.graph.T_world[k]) @ T_world for k in around]
@@ -232,7 +235,10 @@ class _Placer:
 
 
 def _neighbours(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:
-    """For each keyframe the rows of its neighbours, the most strongly connected first."""
+    """For each keyframe the rows of those it has a constraint with, the largest weight times overlap first.
+
+    `row` maps the frame index of a keyframe to its row.
+    """
     neighbours: list[list[int]] = [[] for _ in graph.keyframes]
     for each in sorted(graph.constraints, key=lambda t: -t.weight * t.registration.overlap):
         neighbours[row[each.a]].append(row[each.b])

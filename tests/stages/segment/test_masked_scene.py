@@ -26,6 +26,12 @@ def test_a_given_plane_below_the_object_is_its_floor() -> None:
     assert found.floor.given and found.box.size_m[2] == pytest.approx(0.3, abs=0.01)
 
 
+def test_a_thing_turned_in_a_hand_may_be_seen_mostly_from_below_its_plane() -> None:
+    below = trajectory_of(np.concatenate([ring(12, 1.5, (0, 0, 0.2)), ring(28, 1.5, (0, 0, -1.0))]))
+    found = segment_masked_scene(block(), below, hint=FloorHint(plane_world=np.array([0, 0, 1.0, 0])))
+    assert found.floor.given and found.box.size_m[2] == pytest.approx(0.3, abs=0.01)
+
+
 @pytest.mark.parametrize("plane", [(0, 0, -1.0, 0), (0, 0, 1.0, -0.4)])
 def test_a_given_plane_above_the_cameras_or_the_object_is_refused(plane: tuple[float, ...]) -> None:
     """Upside down, or between the object and the cameras."""

@@ -68,8 +68,8 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
     counts as the same if no corner of the box moves by more than 6 cm, times the `scale` of the scene.
 
     Raises:
-        SegmentationError: it was, or the anchor frame has no pose. The message has the box converted to this
-        floor frame, if it stays upright.
+        SegmentationError: the box was chosen in another frame, or its anchor frame has no pose. The message
+            has the box converted to this floor frame, if it stays upright.
     """
     if box.anchor is None:
         return

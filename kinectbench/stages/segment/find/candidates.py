@@ -114,7 +114,13 @@ def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least
 
 
 def _pieces(points_floor: Float64, cell_m: float, through_faces: bool) -> list[Float64]:
-    """The points (k, 3) of each large piece on the floor; lengths as if cameras were 1 m or more away."""
+    """The points (k, 3) of each large piece on the floor.
+
+    Args:
+        points_floor: (n, 3) points above the floor, scaled as if cameras were 1 m or more away.
+        cell_m: cells of this edge that touch are connected.
+        through_faces: connected cells must share a face; else a corner suffices.
+    """
     if len(points_floor) == 0:
         return []
     label = label_pieces(points_floor, cell_m, through_faces)
@@ -136,7 +142,7 @@ def _candidate(points_floor: Float64, scene: Scene, automatic: bool) -> Candidat
 
 
 def _same(one: Candidate, other: Candidate, within_m: float) -> bool:
-    """Whether the points of two candidates have about the same extents; the yaw of their boxes may differ."""
+    """Whether the axis-aligned bounds of two candidates' points differ by less than `within_m`, metres."""
     sides = [np.concatenate([c.points_floor.min(axis=0), c.points_floor.max(axis=0)]) for c in (one, other)]
     return bool(np.abs(sides[0] - sides[1]).max() < within_m)
 

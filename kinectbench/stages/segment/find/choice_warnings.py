@@ -154,7 +154,7 @@ def large_neighbours(selection: Selection) -> Float64:
 
 
 def _gap_within_m(points: Float64, others: Float64, most_m: float) -> float:
-    """The least distance between two sets of points (n, k) and (m, k); inf if it exceeds a bound."""
+    """The least distance between two sets of points (n, k) and (m, k); inf if it exceeds `most_m`."""
     from scipy.spatial import cKDTree
 
     return nearest_within(cKDTree(points), others, most_m)[0] if len(points) else np.inf
@@ -166,7 +166,7 @@ def _distance_m(points: Float64, point: Float64) -> float:
 
 
 def _cells(points_floor: Float64, label: Int32 | None) -> Int64:
-    """The number of 20 mm cells that each label's points occupy."""
+    """The number of 20 mm cells that the points of each label occupy, or all points if `label` is None."""
     cells = np.floor(points_floor / FINE_CELL_M).astype(np.int64)
     _, first = np.unique(cell_numbers(cells), return_index=True)
     return np.asarray(np.bincount(np.zeros(len(first), int) if label is None else label[first]))

@@ -26,9 +26,9 @@ def distance_scale(T_world_camera: Float64, focus_world: Float64) -> float:
 
 
 def cell_scale(scale: float, spacing_m: float, cell_m: float) -> float:
-    """The scale, but large enough for the surface's resolution.
+    """The least scale, at least `scale`, at which the vertices of the surface still touch in cells.
 
-    Vertices that are `spacing_m` apart must still touch in cells of `cell_m` times the result.
+    The vertices are `spacing_m` apart, the cells have an edge of `cell_m` times the result.
     """
     return max(scale, min(1.0, SPACINGS * spacing_m / cell_m))
 

@@ -84,7 +84,7 @@ class Floor:
         tilt_rad: angle between its normal and up, radians: by gravity, else coarsely as the cameras were
             held; NaN if it is not known.
         found: False if it is not a measured plane but `level_floor`.
-        scale: `distance_scale`, by which the cuts of the settings are multiplied.
+        scale: 0.3 to 1, smaller for nearer cameras; the heights of floor cuts are multiplied by it.
         choice: the planes among which it was chosen; none if a person gave the plane.
         given: whether a person gave the plane.
         against: objections to a given plane, or to cameras upside down, one line each.
@@ -178,8 +178,8 @@ def find_floor(
 def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
     """Find the floor among planes, in a world scaled so that cameras are at least 1 m from the focus.
 
-    The distance of inliers is scaled once more, as noise grows with the square of the distance; otherwise a
-    board that lies on the floor would pass as floor.
+    In this world, `surface.inlier_m` is smaller for near cameras, because noise grows with the square of the
+    distance; otherwise a board that lies on the floor would pass as floor.
     """
     choice, against = choose_plane(surface, T_world_camera, up_world, seed), tuple[str, ...]()
     if choice.chosen is None and up_world is None:
@@ -196,10 +196,11 @@ def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_wo
 
 
 def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
-    """Whether a plane that was found by turning the cameras by 180 degrees is clearly the floor.
+    """Whether a plane is clearly the floor although it was found only if cameras were held upside down.
 
-    It must have enough surface, and enough cameras above it, which must not look down steeply: a wall seen
-    from above looks like a floor seen steeply and upside down.
+    The cameras (n, 4, 4) are already turned upright. The plane must have enough surface, and enough cameras
+    above it, which must not look down steeply: a wall seen from above looks like a floor seen steeply and
+    upside down.
     """
     upright = float(np.median(-T_world_camera[:, :3, 1] @ chosen.plane[:3]))
     seen = chosen.inlier_share >= LEAST_UPSIDE_DOWN and chosen.above_share >= REPORTED_ABOVE_SHARE
@@ -213,7 +214,11 @@ def _given_floor(
     inlier_m: float,
     up_world: Float64 | None,
 ) -> Floor:
-    """The floor at a given plane (4,); the points (n, 3) near it give its noise and inlier share."""
+    """The floor at a given plane (4,); the points (n, 3) near it give its noise and inlier share.
+
+    Points within twice `inlier_m` are near. `up_world` (3,) is up by gravity, if known; else the poses
+    (m, 4, 4) show how the cameras were held.
+    """
     check_below_cameras(plane_world, T_world_camera)
     near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
     noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0

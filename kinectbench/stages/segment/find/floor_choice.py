@@ -81,7 +81,7 @@ class PlaneCandidate:
         points: number of points of the surface on it.
         inlier_share: share of the surface on it.
         above_share: share of the cameras that lie more than 0.1 m above it.
-        below_share: share of the surface that lies lower.
+        below_share: share of the surface that lies below the plane.
         under_share: points right below the plane's own area, divided by the points on it.
         tilt_rad: angle between its normal and up, radians: by gravity, or else as the cameras were held.
         way: index of the way of holding the cameras (`facings`) by which its normal is up; 0: the usual one.
@@ -201,7 +201,7 @@ def choose_plane(
 
 
 def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Float64, Bools]]:
-    """Up to six planes (4,) of points whose normals may be up, each with its points: (n,) bool."""
+    """Up to six planes (4,) by RANSAC, of points whose normals `facing` accepts; with their points: (n,)."""
     points_world, normals_world, inlier_m = surface.points_world, surface.normals_world, surface.inlier_m
     rng = np.random.default_rng(seed)
     left = facing(normals_world)
@@ -221,7 +221,7 @@ def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Floa
 
 
 def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
-    """The noise of each point (n,) relative to the noise at the focus, at least 1."""
+    """Noise of points (n,), by the distance from the nearest camera, divided by that at the focus; >= 1."""
     from scipy.spatial import cKDTree
 
     cameras = T_world_camera[:: max(1, len(T_world_camera) // SOME_CAMERAS), :3, 3]
@@ -233,7 +233,16 @@ def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
 def _candidate(
     plane: Float64, inliers: Bools, surface: SceneSurface, cameras_world: Float64, up: Float64, way: int
 ) -> PlaneCandidate:
-    """A plane (4,) with its evidence: `inliers` (n,) are the points on it, `up` (3,) is a unit vector."""
+    """A plane with its evidence.
+
+    Args:
+        plane: (4,), its unit normal up.
+        inliers: (n,) bool, which points of the surface are on it.
+        surface: the scene's surface, n points.
+        cameras_world: (m, 3) positions of the cameras.
+        up: (3,) unit, the direction from which the plane's tilt is measured.
+        way: index of the way of holding the cameras by which its normal is up.
+    """
     local = transform_points(floor_frame(plane), surface.points_world)
     below = local[:, 2] < -BELOW_INLIERS * surface.inlier_m * surface.times_noise
     # Numbers of cells need no dense grid, which one pose kilometres off would make too large for the memory.
@@ -289,7 +298,7 @@ def _with_reason(
     floor: PlaneCandidate | None,
     surface: SceneSurface,
 ) -> PlaneCandidate:
-    """A candidate with the reason why it was not chosen."""
+    """A candidate with the reason why not it but `chosen`, which may stand on `floor`, was chosen."""
     if candidate is chosen:
         return replace(candidate, reason="")
     if candidate.reason or chosen is None:

@@ -15,7 +15,6 @@ from kinectbench.stages.segment.find.floor import (
     GIVEN,
     Floor,
     against_gravity,
-    check_below_cameras,
     level_floor,
 )
 from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
@@ -82,7 +81,6 @@ def segment_masked_scene(
 def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scale: float) -> Floor:
     """The plane z = 0 as a floor: a given one, or a level one below the points (n, 3)."""
     if hint.plane_world is not None:
-        check_below_cameras(hint.plane_world, T_world_camera)
         against = against_gravity(hint.plane_world, hint.up_world)
         frame = floor_frame(hint.plane_world)
         return Floor(hint.plane_world, frame, 0.0, 0.0, scale=scale, given=True, against=against)

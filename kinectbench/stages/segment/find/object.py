@@ -116,7 +116,7 @@ def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> N
 
 
 def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
-    """Which points (n, 3) above the floor cut belong to pieces no higher than 6 cm: (n,) bool."""
+    """Which points (n, 3) above the floor cut are of pieces that end 6 cm above the floor or lower: (n,)."""
     if not len(points_floor):
         return np.zeros(0, dtype=bool)
     label = label_pieces(points_floor, cell_m)
@@ -287,7 +287,7 @@ def _find_on_floor(
     given_box: OrientedBox | None,
     settings: FloorCuts,
 ) -> Segmentation:
-    """`find_floor_and_object` with a known floor."""
+    """Find the object on the known floor of a scene: the piece in view, or what a given box holds."""
     if given_box is not None:
         check_anchor(given_box, scene.floor, trajectory, scene.scale)
     cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale

@@ -71,7 +71,11 @@ class SceneSurface:
 
 
 def floor_frame(plane_world: Float64) -> Float64:
-    """T_floor_world of a plane (4,) with upward unit normal, by the rule in `Floor`."""
+    """T_floor_world (4, 4) of a plane (4,), whose unit normal is z.
+
+    The origin is the plane's nearest point to the world's, x is the world's x axis (or z, where x is nearly
+    normal) projected onto the plane.
+    """
     z_axis = plane_world[:3]
     for axis in (np.array([1.0, 0, 0]), np.array([0, 0, 1.0])):
         along = axis - (axis @ z_axis) * z_axis
@@ -97,7 +101,7 @@ def is_flat(plane: Float64, surface: SceneSurface) -> bool:
 
 
 def noise_about_m(plane: Float64, points_world: Float64, inlier_m: float = INLIER_M) -> float:
-    """Robust standard deviation of the points about a plane that passes through them, metres."""
+    """Robust standard deviation about a plane (4,), metres, of the points (n, 3) within twice `inlier_m`."""
     return _noise_m(np.abs(points_world @ plane[:3] + plane[3]), inlier_m)
 
 

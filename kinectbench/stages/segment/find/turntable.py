@@ -198,7 +198,7 @@ def _moved_up(floor: Floor, by_m: float) -> Floor:
 
 
 def _before(depth_m: Float32, watched: Watched) -> Bools:
-    """Pixels of a frame that are clearly nearer than at other times."""
+    """Pixels of a frame, (height, width), that are clearly nearer than the still surface behind them."""
     behind_m = watched.behind_m
     far_m = np.where(np.isfinite(behind_m), behind_m, 0)
     nearer = depth_m < behind_m - np.maximum(NEARER_SIGMAS * depth_sigma_m(far_m), NEARER_M)
@@ -219,7 +219,7 @@ def _largest(points: Float64) -> Float64:
 
 
 def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
-    """The plane below the moving points (n, 3); None if there is none, or none of them is clear of it."""
+    """The plane below the moving points (n, 3); None if there is none, or they do not rise above it."""
     surface = camera.backproject(watched.still_m)
     normals = image_normals(surface, watched.still_m, NORMAL_REACH_PX)
     chosen = np.isfinite(normals).all(axis=-1)

@@ -105,9 +105,16 @@ class UnseenSide:
 class CoverageReport:
     """The part of quality.json about the recording, with a warning for each fault.
 
-    Warnings about the floor and the choice of the object are also in `choice_warnings`, which quality.json
-    has as `doubts`. `first_rad` is the direction from the object to the first camera, seen from above,
-    counterclockwise from x of the floor frame.
+    Attributes:
+        good_frames: number of good frames.
+        unseen_side: the widest range of directions from which no camera looked at the object.
+        moving: the frames in which something moves.
+        max_depth_m: depth up to this is fused, metres.
+        beyond_share: share of the depth near the object that lies beyond `max_depth_m`.
+        warnings: all warnings, one line each.
+        choice_warnings: those about the floor and the choice of the object; in quality.json: `doubts`.
+        first_rad: direction from the object to the first camera, seen from above, radians, counterclockwise
+            from x of the floor frame.
     """
 
     good_frames: int
@@ -176,8 +183,7 @@ def coverage_report(
     """Measure how well a recording shows its object; each fault gives a warning.
 
     Faults are a trajectory graded "not good", a side that no frame looks at, few frames, something that
-    moves, depth near the object beyond `max_depth_m`, and doubts about the floor or the object that was
-    chosen.
+    moves, depth near the object beyond `max_depth_m`, and signs of a wrongly chosen floor or object.
 
     Args:
         sequence: the recording.

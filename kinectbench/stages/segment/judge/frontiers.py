@@ -172,7 +172,14 @@ def find_frontiers(
 def _large_pieces(
     shape: SolidShape, region: Bools, limits: SensorLimits, underside: bool
 ) -> tuple[NDArray[np.int32], int]:
-    """The piece of each voxel, numbered from 1 (0: in no large piece), and the number of pieces."""
+    """The large connected pieces of a region: the piece of each voxel, from 1 (0: none), and their number.
+
+    Args:
+        shape: the solid; a large piece has at least a small share of its volume.
+        region: bool, the voxels of the region, in the solid's grid.
+        limits: of the sensor; parts thinner than a line of sight are left out.
+        underside: whether the region is an underside, of which flat parts count however thin they are.
+    """
     from scipy import ndimage
 
     cells = max(1, round(limits.line_width_m / shape.grid.voxel_size_m))
@@ -194,7 +201,15 @@ def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A piece of unknown voxels in its window of a grid; `free` has one more voxel on each side."""
+    """A piece of unknown voxels in a window of the grid that just holds it.
+
+    Attributes:
+        voxel_m: edge of a voxel, metres.
+        cells: (i, j, k) bool, which voxels of the window are the piece.
+        free: (i + 2, j + 2, k + 2) bool, which voxels of the window and one more on each side are free, or
+            unknown below an underside.
+        corner: (3,) index of the window's first voxel in the grid.
+    """
 
     voxel_m: float
     cells: Bools
@@ -219,9 +234,16 @@ def _frontier(
     behind: tuple[float, float, float],
     underside: bool,
 ) -> Frontier | None:
-    """The frontier of a piece, seen from the direction `look`; None if no face is visible.
+    """The frontier of a piece, looked into along one direction; None if no face is visible.
 
-    Its own direction is that of the faces with most visible area.
+    Its `direction` is that of the faces with most visible area.
+
+    Args:
+        piece: the piece of unknown voxels.
+        look: (3,) unit vector to the camera, grid frame.
+        T_floor_grid: (4, 4), maps the grid to the floor frame.
+        behind: the frontier's `volume_m3`, `inside_share` and `solid_share`.
+        underside: whether a camera could see the piece only from below.
     """
     faces = {(axis, sign): piece.faces_m(axis, sign) for axis in range(3) for sign in (-1, 1)}
     seen = {
@@ -258,7 +280,11 @@ def _frontier(
 
 
 def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float) -> tuple[float, float]:
-    """The extents of a frontier's faces: width and height at a side, else those of the smallest box."""
+    """The extents of a frontier's faces with centres (n, 3), metres.
+
+    At a side, they are width and height, seen along `look` (3,); else the longer and the shorter side of the
+    smallest rectangle around the faces, seen from above.
+    """
     if side:
         across = np.array([-look[1], look[0], 0.0]) / np.hypot(look[0], look[1])
         return _extent_m(points_floor @ across, voxel_m), _extent_m(points_floor[:, 2], voxel_m)

@@ -134,7 +134,10 @@ def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
 
 
 def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
-    """A frontier as quality.json writes it: rounded."""
+    """A frontier as quality.json writes it: rounded, and with advice where to stand.
+
+    `first_rad` is the direction from the object to the first camera, from x of the floor frame.
+    """
     (length, width), (x, y, z), (u, v, w) = (
         (round(value, 4) for value in vector)
         for vector in (frontier.size_m, frontier.center_m, frontier.look_from)
@@ -199,7 +202,13 @@ def _warnings(
 ) -> list[str]:
     """A line for each fault of a solid.
 
-    If `advice` already says what to record again, the lines do not repeat or contradict it.
+    Args:
+        unsupported: warnings that parts are in the air or `underside: open` has no effect; they are included.
+        shape: the solid.
+        repeatability: IoU of the solids from the odd and from the even frames.
+        estimate: the estimated IoU.
+        advice: lines on what to record again; the result does not repeat or contradict them.
+        unknown: unknown volume assumed inside, as a share of the solid's.
     """
     share_per_mm = volume_share_per_mm(shape.mesh)
     why = "; ".join(estimate.reasons) or "parts that are thin, hidden, without depth or cut off"

@@ -147,7 +147,7 @@ def _labels(shape: SolidShape, points: Float64) -> NDArray[np.uint8]:
 
 
 def _flatness(drawn: Sampled, far_m: float) -> Float64:
-    """Weights (n,) of the samples: 1 on a plane, `LEAST_COUNT` at an edge."""
+    """Weights (n,) of samples by the normals of others within `far_m`: 1 on a plane, nearly 0 at an edge."""
     far, near = drawn.tree.query(drawn.points, k=ABOUT, distance_upper_bound=far_m)
     here = np.isfinite(far)  # else there is none so near
     cosines = np.einsum("nki,ni->nk", drawn.normals[np.where(here, near, 0)], drawn.normals)
@@ -162,8 +162,8 @@ class Pose:
 
     Attributes:
         T: (4, 4) from the reference to the world; a similarity where its size was free.
-        residual_m: mean distance in both directions, metres (`residual_m`); each counts at most `MOST_SHARE`
-            of the object's diagonal.
+        residual_m: mean distance between samples of object and reference, in both directions, metres; each
+            distance counts at most 5 % of the object's diagonal.
     """
 
     T: Float64
@@ -197,7 +197,8 @@ def best_scale(ours: Sampled, theirs: Sampled, T: Float64, free: Sequence[int]) 
         ours: the object.
         theirs: the reference.
         T: (4, 4) from the reference to the world.
-        free: the unknowns that are solved for: `SIZED` or `SIZED_OUT`.
+        free: the unknowns that are solved for: `SIZED`, the motion and the size; or `SIZED_OUT`, also how
+            far out the object's surface lies.
     """
     found, _ = settled(ours, theirs, T, FINE[1], FINE[2], free)
     return float(np.cbrt(np.linalg.det(found[:3, :3])))
@@ -288,7 +289,7 @@ def settled(
         T: (4, 4) from the reference to the world.
         steps: number of steps, at most.
         samples: number of samples of each, at most.
-        free: the unknowns that are solved for.
+        free: the unknowns that are solved for: `RIGID`, `SIZED` or `SIZED_OUT`, the latter two with the size.
     """
     chosen, few = ours.few(samples), theirs.few(samples)
 
@@ -315,7 +316,15 @@ def settled(
 def _step(
     places: Float64, targets: Float64, normals: Float64, weights: Float64, free: Sequence[int]
 ) -> tuple[Float64, float]:
-    """The similarity (4, 4) that moves points to the planes of their targets, and how far it moves one."""
+    """One step: a similarity (4, 4), and about how far it moves the outermost point, metres.
+
+    Args:
+        places: (n, 3) points to move.
+        targets: (n, 3) a point of the plane that each should lie in.
+        normals: (n, 3) unit normals of these planes.
+        weights: (n,) weights of the points.
+        free: the unknowns that are solved for: `RIGID`, `SIZED` or `SIZED_OUT`.
+    """
     middle = places.mean(axis=0)
     arms = places - middle
     size_m = float(np.linalg.norm(arms, axis=1).max())

@@ -80,7 +80,11 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
 
 
 def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float, path: Path) -> SolidShape:
-    """Voxelise the inside of a mesh on a grid around it; it is SURFACE as deep as fused surfaces reach."""
+    """Voxelise the inside of a mesh on a grid around it, turned by `yaw_rad` about the floor's normal.
+
+    Voxels are SURFACE as deep below the mesh as a fused surface counts as measured, and INTERIOR below that;
+    those outside are OTHER. `path` is for messages.
+    """
     from scipy import ndimage
 
     vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
@@ -109,7 +113,10 @@ def _costs_too_much(mesh: TriangleMesh, grid: Grid) -> bool:
 
 
 def _quality(model: ObjectModel, reference: Reference, fit: RegisteredReference, name: str) -> QualityFile:
-    """The quality.json of a reference as truth: without an estimated IoU, as nothing of it is fused."""
+    """The quality.json of a reference as truth: without an estimated IoU, as nothing of it is fused.
+
+    `fit` is the reference's registration to the fused object, `name` that of its file.
+    """
     assert fit.pose is not None and fit.scale is not None, "it fits"
     shape, fused, warnings = model.shape, model.quality, list[str]()
     other = fit.runner_up

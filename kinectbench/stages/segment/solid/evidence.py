@@ -68,8 +68,8 @@ class Rules:
     """The parameters of a solid; lengths in metres.
 
     Attributes:
-        layers: numbers of the grid's layers below, at and above the floor.
-        ray_width_m: width of the frames' rays at the object; 0 = narrow.
+        layers: how many layers of the grid lie below, at and just above the floor.
+        ray_width_m: width of a pixel's ray at the object, with the error of the poses; 0: negligible.
         limits: the sensor's limits, which define air.
         underside: what a person says of the object's underside: closed, open or unseen.
         stands: False: the object stands on no plane, and cameras may be anywhere.
@@ -105,7 +105,7 @@ class VoxelEvidence:
             whatever a person says; in the layers `contact`, the voxels down to the floor below such ones.
         contact: slice of the layers right above the floor, whose classes follow the layer above them.
         space: where lines of sight pass and cameras can be.
-        lower: the same without cameras that rose through unseen space below an object.
+        lower: `space`, but without the camera places that are reached only through unseen space from below.
     """
 
     signed_m: Float32
@@ -209,7 +209,7 @@ def _measured_sheet(observation: Observation, observed: Bools, signed_m: Float32
 
 
 def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:
-    """Whether each voxel is too far behind a surface to belong to it.
+    """Which of the voxels `behind` a surface are too far behind it to belong to the object.
 
     The limit is `SHELL_M`, or one and a half voxels if that is more. Two distances are tested, the fused one
     and that to the nearest voxel in front of a surface, because far behind a surface the fused one is too
@@ -251,7 +251,7 @@ def _least_free_votes(observation: Observation) -> int:
 
 
 def narrow(limits: SensorLimits) -> SensorLimits:
-    """The limits of narrower lines of sight, which also find slits."""
+    """The limits for lines of sight of half the width, which also reach into narrow gaps."""
     return replace(limits, line_width_m=NARROWER * limits.line_width_m)
 
 

@@ -72,7 +72,7 @@ def object_grid(
 
 
 def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: float) -> FloorLayers:
-    """The numbers of grid layers below the floor, in contact with it, and low above it; 0 without a floor."""
+    """The numbers of layers of the object's grid around the floor; all are 0 without a floor."""
     if floor is None:
         return NO_LAYERS
     cut = max(1, round(floor_cut_m(floor, segmentation) / voxel_size_m))
@@ -83,7 +83,10 @@ def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: flo
 
 
 def median_ray_width_m(camera: Camera, trajectory: Trajectory, middle_world: Float64) -> float:
-    """The width of the frames' rays at a point (3,), at the cameras' median distance from it, metres."""
+    """Width of a pixel's ray at the cameras' median distance from a point (3,), metres.
+
+    The error of the poses widens it.
+    """
     cameras_world = trajectory.T_world_camera[trajectory.good_frames, :3, 3]
     distance_m = float(np.median(np.linalg.norm(cameras_world - middle_world, axis=1)))
     return ray_width_m(camera, trajectory.median_pose_sigma_m, distance_m)

@@ -145,7 +145,10 @@ def _without_specks(solid: Bools) -> Bools:
 
 
 def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid: Bools) -> Float32:
-    """The occupancy probability: by the signed distance, or the guess if nothing was measured."""
+    """The occupancy probability: by the signed distance where measured, elsewhere the probability `guess`.
+
+    Where it contradicts `solid`, which other rules decided, it is set to 0.75 in the solid and 0.05 outside.
+    """
     probability, measured = guess.copy(), ~evidence.unseen
     probability[measured] = measured_probability(evidence.signed_m[measured], voxel_m)
     # Decisions of the rules above (floor contact, specks, neighbours) stay.
