@@ -56,7 +56,10 @@ class Back:
         return [self.upright("post", s * self.half, self.seat - 0.012, self.top, self.thick) for s in SIDES]
 
     def upright(self, name: str, x: float, low: float, high: float, wide: float, deep: float = 0.0) -> Part:
-        """Make a bar that leans with the back, at x, between the heights `low` and `high`."""
+        """Make a bar that leans with the back, at x, between the heights `low` and `high`.
+
+        It is `wide` along x and `deep` (0: as thick as the posts) along y.
+        """
         size = (wide, deep or self.thick)
         return Part(name, leg(self.point(x, low), self.point(x, high), size, size), self.look)
 
