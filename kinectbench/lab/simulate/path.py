@@ -115,7 +115,7 @@ class CameraPath:
         return looks
 
     def _stations(self, time_s: Float64) -> tuple[Float64, Float64]:
-        """Return azimuth and elevation (n,) in radians at times (n,): of the walk, or of the nearest view."""
+        """Return azimuth and elevation (n,), radians, at times (n,): of the walk or the view next in time."""
         chosen = self.settings
         if self.stations_rad is not None:
             frame = np.clip(np.rint(time_s * chosen.rate_hz), 0, chosen.frames - 1).astype(np.int64)

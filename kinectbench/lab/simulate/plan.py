@@ -19,7 +19,7 @@ class PlannedFrame:
     """One planned frame of the recording, before it is rendered.
 
     Attributes:
-        source: index of the frame before some frames were dropped.
+        source: index of the frame among all frames of the path, before some were dropped.
         time_s: time at which depth is taken, seconds since the start.
         stamp_ns: the recorded stamp of depth.
         color_stamp_ns: the recorded stamp of colour.

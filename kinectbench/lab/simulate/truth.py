@@ -87,7 +87,7 @@ class Truth:
 
     @cached_property
     def seeable(self) -> SeeableSolid:
-        """The seeable solid (`core.voxels.seeable`): all space that no camera could see; takes seconds."""
+        """The seeable solid: the true mesh's inside and space that no camera could see; takes seconds."""
         longest_m = float(np.ptp(self.mesh_world.vertices, axis=0).max())
         limits = self.limits or SensorLimits.of_size(longest_m)
         return seeable_solid(self.mesh_world, self.T_world_object, limits)
