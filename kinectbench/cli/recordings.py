@@ -73,7 +73,11 @@ def _benchmark_text(
 ) -> tuple[str, list[str]]:
     """Return the text of a benchmark.yaml for the found recordings, and lines to print about it.
 
-    If the file exists, `written` is its content, to which new recordings are added.
+    Args:
+        target: path of the benchmark.yaml.
+        written: its content if it exists, to which new recordings are added; else None.
+        rows: (path relative to the file's folder, name of the format) of each recording.
+        suffixes: endings of paths, such as ".bag", that are left out of ids.
 
     Raises:
         SettingsError: there are no recordings, or the existing file has an error.
