@@ -152,8 +152,8 @@ def _lateral_sigma_px(cosine):  # type: ignore[no-untyped-def]
 def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
     """Return the standard deviation of the axial noise to draw, metres, before depth is quantised.
 
-    It is the published value (Nguyen et al. 2012, eq. 3 and 4) without the variance of rounding inverse depth
-    to multiples of 1 / `scale`, which `sense` adds.
+    It is the published value (Nguyen et al. 2012, eq. 3 and 4) at depth z and that cosine of incidence,
+    without the variance of rounding inverse depth to multiples of 1 / `scale`, which `sense` adds.
     """
     sigma = np.float32(0.0012) + np.float32(0.0019) * (z - np.float32(0.4)) ** 2
     if cosine < np.float32(0.5):

@@ -215,7 +215,7 @@ def _color(
     middle_s: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """Return the colour image at `middle_s`; reuse `exact` if its camera and time are those of colour."""
+    """Return frame `index`'s colour image, taken at `middle_s`; use `exact` if of that camera and time."""
     sensor = simulation.spec.sensor
     times_s = middle_s + np.array([-0.5, 0.0, 0.5]) * sensor.exposure_s
     T_depth_color = invert_rigid(simulation.rig.T_color_depth)
@@ -231,7 +231,7 @@ def _color(
 def _own_colors(
     simulation: Simulation, renderer: Renderer | StillRenderer, exact: Rendering, index: int
 ) -> tuple[ColorImage, ...] | None:
-    """Return a separate colour stream's images since the previous depth frame; None without a stream."""
+    """Return a separate colour stream's images since depth frame `index` - 1; None without a stream."""
     spec, plans = simulation.spec, simulation.frames
     rate_hz, delay_s = spec.sensor.color_rate_hz, spec.sensor.color_delay_s
     if rate_hz is None:

@@ -64,7 +64,7 @@ class Back:
         return Part(name, leg(self.point(x, low), self.point(x, high), size, size), self.look)
 
     def rail(self, low: float, high: float, deep: float = 0.02, name: str = "rail") -> Part:
-        """Make a board bent with the back, from post to post, between the heights `low` and `high`."""
+        """Make a board bent with the back, post to post, `deep` thick, between heights `low` and `high`."""
         y, half = self.point(self.half, self.seat)[1], self.half
         board = bowed((-half, y - deep / 2, low), (half, y + deep / 2, high), self.bow)
         return Part(name, leaned(board, self.seat, self.slope), self.look)

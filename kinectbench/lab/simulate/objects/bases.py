@@ -143,7 +143,7 @@ def round_legs(
 ) -> Parts:
     """Make three or more round legs in a circle, of radius `reach_m` at the floor and `inner_m` at the top.
 
-    The first leg points to the front.
+    The first leg points to the front. `thick_m` is the diameter at the top, at the height `head_m`.
     """
     foot = max(0.02, 0.65 * thick_m)
     for turn in np.arange(count) * 2 * np.pi / count + np.pi / 2:
@@ -157,7 +157,8 @@ def round_legs(
 def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, look: Look) -> Parts:
     """Make two bent tubes, each of two splayed legs and a bar between, and two bars that join the tubes.
 
-    `half_m` is x and y of the upper ends; the feet are `splay_m` farther out along both axes.
+    `half_m` is x and y of the upper ends, `head_m` their height; the feet are `splay_m` farther out along
+    both axes.
     """
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
@@ -172,7 +173,7 @@ def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, l
 def sled(half_m: Vector2, head_m: float, radius_m: float, look: Look) -> Parts:
     """Make two tube loops that lie on the floor from front to back, and two bars between them.
 
-    `half_m` is x of the right loop, and half its length along y.
+    `half_m` is x of the right loop, and half its length along y; `head_m` is its height.
     """
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
@@ -186,7 +187,8 @@ def sled(half_m: Vector2, head_m: float, radius_m: float, look: Look) -> Parts:
 def square_loops(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
     """Make two closed frames of square tube at the left and right ends.
 
-    `half_m` is x of the right frame, and half its length along y; `thick_m` is the tube's thickness.
+    `half_m` is x of the right frame, and half its length along y; `head_m` is its height, `thick_m` the
+    tube's thickness.
     """
     x, y = half_m
     for s in SIDES:
@@ -266,7 +268,7 @@ def star(
 def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
     """Make an X of two legs at the left and right ends, and a bar that joins the crossings.
 
-    `half_m` is x of the right X, and y of the ends of its legs.
+    `half_m` is x of the right X, and y of the ends of its legs; `head_m` is its height.
     """
     x, y = half_m
     for s, way in CORNERS:
@@ -280,7 +282,7 @@ def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> 
 def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
     """Make two trestles (a post between foot and head beam, or an A of two legs), and a long stretcher.
 
-    `half_m` is x of the right trestle, and half its length along y.
+    `half_m` is x of the right trestle, and half its length along y; `head_m` is its height.
     """
     x, y, wide = *half_m, draw.between(0.045, 0.07)
     if draw.chance(0.5):
@@ -308,7 +310,7 @@ def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
 def panels(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
     """Make two upright boards at the left and right ends.
 
-    `half_m` is x of the right board, and half its length along y.
+    `half_m` is x of the right board, and half its length along y; `head_m` is its height.
     """
     x, y = half_m
     for s in SIDES:
