@@ -52,7 +52,7 @@ class _Checked(BaseModel):
 
 
 class StoredState(_Checked):
-    """Stored progress of a training; validated with the total number of steps as pydantic's `context`."""
+    """The stored `State` of a training; validated with its total number of steps as pydantic's `context`."""
 
     step: Count
     rows: list[TrainingRow]

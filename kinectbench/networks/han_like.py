@@ -231,7 +231,7 @@ def _undecided(probability: Tensor) -> Tensor:
 
 
 def _drawn(target: Tensor, generator: Generator) -> Tensor:
-    """Draw patches that the surface of a coarse truth (32, 32, 32) passes through: indices (p, 3).
+    """Draw patches that the surface of a coarse truth (32, 32, 32) passes through or near: indices (p, 3).
 
     If there are none, draw from all patches.
     """

@@ -206,7 +206,10 @@ def _name(target: Target) -> str:
 
 
 def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run: UnfinishedFile) -> str:
-    """Return in words what differs from the run that left the files; "" if it is this run."""
+    """Return in words in which settings `run` differs from the earlier run that left the files; or "".
+
+    The earlier run is known from its unfinished.json, or else its method.json (`done`).
+    """
     if unfinished is not None:
         before = unfinished.json_value()
     elif done is not None:
