@@ -108,7 +108,8 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
     """Return the paths that look like recordings but are in no known format: folders, and files by suffix.
 
     What lies inside a returned folder is not returned. Ignored are hidden files and folders, folders with
-    results or with a simulation's truth, those of another benchmark, and those beside a pyproject.toml.
+    results, a simulation's truth, a benchmark.yaml, a release or an export, and folders beside a
+    pyproject.toml.
 
     Args:
         folder: the searched folder.

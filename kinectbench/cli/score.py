@@ -160,7 +160,7 @@ def _recheck(
     predictions: Path | None,
     thresholds: Path | None,
 ) -> int:
-    """Do the work of `score --recheck`: score again with the settings in a scores.json; print differences.
+    """Do the work of `score --recheck`: score again by the settings in `scores`, and print differences.
 
     Of the options that change scores, only `--thresholds` may be given.
     """
