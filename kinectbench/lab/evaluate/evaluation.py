@@ -151,8 +151,8 @@ class AlignmentFigures:
 
     Attributes:
         aligned: whether the worlds were aligned by the trajectories.
-        moved_m: length of the shift of the world's origin.
-        turned_rad: angle of the rotation.
+        moved_m: distance by which `T_truth_built` moves the origin.
+        turned_rad: angle by which `T_truth_built` rotates.
         T_truth_built: (4, 4), the build's world to the truth's.
     """
 

@@ -177,12 +177,13 @@ def centres(grid: Grid, cells: Bools) -> Float64:
 
 
 def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) -> GrossErrors:
-    """Return the volume of known voxels that are wrong by more than 10 mm, relative to the true volume.
+    """Return shares of the true volume: voxels whose known state is wrong over 10 mm from the true surface.
 
     Args:
         voxels: the object's voxels.
-        true_volume_m3: volume of the true solid.
-        beyond_m3: result of `called_air_beyond_m3`, added to the errors; the object's voxels do not cover it.
+        true_volume_m3: volume of the true solid, to which the volumes are relative.
+        beyond_m3: volume of true solid called empty outside the object's voxels, which is added to the
+            errors.
     """
     wrong = voxels.known & voxels.judged & (voxels.distance_m > GROSS_M)
     cell_share = voxels.grid.voxel_size_m**3 / true_volume_m3

@@ -40,7 +40,7 @@ def grid_iou(a: Bools, b: Bools) -> float:
 
 
 def known_iou(built: Bools, true: Bools, known: Bools) -> float | None:
-    """Return the IoU of two solids over known cells only; None if no cell of the true solid is known."""
+    """Return the IoU of two solids over the cells in `known`; None if no cell of the true solid is in it."""
     return grid_iou(built & known, true & known) if bool(np.any(true & known)) else None
 
 
