@@ -1,4 +1,4 @@
-"""Measure a network's IoU on validation pairs, as predictions are scored."""
+"""Measure a network's IoU on validation pairs, by the rules by which predictions are scored."""
 
 from collections.abc import Sequence
 
