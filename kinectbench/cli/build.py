@@ -130,7 +130,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 
 def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
-    """Print a table of `build_recordings`' results, at most 100, up to a stage, and details of objects."""
+    """Print a table of the results of at most 100 recordings up to a stage, and details of their objects."""
     from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 

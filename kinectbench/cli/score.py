@@ -214,8 +214,8 @@ def _tables(
 ) -> "list[ScoreTable]":
     """Score the predictions, or without them the baselines; print problems, and return the score tables.
 
-    `known` are options that apply to both, `of_one` those that apply to predictions only; `folder` is that of
-    scores.
+    `known` are options for predictions and baselines, `of_one` those for predictions only; scores are written
+    to `folder`.
     """
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
