@@ -130,7 +130,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 
 def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
-    """Print a table of `build_recordings`' results, at most 100, up to a stage, and details of objects."""
+    """Print a table of the results of at most 100 recordings up to a stage, and details of their objects."""
     from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 
@@ -225,8 +225,8 @@ def build_jobs(
 ) -> "list[BuiltRecording]":
     """Build jobs with this many processes or an executor; print and return the same as `build_recordings`.
 
-    With `again`, warnings of stages that were current are printed again. `options` are command-line options
-    that choose the same settings, for the printed command that shows all warnings.
+    A recording may take `limit_s` seconds. `again` also prints warnings of stages that were current.
+    `options` (`--config`, `--set`) choose the same settings, for the printed command that shows all warnings.
     """
     from kinectbench.cli import console
     from kinectbench.engine.parallel import build as build_all
@@ -267,9 +267,9 @@ def build_jobs(
 
 
 def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: str) -> None:
-    """Print the warnings `own` of a recording: only `first` and the number of the rest, or all without it.
+    """Print `first` of a recording's warnings `own`, those on unused input, and how many others there are.
 
-    `kinectbench <show_all>` is the command that prints all.
+    Without `first`, all are printed. `kinectbench <show_all>` is the command that prints all.
     """
     from kinectbench.cli import console
 
@@ -288,7 +288,7 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: s
 
 
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
-    """Return the summary of a recording's results, to which the warnings `unused` are added."""
+    """Return a recording's summary, with the warnings `unused` (about input without effect) added."""
     from kinectbench.engine.summary import summary
 
     figures = summary(job, outcome)

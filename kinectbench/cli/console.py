@@ -142,7 +142,7 @@ def waiting(what: str, holder: str) -> None:
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """Print details of objects: the estimated IoU, what widens its interval, what people stated, advice.
+    """Print about each object: its estimated IoU, what widens its interval, what people stated, advice.
 
     Args:
         rows: one summary for each recording.

@@ -179,7 +179,7 @@ def _score(
     folder: Path,
     device: str,
 ) -> None:
-    """Do the work of `predict --score`: predict and score in memory, then write the same files as `score`."""
+    """Do the work of `predict --score`: predict and score in memory; write the files of `score`."""
     from kinectbench.cli import console
     from kinectbench.cli.report import write_page
     from kinectbench.cli.score import baselines_of, tell_problems, tell_scores

@@ -113,7 +113,10 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
 
 
 def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
-    """Return the exit status: 0 if no recording failed or violates limits; rejected ones do not count."""
+    """Return the exit status: 0 if no recording failed or violates `publish.gate`, else 1 or 3.
+
+    Recordings that a review rejected do not count as failures.
+    """
     return exit_status(rows) or (SOME_FAILED if summary.refused else 0)
 
 
@@ -160,7 +163,7 @@ def publish_options(
         settings: the benchmark's settings.
         hold_back: splits whose truth is held back.
         thresholds: a threshold file, or None.
-        allow_poor: whether recordings that violate limits are published, too.
+        allow_poor: whether recordings that violate the limits `publish.gate` are published, too.
         isolate: whether only one view is published of each object with held-back truth.
 
     Raises:

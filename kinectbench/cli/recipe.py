@@ -32,7 +32,10 @@ def fetch_recipe(
     *,
     stream: bool,
 ) -> int:
-    """Fetch the requested scans of a recipe and add them to its benchmark; return the exit status."""
+    """Fetch up to `limit` scans of each category into the recipe's benchmark; return the exit status.
+
+    With `stream`, each is built and its frames are deleted before the next is fetched.
+    """
     from kinectbench.cli import console
     from kinectbench.core.store.attempts import StoreGoneError
     from kinectbench.release.recipe import NoRoomError, opened_recipe

@@ -73,7 +73,11 @@ def _benchmark_text(
 ) -> tuple[str, list[str]]:
     """Return the text of a benchmark.yaml for the found recordings, and lines to print about it.
 
-    If the file exists, `written` is its content, to which new recordings are added.
+    Args:
+        target: path of the benchmark.yaml.
+        written: its content if it exists, to which new recordings are added; else None.
+        rows: (path relative to the file's folder, name of the format) of each recording.
+        suffixes: endings of paths, such as ".bag", that are left out of ids.
 
     Raises:
         SettingsError: there are no recordings, or the existing file has an error.
@@ -104,7 +108,8 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
     """Return the paths that look like recordings but are in no known format: folders, and files by suffix.
 
     What lies inside a returned folder is not returned. Ignored are hidden files and folders, folders with
-    results or with a simulation's truth, those of another benchmark, and those beside a pyproject.toml.
+    results, a simulation's truth, a benchmark.yaml, a release or an export, and folders beside a
+    pyproject.toml.
 
     Args:
         folder: the searched folder.

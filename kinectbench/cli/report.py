@@ -81,7 +81,18 @@ def write_page(
     out: Path | None = None,
     baselines: bool = True,
 ) -> Path:
-    """Write the page of a release's scores, or (None) of the local benchmark; return the page's path."""
+    """Write the page of a release and its scores, or without a release of the local benchmark.
+
+    Args:
+        common: the shared options.
+        release: the release, or None.
+        scores: scores.json files, or folders that hold them.
+        out: the page's path; None: index.html in the folder of scores.
+        baselines: whether baselines are shown.
+
+    Returns:
+        The page's path.
+    """
     from kinectbench.cli import console
     from kinectbench.report.run import page_of_benchmark, page_of_release
 

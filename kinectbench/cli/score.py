@@ -95,7 +95,7 @@ def score_command(
 def _score_part(
     common: Common, predictions: Path | None, out: Path | None, options: Mapping[str, Any]
 ) -> int:
-    """Do the work of `score --shard`: count the pairs of one part, and print how to make the table of all."""
+    """Do the work of `score --shard`: count the pairs of one part, and print how to combine all parts."""
     from kinectbench.cli import console
     from kinectbench.release.release import open_release
     from kinectbench.scoring.score import count_methods
@@ -160,7 +160,7 @@ def _recheck(
     predictions: Path | None,
     thresholds: Path | None,
 ) -> int:
-    """Do the work of `score --recheck`: score again with the settings in a scores.json; print differences.
+    """Do the work of `score --recheck`: score again by the settings in `scores`, and print differences.
 
     Of the options that change scores, only `--thresholds` may be given.
     """
@@ -214,7 +214,8 @@ def _tables(
 ) -> "list[ScoreTable]":
     """Score the predictions, or without them the baselines; print problems, and return the score tables.
 
-    `known` are options of both, `of_one` options that need predictions.
+    `known` are options for predictions and baselines, `of_one` those for predictions only; scores are written
+    to `folder`.
     """
     from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
@@ -235,7 +236,10 @@ def _tables(
 
 
 def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
-    """Raise an error if options that need predictions are given; called if no predictions are."""
+    """Raise an error if an option that needs predictions is given, of `of_one` or `--cluster`.
+
+    It is called if no predictions are named.
+    """
     options = {**of_one, "cluster": common.cluster}
     given = [
         f"--{name.replace('_', '-')}"

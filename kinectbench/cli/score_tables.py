@@ -68,9 +68,9 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
 
 
 def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
-    """Return a table of predictions in the camera frame, for whole shapes: a row per heading and method.
+    """Return a table of predictions in the camera frame, for whole shapes.
 
-    A heading is a protocol with its variant (`ScoreRow.heading`).
+    There is a row for each method under each protocol with its variant, such as one of alignment.
     """
     from rich.text import Text
 
@@ -91,7 +91,10 @@ def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
 
 
 def _name(table: ScoreTable) -> str:
-    """Return a method's name with "(baseline)", its number of failures, or `*` for caveats, if any."""
+    """Return a method's name for its row, with "(baseline)" or, if incomplete, the number of failures.
+
+    A `*` at its end refers to caveats in the caption.
+    """
     star = "*" if _own_marks(table) else ""
     if table.by_category is None or table.overall is None:
         count = len(table.failures)
@@ -100,12 +103,12 @@ def _name(table: ScoreTable) -> str:
 
 
 def _own_marks(table: ScoreTable) -> list[str]:
-    """Return the words of a method's marks (caveats), except the mark of baselines, which its name has."""
+    """Return a method's caveats in words, except that it is a baseline, which its name says already."""
     return [mark.words for mark in table.marks if mark.kind != BASELINE]
 
 
 def _marks(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return lines for the caption: the caveats that a star stands for, and who reported or verified."""
+    """Return lines for the caption: the caveats that each `*` refers to, and which scores were verified."""
     meant: dict[str, list[str]] = {}
     for table in tables:
         if words := "; ".join(_own_marks(table)):
@@ -120,7 +123,7 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
 
 
 def _as_stated(standing: str) -> str:
-    """Return a standing such as "verified" with its source, because anybody can write it into scores.json."""
+    """Return "reported" unchanged; to another standing, such as "verified", add that scores.json says so."""
     return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 
@@ -130,7 +133,7 @@ def _add_published(
     columns: Sequence[str],
     published: Sequence[PublishedTable],
 ) -> None:
-    """Add rows with the paper's own figures, and a note that they are not comparable with the rest.
+    """Add rows with the paper's own figures, and a note that they are not comparable with the other rows.
 
     Args:
         table: the table that gets the rows.
@@ -183,7 +186,10 @@ def _cell(iou: float | None, ce: float | None) -> str:
 
 
 def comparison_tables(result: Comparison) -> "list[WideTable]":
-    """Return two tables: group and mean of every method, and the difference of every two methods."""
+    """Return two tables: every method's mean with group letters, and the difference of every two methods.
+
+    Methods that share a letter do not differ significantly.
+    """
     from rich.text import Text
 
     from kinectbench.cli.wide_table import WideTable

@@ -109,7 +109,8 @@ def _compare(
 ) -> "tuple[RecordingSummary, _Compared | None]":
     """Compare a recording's trajectory with the reference, and plot both.
 
-    Return the recording's summary and the comparison; on failure, the summary with its error, and None.
+    `root` is the benchmark's folder, `name` the reference's path. Return the recording's summary and the
+    comparison; on failure, the summary with its error, and None.
     """
     from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file

@@ -12,7 +12,7 @@ COLUMNS = {"recording": "recording", "decision": "decision", "reason": "first re
 
 @takes("config", "overrides", "jobs", "as_json")
 def triage_command(common: Common, ids: Ids = None) -> int:
-    """Build what is not up to date; sort all into accept, look, reject; write a page with pictures, triage/.
+    """Build what is not up to date; sort recordings into accept, look, reject; write a page to triage/.
 
     If recordings are named, their decisions are printed, and nothing is written to triage/.
     """

@@ -66,7 +66,7 @@ def verify_command(
 
 
 def _brought(url: str, folder: Path) -> list[str]:
-    """Download a release unchanged into `folder`; return a line for each file that is not part of it."""
+    """Download a release unchanged into `folder`; return a line for each other file at the URL."""
     from kinectbench.cli import console
     from kinectbench.core.untrusted import printable
     from kinectbench.release.fetch import mirror_release

@@ -72,9 +72,9 @@ class WideTable(Table):
         yield self._piece(chosen, widths)
 
     def _most_beside(self, widths: list[int]) -> int:
-        """Return the width, in character cells, to leave for the widest column that is not repeated.
+        """Return the width of the widest column that is not repeated, in character cells, within a limit.
 
-        It is bounded, because longer texts are wrapped.
+        Cells wider than the limit are wrapped.
         """
         texts = [column.justify == "left" for column in self.columns]
         beside = list(zip(widths, texts, strict=True))[self.keep :]

@@ -52,7 +52,7 @@ class _Checked(BaseModel):
 
 
 class StoredState(_Checked):
-    """Stored progress of a training; validated with the total number of steps as pydantic's `context`."""
+    """The stored `State` of a training; validated with its total number of steps as pydantic's `context`."""
 
     step: Count
     rows: list[TrainingRow]
@@ -120,7 +120,7 @@ def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Ch
         device: device for its tensors.
 
     Raises:
-        DAMAGED: one of these exceptions, if the file is missing, damaged, or of another kind.
+        DAMAGED: an exception of this tuple, if the file is missing, damaged, or of another kind.
     """
     shapes = network.state_dict()
     tensors = (COPIES + 1) * len(shapes)
@@ -190,7 +190,7 @@ def _check_adam(state: object, optimiser: torch.optim.Optimizer, step: int) -> N
 
 
 def _check(values: object, like: Tensor, positive: bool = False) -> None:
-    """Refuse a value that is not a finite tensor of this shape and kind."""
+    """Refuse a value that is no finite tensor of `like`'s shape and dtype, or `positive` and below 0."""
     if not isinstance(values, Tensor) or values.layout != torch.strided:
         raise ValueError("no tensor")
     if (values.shape, values.dtype) != (like.shape, like.dtype):

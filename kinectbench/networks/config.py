@@ -20,7 +20,7 @@ GENERATORS = ("3d-recgan++", "3d-recae")
 
 
 class NetworkSettings(Settings):
-    """The network and its size."""
+    """Which network is used, and how many channels and output cells it has."""
 
     kind: Literal[NetworkName, "own"] = Field(description="the network, by the paper's name; own: a class")
     class_path: str | None = Field(
@@ -56,7 +56,7 @@ class NetworkSettings(Settings):
 
 
 class LossSettings(Settings):
-    """The loss function."""
+    """How the loss of each voxel is computed and weighted, and which voxels it counts."""
 
     kind: Literal["cross-entropy", "weighted-cross-entropy"] = Field(
         "weighted-cross-entropy", description="of each voxel; weighted: by alpha"
@@ -85,7 +85,7 @@ class LossSettings(Settings):
 
 
 class AdversarialSettings(Settings):
-    """The discriminator's part (3d-recgan++)."""
+    """Loss and learning rate of the discriminator, and its weight; only for 3d-recgan++."""
 
     beta: float = Field(ge=0, le=1, description="weight of the reconstruction; 1 - beta of the discriminator")
     loss_scale: float = Field(1.0, gt=0, description="the generator's loss is multiplied by it")
@@ -100,7 +100,7 @@ class AdversarialSettings(Settings):
 
 
 class TrainingSettings(Settings):
-    """The training."""
+    """How long, on which pairs and at what learning rate a network is trained and validated."""
 
     batch: int = Field(4, ge=1, le=4096, description="pairs of a step")
     epochs: float = Field(
@@ -131,7 +131,7 @@ class TrainingSettings(Settings):
 
 
 class MethodSettings(Settings):
-    """A whole configuration."""
+    """A whole configuration: the method's name, and its network, loss and training."""
 
     name: str = Field(description="of the method; its predictions lie in a folder of this name")
     network: NetworkSettings

@@ -72,10 +72,10 @@ class Conversion:
 
     Attributes:
         folder: the method's folder.
-        tensors: number of tensors that fit.
-        generator, discriminator: number of values of each.
+        tensors: number of converted tensors.
+        generator, discriminator: number of parameter values of each network.
         optimiser: number of the optimiser's tensors, which are not needed.
-        left_out: names and shapes of other tensors, which the network does not have.
+        left_out: names and shapes of the checkpoint's remaining tensors, which the network does not have.
     """
 
     folder: Path
@@ -87,7 +87,7 @@ class Conversion:
 
     @property
     def lines(self) -> list[str]:
-        """Return the lines to print."""
+        """Return the lines to print: numbers of converted values, tensors left out, and the folder."""
         fitted = (
             f"{self.tensors} tensors fit: generator {self.generator:,}, discriminator {self.discriminator:,}"
         )

@@ -111,7 +111,7 @@ def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
 def validation_pairs(
     releases: Sequence[Release], most: int, category: str | None = None
 ) -> tuple[PairFile, ...]:
-    """Return up to `most` validation pairs with open truth, of one category or all, evenly spread."""
+    """Return up to `most` validation pairs with public truth, of a category or all, evenly spread."""
     pairs = [
         PairFile(release.pair_path(target), target.sha256)
         for release in releases
@@ -123,7 +123,10 @@ def validation_pairs(
 
 
 def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
-    """Return the indices of a step's `batch` pairs; every epoch is shuffled, and a step may span epochs."""
+    """Return the indices, 0 to `pairs` - 1, of the `batch` pairs of a step.
+
+    Every epoch is shuffled; a step may span epochs.
+    """
     shuffled: dict[int, NDArray[np.int64]] = {}
     chosen = []
     for place in range(step * batch, (step + 1) * batch):

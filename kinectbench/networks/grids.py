@@ -20,7 +20,7 @@ class TruthBatch:
     """The truth of a batch.
 
     Attributes:
-        full: (b, 1, 256, 256, 256) bool; a tile of it is smaller.
+        full: (b, 1, 256, 256, 256) bool, the full shapes; after `tile`, (1, 1, n, n, n) with n below 256.
         known: bool of the same shape, where the truth is known; None: every voxel counts.
     """
 
@@ -39,7 +39,10 @@ class TruthBatch:
         return _shares(self.full & self.known, cells) / weight.clamp(min=1e-6), weight
 
     def tile(self, index: int, place: tuple[int, ...], count: int) -> "TruthBatch":
-        """Return the tile at `place` (3,) of pair `index`: (1, 1, n, n, n), with `count` tiles a side."""
+        """Return one tile (1, 1, n, n, n) of the grids of pair `index`, which are cut into `count`^3 tiles.
+
+        `place` (3,) is the tile's index along each axis, 0 to `count` - 1.
+        """
         cells = self.full.shape[-1] // count
         box = tuple(slice(cells * k, cells * (k + 1)) for k in place)
         cut = (slice(index, index + 1), slice(None), *box)

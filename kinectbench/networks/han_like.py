@@ -71,7 +71,10 @@ class SixSides(nn.Module):
     """Encodes depth images of the partial view from six sides, which an LSTM reads one after another."""
 
     def __init__(self, channels: tuple[int, ...], divisor: int) -> None:
-        """Make the layers, given the channels of the image convolutions; `divisor` shortens vectors."""
+        """Make the layers, given the channels of the image convolutions.
+
+        The lengths of an image's vector and of the LSTM's state are divided by `divisor`.
+        """
         super().__init__()
         vector, context = IMAGE_VECTOR // divisor, CONTEXT_VECTOR // divisor
         self.convolutions = nn.ModuleList(
@@ -205,14 +208,18 @@ def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tenso
 
 
 def _cut(grid: Tensor, corners: Tensor, cells: int = PATCH_CELLS, more: int = 0) -> Tensor:
-    """Return patches (p, c, n, n, n) of a grid (c, m, m, m), spaced by `cells`; n = `cells` + `more`."""
+    """Return patches (p, c, n, n, n) of a grid (c, m, m, m), where n = `cells` + `more`.
+
+    `corners` (p, 3) are their indices along each axis; patches start every `cells` cells and overlap by
+    `more`.
+    """
     n = cells + more
     places = (corners * cells).tolist()
     return torch.stack([grid[:, i : i + n, j : j + n, k : k + n] for i, j, k in places])
 
 
 def _undecided(probability: Tensor) -> Tensor:
-    """Return which of the 8 x 8 x 8 patches a coarse grid (32, 32, 32) leaves undecided: (8, 8, 8) bool.
+    """Return which of the 8^3 patches a coarse grid (32, 32, 32) leaves undecided: bool, (8, 8, 8).
 
     A patch is decided if its 4 x 4 x 4 coarse cells, and those one cell around it, are all at most `DECIDED`,
     or all at least 1 - `DECIDED`.
@@ -224,7 +231,10 @@ def _undecided(probability: Tensor) -> Tensor:
 
 
 def _drawn(target: Tensor, generator: Generator) -> Tensor:
-    """Draw patches where a coarse truth (32, 32, 32) is undecided, else any: indices (p, 3)."""
+    """Draw patches that the surface of a coarse truth (32, 32, 32) passes through or near: indices (p, 3).
+
+    If there are none, draw from all patches.
+    """
     corners = torch.nonzero(_undecided(target))
     if not len(corners):
         corners = torch.nonzero(torch.ones(3 * (PATCHES,), device=target.device))

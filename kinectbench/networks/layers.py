@@ -74,5 +74,5 @@ def he(network: nn.Module) -> None:
 
 
 def narrowed(channels: int, divisor: int) -> int:
-    """Return the channels of a narrower network: at least 4, unless there were fewer before."""
+    """Return `channels` // `divisor`, but at least 4, or `channels` if that is below 4."""
     return max(min(4, channels), channels // divisor)

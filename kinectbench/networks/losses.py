@@ -26,10 +26,11 @@ def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings
 
 
 def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tensor:
-    """Return the loss of each voxel, in nats.
+    """Return the loss of each voxel, in nats: cross-entropy, or the paper's weighted loss (its equation 3).
 
-    The weighted loss (equation 3 of the paper) is -alpha y log p - (1 - alpha) (1 - y) log(1 - p). If there
-    is a floor, as in the authors' code, smaller p are raised to it, so voxels with such a p have no gradient.
+    The weighted loss is -alpha y log p - (1 - alpha) (1 - y) log(1 - p), with the target y and p =
+    sigmoid(logit). If `settings.probability_floor` is not 0, as in the authors' code, smaller p are raised to
+    it, so voxels with such a p have no gradient.
     """
     if settings.kind == "cross-entropy":
         return functional.binary_cross_entropy_with_logits(logits, target, reduction="none")

@@ -154,7 +154,14 @@ class PredictionFolder:
         targets: Sequence[Target],
         say: Callable[[str], None] | None,
     ) -> None:
-        """Record this run and remove the files of others; safe to repeat if the process was killed within."""
+        """Record this run and remove the files of others; safe to repeat if the process was killed within.
+
+        Args:
+            done: method.json of the run that left the folder; None without one.
+            unfinished: unfinished.json of that run; None without one.
+            targets: all targets that may be predicted.
+            say: called with a line if predictions of another run are removed.
+        """
         listed = {name for name in (done and done.files) or {} if name.endswith(SUFFIX)}
         before = {*listed, *map(_name, targets)} - self._kept.keys()
         with storage_errors(self._folder):
@@ -199,7 +206,10 @@ def _name(target: Target) -> str:
 
 
 def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run: UnfinishedFile) -> str:
-    """Return in words what differs from the run that left the files; "" if it is this run."""
+    """Return in words in which settings `run` differs from the earlier run that left the files; or "".
+
+    The earlier run is known from its unfinished.json, or else its method.json (`done`).
+    """
     if unfinished is not None:
         before = unfinished.json_value()
     elif done is not None:

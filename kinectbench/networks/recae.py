@@ -149,6 +149,9 @@ def tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], c
 
 
 def _cut(x: Tensor, begins: Sequence[int], lows: Sequence[int], highs: Sequence[int]) -> Tensor:
-    """Return the cells [low, high) along each axis of a grid (1, c, …) that starts at `begins`."""
+    """Return the cells from `lows` to before `highs` along each axis of x (1, c, …).
+
+    All indices are in the whole grid, of which x is the part that starts at `begins`.
+    """
     box = (slice(low - first, high - first) for first, low, high in zip(begins, lows, highs, strict=True))
     return x[(slice(None), slice(None), *box)]

@@ -134,13 +134,16 @@ def _opened(index: Path, content: bytes) -> TensorBundle:
 
 
 class _Reader:
-    """Reads the blocks of an index; in all, no more bytes than the file has."""
+    """Reads the blocks of an index; refuses to read more bytes in all than the file has."""
 
     def __init__(self, content: bytes) -> None:
         self._content, self._bytes_left, self._entries_left = content, len(content), MOST_ENTRIES
 
     def entries(self, block: tuple[int, int]) -> Iterator[tuple[bytes, bytes]]:
-        """Yield the keys and values of a block; each key shares its beginning with the previous key."""
+        """Yield the keys and values of the block at (offset, size).
+
+        Stored keys are shortened by the beginning that they share with the previous key.
+        """
         whole, end = self._plain(*block)
         place, key = 0, b""
         while place < end:

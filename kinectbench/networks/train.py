@@ -269,7 +269,10 @@ def _memory_errors_reported() -> Iterator[None]:
 
 
 def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:
-    """Validate and add a row to the log, if that is due after this step and not yet done."""
+    """Validate and add a row to the log, if that is due after this step and not yet done.
+
+    In the first process, `watch` is called with the row.
+    """
     state, every = training.state, training.config.training.validate_every_steps
     due = state.step > 0 and (state.step % every == 0 or state.step == training.steps)
     if due and not (state.rows and state.rows[-1].step == state.step):

@@ -60,7 +60,7 @@ def folder_of(name: str) -> Path:
     """Return the folder of a method, given its path or its name in the package.
 
     Raises:
-        SettingsError: there is no such method, or the name is that of two.
+        SettingsError: there is no such method, or both a folder and a method of the package have this name.
     """
     folder = Path(name)
     if name in packaged_methods():

@@ -1,4 +1,4 @@
-"""Measure a network's IoU on validation pairs, as predictions are scored."""
+"""Measure a network's IoU on validation pairs, by the rules by which predictions are scored."""
 
 from collections.abc import Sequence
 
@@ -42,7 +42,7 @@ def completed(
 def validation_iou(
     network: Network, pairs: Sequence[PairFile], config: MethodSettings, device: str
 ) -> tuple[float, float]:
-    """Return the mean IoU of some pairs, protocol `known`, at the best of 17 thresholds; and that threshold.
+    """Return the mean IoU over known voxels, at the best of 17 probability thresholds; and that threshold.
 
     Pairs of which nothing is known are left out, unless all are.
 

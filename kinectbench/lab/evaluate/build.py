@@ -37,9 +37,10 @@ class Build:
         depth_m: function from a frame index to its depth: (height, width) float32, metres, 0 = none.
         trajectory: the tracked poses, one per frame.
         given: the trajectory that came with the recording, as stored; or None.
-        scene: function that reads the fused mesh of the whole scene, in the trajectory's world frame.
-        model: the object, in the trajectory's world frame.
-        views: the sampled views.
+        scene: function without arguments that reads the fused mesh of the whole scene, in the trajectory's
+            world frame.
+        model: the object, a closed mesh and labelled voxels, in the trajectory's world frame.
+        views: the frames that were chosen as single depth views of the object.
         valid_depth: function from a view to the mask of its pixels with depth: (height, width) bool.
         pair_names: names of the views that became pairs.
         pair: function from a view's name to its pair.
@@ -59,7 +60,7 @@ class Build:
 
     @property
     def limits(self) -> SensorLimits | None:
-        """The sensor limits that defined free space when the object was built; None if unknown."""
+        """The sensor's resolution, range and positions behind this build's free space; None if unknown."""
         method = None if self.model is None else self.model.quality.method
         return method.air.limits if isinstance(method, SolidMethod) and method.air is not None else None
 

@@ -74,7 +74,8 @@ def path_chart(
 
     Args:
         positions_true: (n, 3) true positions of all frames in order, frame `object`; NaN where unknown.
-        positions_built: (m, 3) aligned positions, frame `object`.
+        positions_built: (m, 3) positions of the frames with a built pose, aligned to the true ones, frame
+            `object`.
         errors_m: (m,) distances of built positions from true ones.
         outline: (k, 2) points of the object from above.
 
@@ -197,7 +198,11 @@ def slice_picture(solids: EvaluatedSolids) -> bytes:
 def slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
     """Return colours (n, m, 3), 0 to 255, of a slice's cells: empty, correct, missing or excess.
 
-    Unknown cells are tinted if they are empty or correct.
+    Args:
+        true: (n, m), the cell is in the true solid.
+        built: (n, m), the cell is in the built solid.
+        known: (n, m), the build does not label the cell unknown; if it does, the colours of empty and correct
+            cells are tinted.
     """
     kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
     colors = SLICE_COLORS[kind]

@@ -37,12 +37,12 @@ class TrajectoryFigures:
     """Tracked share and pose errors of a recording; frame indices are those of the build.
 
     Attributes:
-        frames: frames in the sequence.
-        tracked: frames with a pose.
+        frames: number of frames in the sequence.
+        tracked: number of frames with a pose.
         tracked_share: `tracked / frames`.
-        lost: frames for which no pose was found.
-        rejected: frames whose pose was found but left out, because their depth disagrees with it.
-        foreign_tracked: frames that show another scene but have a pose.
+        lost: indices of frames for which no pose was found.
+        rejected: indices of frames whose pose was found but discarded, as their depth disagrees with it.
+        foreign_tracked: indices of frames that show another scene but have a pose.
         error: errors of the poses with known truth; None if there are fewer than three.
         given_clock: clock offset of the given trajectory against the true poses; None if it cannot be
             determined or does not matter.
@@ -151,8 +151,8 @@ class AlignmentFigures:
 
     Attributes:
         aligned: whether the worlds were aligned by the trajectories.
-        moved_m: length of the shift of the world's origin.
-        turned_rad: angle of the rotation.
+        moved_m: distance by which `T_truth_built` moves the origin.
+        turned_rad: angle by which `T_truth_built` rotates.
         T_truth_built: (4, 4), the build's world to the truth's.
     """
 
@@ -272,7 +272,7 @@ def _alignment(registration: BuildRegistration) -> AlignmentFigures:
 
 
 def _plain(value: object) -> Any:
-    """Convert dataclasses, tuples and arrays to JSON values: numbers to 6 digits, arrays to 9 decimals."""
+    """Convert dataclasses, tuples and arrays to JSON: floats to 6 significant digits, arrays 9 decimals."""
     if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray):

@@ -33,7 +33,8 @@ class Voxels:
         probability: float32, the build's probability that the voxel is occupied.
         true: bool, the voxel's centre lies in the seeable solid (`core.voxels.seeable`): inside the true
             mesh, or in space that no camera could see.
-        judged: bool, the voxel is evaluated: it does not lie in a slit.
+        judged: bool, the voxel is evaluated. Slits are not: gaps that only a finer sensor could see into, and
+            walls thinner than a voxel.
         distance_m: float32, distance of the centre from the seeable solid's surface; infinite beyond 30 mm.
         exact: bool, the centre lies inside the true mesh.
         exact_distance_m: float32, distance of the centre from the true mesh; infinite beyond 30 mm.
@@ -131,12 +132,13 @@ def voxels_beside(
 def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Float32:
     """Return each cell's distance in metres from the seeable solid's surface, infinite beyond 30 mm.
 
-    Within 30 mm of parts that are solid by definition only, it is exact to half a voxel; elsewhere it is the
-    distance from the true mesh.
+    Within 30 mm of space that is solid only because no camera could see it, the distance is exact to half a
+    voxel; elsewhere it is the distance from the true mesh.
 
     Args:
         cells: true states of a grid's cells.
-        exact_m: distances of the cells' centres from the true mesh, of the grid's shape; infinite if far.
+        exact_m: distances of the cells' centres from the true mesh, of the grid's shape; infinite beyond 30
+            mm.
         voxel_m: edge of a cell, metres.
     """
     from scipy import ndimage
@@ -175,12 +177,13 @@ def centres(grid: Grid, cells: Bools) -> Float64:
 
 
 def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) -> GrossErrors:
-    """Return the volume of known voxels that are wrong by more than 10 mm, relative to the true volume.
+    """Return shares of the true volume: voxels whose known state is wrong over 10 mm from the true surface.
 
     Args:
         voxels: the object's voxels.
-        true_volume_m3: volume of the true solid.
-        beyond_m3: result of `called_air_beyond_m3`, added to the errors; the object's voxels do not cover it.
+        true_volume_m3: volume of the true solid, to which the volumes are relative.
+        beyond_m3: volume of true solid called empty outside the object's voxels, which is added to the
+            errors.
     """
     wrong = voxels.known & voxels.judged & (voxels.distance_m > GROSS_M)
     cell_share = voxels.grid.voxel_size_m**3 / true_volume_m3
@@ -191,7 +194,9 @@ def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) 
 
 
 def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) -> float:
-    """Return the volume of lost cells outside the object's voxel grid and over 10 mm from the true mesh.
+    """Return the volume, outside the object's voxel grid, of true solid that the build calls empty.
+
+    Only cells more than 10 mm from the true mesh count.
 
     Args:
         cube: a cube around the true object, truth's world.

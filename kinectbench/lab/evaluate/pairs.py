@@ -99,11 +99,13 @@ class EvaluatedPair:
     Attributes:
         view: the view's name.
         frame: index in the sequence.
-        iou: IoU of `full` and the seeable solid (`core.voxels.seeable`), over cells that are not in slits.
+        iou: IoU of `full` and the seeable solid (`core.voxels.seeable`), without slits: gaps that only a
+            finer sensor could see into, and walls thinner than a voxel.
         known_iou: the same IoU over `known` cells; None if no cell of the true solid is known.
         exact_iou: IoU of `full` and the solid inside the true mesh, over all cells.
         true_unknown_share: share of the seeable solid that is not `known`.
-        containment: share of the partial view's cells, at 64^3, that lie in the seeable solid dilated once.
+        containment: share of the partial view's cells, at 64^3, that lie in the seeable solid dilated by one
+            cell.
     """
 
     view: str
@@ -129,11 +131,11 @@ class PairFigures:
     """All pairs against the truth: summaries of the figures of `EvaluatedPair`, None if no pair has it.
 
     Attributes:
-        iou: summary of `iou`.
-        known_iou: summary of `known_iou`.
-        exact_iou: summary of `exact_iou`.
-        true_unknown_share: summary of `true_unknown_share`; the worst is the largest.
-        containment: summary of `containment`.
+        iou: of `full` with the seeable solid: the true mesh's inside and space that no camera could see.
+        known_iou: the same IoU over `known` cells.
+        exact_iou: IoU of `full` with the inside of the true mesh.
+        true_unknown_share: share of the seeable solid that is not `known`; the worst is the largest.
+        containment: share of the partial view's cells that lie in the seeable solid dilated by one cell.
         without_truth: pairs that are not compared: their frame is not in the truth, or shows another scene.
         rows: one for each compared pair.
     """

@@ -120,7 +120,7 @@ def named_mesh(path: Path) -> str:
 
 
 def _truths(folder: Path) -> Iterator[str]:
-    """Yield the SHA-256 of an object's own mesh file, and of the mesh file it was made from, if any."""
+    """Yield the SHA-256 of the built mesh file, and of the reference that quality.json says it came from."""
     yield sha256_file(folder / MESH)
     if (truth := QualityFile.read(folder).truth) is not None:
         yield truth.sha256
@@ -216,6 +216,11 @@ def by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -
 
     There is a mean for faces that point up, for those that point down and for the others. Positive: the
     measured surface is too far out.
+
+    Args:
+        fit: the registered reference.
+        T: (4, 4), maps the reference to the object's world.
+        T_floor_world: (4, 4), maps the object's world to a frame whose z is up.
     """
     ours, theirs = fit.ours, fit.theirs
     points, normals = ours.points[ours.counted], ours.normals[ours.counted]

@@ -123,7 +123,7 @@ def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSur
     about = rigid(np.eye(3), middle)
 
     def advance(T: Float64) -> tuple[Float64, float]:
-        """Return the motion (4, 4) after one Gauss-Newton step, and inf, so that all steps are made."""
+        """Return the motion (4, 4) after a Gauss-Newton step; and inf as its size, so no step is the last."""
         outward_m = built.signed_distance_m(transform_points(invert_rigid(T), points))
         near = np.abs(outward_m) <= REACH_M
         arms = np.cross(points[near] - middle, normals[near]) / size_m

@@ -60,7 +60,7 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
             `build/` in the working folder as target.
         truth: the truth's folder; default: the folder beside the recording.
         config: a benchmark.yaml, which need not exist.
-        overrides: settings that replace the file's, as `--set` takes them.
+        overrides: settings that replace the file's, each `SECTION.KEY=VALUE`.
 
     Raises:
         SettingsError: there is no such recording, the settings are wrong, the truth is not known, or a build
@@ -182,7 +182,14 @@ def evaluate_recording(
 
 
 def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
-    """Return {key of `CAPTIONS`: PNG file}, without pictures of stages that were not built."""
+    """Return {key of `CAPTIONS`: PNG file}, without pictures of stages that were not built.
+
+    Args:
+        build: the build.
+        truth: the simulator's truth.
+        evaluation: the figures; the picture of the path uses those of the trajectory.
+        align: whether to align the build's world with the truth's by the trajectories.
+    """
     registration = register_build(build, truth, align)
     T_object_world = invert_rigid(truth.T_world_object)
     true_object = truth.mesh_world.transformed(T_object_world)

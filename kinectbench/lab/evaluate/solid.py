@@ -40,7 +40,7 @@ def grid_iou(a: Bools, b: Bools) -> float:
 
 
 def known_iou(built: Bools, true: Bools, known: Bools) -> float | None:
-    """Return the IoU of two solids over known cells only; None if no cell of the true solid is known."""
+    """Return the IoU of two solids over the cells in `known`; None if no cell of the true solid is in it."""
     return grid_iou(built & known, true & known) if bool(np.any(true & known)) else None
 
 
@@ -58,7 +58,8 @@ class EvaluatedSolids:
         true: the cell's centre lies in the seeable solid.
         built: the cell's centre lies in the built closed mesh.
         known: the label of the nearest voxel is not `unknown`.
-        judged: the cell is evaluated: it does not lie in a slit.
+        judged: the cell is evaluated. Slits are not: gaps that only a finer sensor could see into, and walls
+            thinner than a voxel.
         exact: the cell's centre lies in the exact solid.
     """
 
@@ -104,8 +105,10 @@ class SolidFigures:
         exact_fine: same as `fine`, against the exact solid.
         exact_coarse: same as `coarse`, against the exact solid.
         line_width_m: width of the lines of sight that define the seeable solid.
-        closed_by_definition_share: volume that only the seeable solid contains, relative to the exact solid.
-        not_judged_share: volume of slits, which is not evaluated, relative to the exact solid.
+        closed_by_definition_share: volume of the seeable solid outside the true mesh, relative to the exact
+            solid.
+        not_judged_share: volume that is not evaluated (gaps that only a finer sensor could see into, and
+            walls thinner than a voxel), relative to the exact solid.
         true_volume_m3: volume enclosed by the true mesh.
         built_volume_m3: volume enclosed by the built mesh.
         built_outside_share: share of the built solid outside the cube, found in a cube of twice the side;

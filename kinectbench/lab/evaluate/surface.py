@@ -68,9 +68,11 @@ class SurfaceComparison:
     """Accuracy, completeness and scores of the built surface, as a whole or only where the camera saw it.
 
     Attributes:
-        accuracy: statistics of built points' distances from the true surface; None without built points.
-        completeness: the same of true samples' distances from the built surface; None without true samples.
-        scores: one for each distance threshold.
+        accuracy: mean, RMS and 90 % quantile of built points' distances from the true surface; None without
+            built points.
+        completeness: mean, RMS and quantile of true samples' distances from the built surface; None without
+            true samples.
+        scores: precision, recall and F-score, one `SurfaceScore` for each distance threshold.
     """
 
     accuracy: DistanceStatistics | None
@@ -132,7 +134,7 @@ class ReferenceSurface:
 def surface_errors(
     mesh: TriangleMesh, truth: Truth, samples: int = SAMPLES, judged: Callable[[Float64], Bools] | None = None
 ) -> SurfaceErrors:
-    """Measure the distances between a built mesh and the true one, both ways.
+    """Measure the distances of points on a built mesh from the true mesh, and of true points from it.
 
     Args:
         mesh: the built surface, in the truth's world, metres; it must have faces.

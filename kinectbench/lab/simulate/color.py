@@ -64,7 +64,12 @@ def expose(
 
 
 def _pixels_to(camera: Camera, T_then_now: Float64) -> Float64:
-    """Return the (3, 4) matrix that maps (u, v, 1, 1 / z) now to homogeneous pixels at the other time."""
+    """Return the (3, 4) matrix that maps (u, v, 1, 1 / z) of a point now to its homogeneous pixel then.
+
+    Args:
+        camera: intrinsics, the same at both times.
+        T_then_now: (4, 4), camera frame now to camera frame then.
+    """
     K = camera.K
     turned = K @ T_then_now[:3, :3] @ np.linalg.inv(K)
     return np.column_stack([turned, K @ T_then_now[:3, 3]])
@@ -72,7 +77,15 @@ def _pixels_to(camera: Camera, T_then_now: Float64) -> Float64:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _smear(color_rgb, depth_m, homographies, grain, gain):  # type: ignore[no-untyped-def]
-    """Average colours along streaks, multiply by the gain and add grain: (height, width, 3) uint8."""
+    """Average colours along streaks, multiply by the gain and add grain: (height, width, 3) uint8.
+
+    Args:
+        color_rgb: (height, width, 3) uint8.
+        depth_m: (height, width), metres, 0 where nothing is hit.
+        homographies: pair of matrices of `_pixels_to`, to the start and to the end of the exposure.
+        grain: (height, width), standard normal variates.
+        gain: factor on brightness.
+    """
     height, width = depth_m.shape
     smeared = np.empty((height, width, 3), np.uint8)
     streaks = np.empty((width, 2), np.float32)
@@ -107,7 +120,11 @@ def _level(value):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _streaks(before, after, v, depth_m, streaks):  # type: ignore[no-untyped-def]
-    """Write the motion (du, dv) of row v's pixels during the exposure into `streaks` (width, 2), pixels."""
+    """Write the motion (du, dv) of row v's pixels during the exposure into `streaks` (width, 2), pixels.
+
+    `before` and `after` (3, 4) map (u, v, 1, 1 / z) in the middle of the exposure to homogeneous pixels at
+    its start and end; `depth_m` (width,) is the row's depth.
+    """
     one, y = np.float32(1), np.float32(v)
     for u in range(len(depth_m)):
         x, near = np.float32(u), one / depth_m[u] if depth_m[u] > 0 else np.float32(0)

@@ -100,12 +100,14 @@ def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-u
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-untyped-def]
-    """Return reported depth, (height, width) float32 metres, 0 = none: steps 2 to 4 of `measured_depth`.
+    """Return reported depth, (height, width) float32 metres, 0 = none, for pixels displaced at edges.
+
+    Pixels are lost or mixed, then depth is distorted, gets axial noise, and is quantised in disparity.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.
         around_m: pair (smallest, largest) of the depth in each 3x3 window.
-        source: result of `displace`.
+        source: (height, width) int32, index in the flattened image of the pixel whose depth each measures.
         surface: pair (cosine of incidence, albedo), both (height, width) float32.
         device: triple (`KinectNoise`, distortion of disparity (height, width) float32 in pixels, sunlight).
         drawn: pair of standard normal variates, float32: (height, width) for depth noise, and at half the
@@ -150,8 +152,8 @@ def _lateral_sigma_px(cosine):  # type: ignore[no-untyped-def]
 def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
     """Return the standard deviation of the axial noise to draw, metres, before depth is quantised.
 
-    It is the published value (Nguyen et al. 2012, eq. 3 and 4) without the variance of rounding inverse depth
-    to multiples of 1 / `scale`, which `sense` adds.
+    It is the published value (Nguyen et al. 2012, eq. 3 and 4) at depth z and that cosine of incidence,
+    without the variance of rounding inverse depth to multiples of 1 / `scale`, which `sense` adds.
     """
     sigma = np.float32(0.0012) + np.float32(0.0019) * (z - np.float32(0.4)) ** 2
     if cosine < np.float32(0.5):
@@ -164,8 +166,8 @@ def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
 def _margin(z, cosine, albedo, noise, sunlight):  # type: ignore[no-untyped-def]
     """Return the pattern's signal strength, in standard deviations above the mean required strength.
 
-    The signal is albedo * cos(incidence) / z², weakened by reflected sunlight. Grazing incidence lowers the
-    result, and `any_margin` limits it.
+    The signal is albedo * cos(incidence) / z², weakened by reflected sunlight (0 to 1). At grazing incidence
+    the result is lower; it is at most `noise.any_margin`.
     """
     drowned = z * z * (np.float32(1) + np.float32(noise.sun) * sunlight * albedo)
     signal = max(albedo * cosine / drowned, np.float32(1e-9))

@@ -115,7 +115,7 @@ class CameraPath:
         return looks
 
     def _stations(self, time_s: Float64) -> tuple[Float64, Float64]:
-        """Return azimuth and elevation (n,) in radians at times (n,): of the walk, or of the nearest view."""
+        """Return azimuth and elevation (n,), radians, at times (n,): of the walk or the view next in time."""
         chosen = self.settings
         if self.stations_rad is not None:
             frame = np.clip(np.rint(time_s * chosen.rate_hz), 0, chosen.frames - 1).astype(np.int64)
@@ -215,7 +215,7 @@ def _fitting_distance_m(
     """Return the distance in metres at which a bounding sphere of the subject just fits into the image.
 
     It has a small margin, and is large enough that the sphere stays beyond the sensor's minimum range even
-    where the hand comes nearest.
+    where the hand comes nearest; `reach_share` is the standard deviation of that relative approach.
     """
     radius_m = float(np.linalg.norm(subject.vertices - target_room, axis=1).max())
     half_view = min(np.arctan(camera.width / 2 / camera.fx), np.arctan(camera.height / 2 / camera.fy))

@@ -19,7 +19,7 @@ class PlannedFrame:
     """One planned frame of the recording, before it is rendered.
 
     Attributes:
-        source: index of the frame before some frames were dropped.
+        source: index of the frame among all frames of the path, before some were dropped.
         time_s: time at which depth is taken, seconds since the start.
         stamp_ns: the recorded stamp of depth.
         color_stamp_ns: the recorded stamp of colour.
@@ -90,14 +90,17 @@ def given_trajectory(spec: SimulationSpec, T_world_camera: Float64) -> Float64 |
 
 
 def _disturbed(poses: Float64, sigma_m: float, sigma_rad: float, rng: np.random.Generator) -> Float64:
-    """Add independent Gaussian noise to every pose, in camera axes."""
+    """Add Gaussian noise to every pose, independently for each camera axis: of `sigma_m` and `sigma_rad`."""
     turns = Rotation.from_rotvec(rng.standard_normal((len(poses), 3)) * sigma_rad).as_matrix()
     shifts = rng.standard_normal((len(poses), 3)) * sigma_m
     return np.stack([T @ rigid(R, t) for T, R, t in zip(poses, turns, shifts, strict=True)])
 
 
 def _drifting(poses: Float64, drift_m_per_m: float, rng: np.random.Generator) -> Float64:
-    """Add odometry drift to the poses: errors in one direction, proportional to each step's length."""
+    """Add odometry drift to the poses, always in the same direction and about the same axis.
+
+    A step's error is its length times `drift_m_per_m`, with a rotation in proportion.
+    """
     shift, turn = (axis / np.linalg.norm(axis) for axis in rng.standard_normal((2, 3)))
     drifted = [poses[0]]
     for before, after in pairwise(poses):

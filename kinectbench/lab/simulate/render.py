@@ -151,7 +151,16 @@ def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-unt
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[no-untyped-def]
-    """Compute a row's light, cosine of incidence, and hits along the two room axes that span the surface."""
+    """Write light, cosine of incidence and texture coordinates of a row's hits into the last three arrays.
+
+    Args:
+        rays: (width, 6), origin and direction.
+        depth_m: (width,), ray parameters of the hits.
+        normals: (width, 3), unit.
+        plane_m: (2, width), written: the hits along the two room axes that are most parallel to the surface.
+        light: (width,), written: brightness factors.
+        cosine: (width,), written: cosine of incidence.
+    """
     for u in range(len(depth_m)):
         dx, dy, dz = rays[u, 3], rays[u, 4], rays[u, 5]
         nx, ny, nz = normals[u, 0], normals[u, 1], normals[u, 2]
@@ -169,7 +178,10 @@ def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
-    """Sample the periodic texture at a row's texture coordinates, by bilinear interpolation."""
+    """Write the periodic texture at a row's texture coordinates into `noise` (width,), bilinearly sampled.
+
+    `plane_m` (2, width) are the coordinates in metres, `flat` is the texture, flattened.
+    """
     wrap, one = TEXTURE_PX - 1, np.float32(1)
     for u in range(len(noise)):
         x, y = plane_m[0, u] * np.float32(PIXELS_PER_M), plane_m[1, u] * np.float32(PIXELS_PER_M)
@@ -185,7 +197,15 @@ def _noise_row(plane_m, flat, noise):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _tile_row(plane_m, row, looks, image, noise):  # type: ignore[no-untyped-def]
-    """Convert a row's noise to brightness factors around 1, with dark joints and varying shades of tiles."""
+    """Convert a row's `noise` (width,) in place to brightness factors around 1, with tiles and dark joints.
+
+    Args:
+        plane_m: (2, width), texture coordinates in metres.
+        row: (width,), row in `looks` of each pixel's item.
+        looks: `Looks` of the scene.
+        image: (512, 512), the texture, which varies the shades of tiles.
+        noise: (width,), samples of the texture; overwritten.
+    """
     for u in range(len(noise)):
         factor = np.float32(1) + looks.contrast[row[u]] * noise[u]
         tile_m = looks.tile_m[row[u]]

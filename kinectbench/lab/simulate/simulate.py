@@ -123,7 +123,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
     """Draw the object, its surroundings, the camera path and the sensor, and plan the recording.
 
     Raises:
-        SettingsError, RecordingError: as in `make_subject`.
+        SettingsError, RecordingError: the family is unknown; the mesh cannot be used.
     """
     subject = make_subject(spec)
     min_range_m = MIN_RANGE_M[spec.sensor.model]
@@ -215,7 +215,7 @@ def _color(
     middle_s: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """Return the colour image at a time; `exact` is rendered again if colour's camera or time differs."""
+    """Return frame `index`'s colour image, taken at `middle_s`; use `exact` if of that camera and time."""
     sensor = simulation.spec.sensor
     times_s = middle_s + np.array([-0.5, 0.0, 0.5]) * sensor.exposure_s
     T_depth_color = invert_rigid(simulation.rig.T_color_depth)
@@ -231,7 +231,7 @@ def _color(
 def _own_colors(
     simulation: Simulation, renderer: Renderer | StillRenderer, exact: Rendering, index: int
 ) -> tuple[ColorImage, ...] | None:
-    """Return the images of a separate colour stream since the previous depth frame; None without one."""
+    """Return a separate colour stream's images since depth frame `index` - 1; None without a stream."""
     spec, plans = simulation.spec, simulation.frames
     rate_hz, delay_s = spec.sensor.color_rate_hz, spec.sensor.color_delay_s
     if rate_hz is None:
@@ -277,7 +277,7 @@ def _foreign(spec: SimulationSpec, reach_m: float) -> Renderer:
 
 
 def _world(spec: SimulationSpec, T_room_first: Float64) -> Float64:
-    """Return the room's pose in the recording's world, (4, 4), by the setting `world`."""
+    """Return T_world_room (4, 4): by the setting `world` the identity, random, or from the first camera."""
     if spec.world == "first_camera":
         return invert_rigid(T_room_first)
     if spec.world == "random":
@@ -300,7 +300,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
 
     Raises:
         SettingsError: the path does not fit the format, or holds other content; or the family is unknown.
-        RecordingError: the mesh cannot be used, or a folder without depth images is to be cut.
+        RecordingError: the mesh cannot be used, or a folder without depth images is to be truncated.
         StorageError: the recording cannot be written.
     """
     _check_place(spec, out)
@@ -357,7 +357,7 @@ class _Recorder:
             self._progress(index + 1, len(simulation.frames))
 
     def truth(self) -> Truth:
-        """Return the truth of the frames rendered so far."""
+        """Return the truth, with which samples were seen in the frames rendered so far."""
         simulation = self._simulation
         spec, R_world_room = simulation.spec, simulation.T_world_room[:3, :3]
         points, normals = self._samples

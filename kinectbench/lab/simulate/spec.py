@@ -106,7 +106,7 @@ class SceneSettings(GrownSettings):
 
 
 class SensorSettings(GrownSettings):
-    """The camera and its noise."""
+    """The sensor: its model, image size, depth errors, and the colour camera's exposure and timing."""
 
     model: Literal["kinect_v1", "ideal", "azure_kinect", "phone_lidar"] = Field(
         "kinect_v1", description="ideal: exact depth and colour"
@@ -161,7 +161,7 @@ class FaultSettings(Settings):
 
 
 class GivenSettings(GrownSettings):
-    """The trajectory and the masks that are recorded with the frames."""
+    """The trajectory and the masks that the recording provides, and the errors of that trajectory."""
 
     trajectory: Literal["true", "noisy", "drifting", "none"] = Field("true", description="how good it is")
     noise_m: float = Field(0.005, ge=0, le=1, description="noisy: standard deviation per axis and frame")

@@ -216,7 +216,17 @@ def measure_time_of_flight(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _report(exact_m, around_m, returned, device, drawn):  # type: ignore[no-untyped-def]
-    """Return reported depth, (height, width) float32 metres, 0 = none: last steps of the measurement."""
+    """Return reported depth, (height, width) float32 metres, 0 = none, from the light that came back.
+
+    Args:
+        exact_m: (height, width), noise-free depth, 0 where nothing is hit.
+        around_m: pair (smallest, largest) of the depth around each pixel.
+        returned: light after mixing, light times depth, albedo, and systematic error in metres: each (height,
+            width).
+        device: pair (`TimeOfFlight`, sunlight).
+        drawn: pair of standard normal variates: (height, width) for noise, and at half the resolution for
+            lost pixels.
+    """
     light, weighted, albedo, offset_m = returned
     sensor, sunlight = device
     normal, weak = drawn
@@ -276,7 +286,10 @@ def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tu
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-def]
-    """Compute the patches (n, 9) of `_patches`; normals are from each pixel's neighbours at similar depth."""
+    """Compute the patches (n, 9) of `_patches`; normals are from each pixel's neighbours at similar depth.
+
+    `lens` is (fx, fy, cx, cy), `step` the distance of patches in pixels, `size` their (rows, columns).
+    """
     fx, fy, cx, cy = lens
     height, width = depth_m.shape
     patches = np.zeros((size[0] * size[1], 9), np.float32)
@@ -317,7 +330,11 @@ def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
-    """Return the multipath error of each receiving patch along z: (n,) float32 metres; see `multipath_m`."""
+    """Return the multipath error of each receiving patch along z: (n,) float32 metres; see `multipath_m`.
+
+    `receivers` and `senders` are patches of `_patches`; `share` is that of the indirect light that the sensor
+    takes for direct light.
+    """
     late_m = np.zeros(len(receivers), np.float32)
     far = np.sqrt(senders[:, 0] ** 2 + senders[:, 1] ** 2 + senders[:, 2] ** 2)
     for i in range(len(receivers)):
@@ -346,7 +363,11 @@ def _indirect(receivers, senders, share):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _spread(late_m, depth_m, step):  # type: ignore[no-untyped-def]
-    """Interpolate the patches' errors to all pixels, mostly from neighbouring patches at similar depth."""
+    """Interpolate the patches' errors to all pixels, mostly from neighbouring patches at similar depth.
+
+    `late_m` (rows, columns) are the errors in metres of patches `step` pixels apart, `depth_m` the depth of
+    all pixels (height, width); the result has its shape.
+    """
     rows, columns = late_m.shape
     height, width = depth_m.shape
     spread = np.zeros((height, width), np.float32)

@@ -48,7 +48,8 @@ class TrueCells:
         exact: the cell is in the exact solid, inside the true mesh.
         solid: the cell is in the seeable solid: in the exact solid, or in space that no camera could see,
             except slits.
-        judged: the cell is evaluated: it is not in a slit, so narrow that sensors differ on it.
+        judged: the cell is evaluated. Slits are not: gaps that only a finer sensor could see into, and walls
+            thinner than a voxel.
     """
 
     exact: Bools
@@ -86,13 +87,13 @@ class Truth:
 
     @cached_property
     def seeable(self) -> SeeableSolid:
-        """The seeable solid (`core.voxels.seeable`): all space that no camera could see; takes seconds."""
+        """The seeable solid: the true mesh's inside and space that no camera could see; takes seconds."""
         longest_m = float(np.ptp(self.mesh_world.vertices, axis=0).max())
         limits = self.limits or SensorLimits.of_size(longest_m)
         return seeable_solid(self.mesh_world, self.T_world_object, limits)
 
     def cells(self, grid: Grid) -> "TrueCells":
-        """Return the true states of a grid's cells; its last side must be a multiple of 8."""
+        """Return the true states of a grid's cells; the number of cells along z must be a multiple of 8."""
         exact, seeable = mesh_occupancy(self.mesh_world, grid), self.seeable
         closed = seeable.on(grid, seeable.closed & ~seeable.slit)
         return TrueCells(exact, exact | closed, exact | ~seeable.on(grid, seeable.slit))
@@ -144,8 +145,9 @@ def is_truth(folder: Path) -> bool:
 def added_files(folder: Path, recording: Path) -> list[str]:
     """Return the files and folders in a simulated recording's folder that its simulation did not write.
 
-    Hidden ones are ignored. An added folder is named without its content. Names that differ only by their
-    numbers, as those of frames do, are counted: of more than were written, the name with # is returned.
+    Hidden ones are ignored. An added folder is named without its content. Numbered files, such as those of
+    frames, are only counted: if there are more than were written, their name with # for the number is
+    returned once.
 
     Args:
         folder: the folder of the recording's truth; without a truth, the result is empty.
@@ -273,7 +275,7 @@ def read_truth(folder: Path) -> Truth:
 def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
     """Return which cells of a grid have their centre inside a closed mesh in the world: bool (grid.shape).
 
-    The grid's last side must be a multiple of 8.
+    The number of cells along the grid's last axis must be a multiple of 8.
     """
     from kinectbench.core.voxels.pair_file import unpack
     from kinectbench.core.voxels.solid import voxelize_solid

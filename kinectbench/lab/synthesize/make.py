@@ -44,9 +44,10 @@ class Task:
 
     @property
     def groups(self) -> dict[str, int]:
-        """Groups of views: {group: steps in a full turn of each of roll, pitch and yaw (`all_views`)}.
+        """Groups of views: {group: number of steps in a full turn, for each of roll, pitch and yaw}.
 
-        "sv" is same viewing; "cv" is cross viewing, which only validation and test have (paper).
+        "sv" (same viewing) has the angles of training; "cv" (cross viewing), which only validation and test
+        have, has another step (paper). A group has all combinations of steps.
         """
         sv, cv = {"sv": self.settings.sv_steps}, {"cv": self.settings.cv_steps}
         return sv if self.split == "train" else sv | cv
@@ -119,7 +120,16 @@ Pairs = Iterator[tuple[ViewAngles, Pair, str | None]]
 def _write_release(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
 ) -> MadeGroup:
-    """Write a group's pairs, views and object as a recording of a release; return its views and refusals."""
+    """Write a group's pairs, views and object as a recording of a release; return its views and refusals.
+
+    Args:
+        task: the model and its split.
+        group: "sv" or "cv" (same or cross viewing).
+        files: the folder to write into.
+        checked: the model's mesh.
+        camera: the virtual camera.
+        pairs: (view, pair, reason why it is refused or None) of each pair.
+    """
     recording = f"{task.model.name}-{group}"
     for name in ("pairs", "views", "objects"):
         (files / name / recording).mkdir(parents=True)
@@ -150,7 +160,10 @@ def _write_release(
 def _write_recgan(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
 ) -> MadeGroup:
-    """Write a group's pairs as the paper authors' two files each; return its views and refusals."""
+    """Write a group's pairs as the paper authors' two files each; return its views and refusals.
+
+    `files` is the folder to write into; `pairs` are (view, pair, reason why it is refused or None).
+    """
     model, names, refused = task.model, [], []
     for view, pair, reason in pairs:
         if reason:

@@ -29,7 +29,8 @@ class CheckedMesh:
 
     Attributes:
         mesh: the mesh, in the model's own frame and unit, without duplicate vertices and collapsed triangles.
-        rule: the rule that fills it: "winding" if it is closed, else "six-rays"; "seeable" with `seeable`.
+        rule: how its inside is found: "winding" (by winding number) if it is closed, else "six-rays" (the
+            paper authors' rule for open meshes); "seeable" with `seeable`.
         notes: remarks for the user, one line each.
         seeable: its seeable solid (`core.voxels.seeable`), which includes space that no camera could see;
             None: only the inside of the mesh is solid.

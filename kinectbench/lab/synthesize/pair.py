@@ -26,7 +26,8 @@ def make_synthetic_pair(
 
     In framing `object`, the paper's, the cube is placed around the full shape's box in the view's axes; in
     framing `view`, around the visible part alone. The world frame is the model's own, in metres. All cells
-    are known, unless the truth is a `SeeableSolid`: its slits are not. `surface_sigma_m` is 0.
+    are known, except, in a `SeeableSolid`, gaps that only a finer sensor could see into and walls thinner
+    than a voxel. `surface_sigma_m` is 0.
 
     Args:
         checked: the model.
@@ -73,7 +74,10 @@ def make_synthetic_pair(
 
 
 def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
-    """Return two packed bit grids: the cells in the solid, and the known cells (all but slits)."""
+    """Return two packed bit grids: the cells in the solid, and the known cells.
+
+    Unknown are gaps that only a finer sensor could see into, and walls thinner than a voxel (`slit`).
+    """
     full = VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, grid)
     if checked.seeable is None:
         return full, np.full_like(full, 255)
@@ -83,7 +87,13 @@ def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
 
 
 def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
-    """Return the share of a shape that a cube cuts off: of its cells in the grid `whole`, those outside."""
+    """Return the share of the shape that lies outside a cube, 0 to 1.
+
+    Args:
+        grid: the cube.
+        checked: the shape.
+        whole: a grid that contains the whole shape; its cells are counted.
+    """
     corners = transform_points(grid.T_grid_world, checked.mesh.vertices)
     side_m = grid.shape[0] * grid.voxel_size_m
     if corners.min() >= 0 and corners.max() <= side_m:
@@ -95,7 +105,13 @@ def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
 
 
 def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
-    """Return the reason why a pair must not be used; None if it may be."""
+    """Return the reason why a pair must not be used; None if it may be.
+
+    Args:
+        pair: the pair.
+        min_containment: least share of the visible part's cells that must lie in the full shape.
+        cut_share: share of the full shape outside the pair's cube.
+    """
     if cut_share > MAX_CUT_SHARE:
         return f"the cube of framing view cuts off {cut_share:.1%} of it, more than {MAX_CUT_SHARE:.0%}"
     if not pair.full.any():

@@ -99,7 +99,15 @@ def _complete(
     folder: Path,
     lines: Sequence[str],
 ) -> str:
-    """Write all files of a release but the pairs, views and objects; return its benchmark_sha256."""
+    """Write all files of a release but the pairs, views and objects; return its benchmark_sha256.
+
+    Args:
+        tasks: one for each model.
+        made: what was made of each, in the same order.
+        settings: the run's settings, without paths.
+        folder: the release, which holds the pairs, views and objects.
+        lines: the report, for the dataset card.
+    """
     targets: list[Target] = []
     infos: dict[str, RecordingInfo] = {}
     for task, content in zip(tasks, made, strict=True):
@@ -283,7 +291,7 @@ def _reason(model: Model, max_faces: int) -> str | None:
 def _lines(
     settings: SynthesisSettings, dealt: dict[str, Dealt], tasks: Sequence[Task], left_out: Sequence[LeftOut]
 ) -> Iterator[str]:
-    """Yield the lines of the report."""
+    """Yield the report line by line: counts per category, then notes on models, then models left out."""
     made = {task.model: MadeModel.read(task.folder) for task in tasks}
     if settings.noise != "none":
         yield "depth with the errors of a Kinect v1; the full shapes are exact"

@@ -56,12 +56,15 @@ class Back:
         return [self.upright("post", s * self.half, self.seat - 0.012, self.top, self.thick) for s in SIDES]
 
     def upright(self, name: str, x: float, low: float, high: float, wide: float, deep: float = 0.0) -> Part:
-        """Make a bar that leans with the back, at x, between the heights `low` and `high`."""
+        """Make a bar that leans with the back, at x, between the heights `low` and `high`.
+
+        It is `wide` along x and `deep` (0: as thick as the posts) along y.
+        """
         size = (wide, deep or self.thick)
         return Part(name, leg(self.point(x, low), self.point(x, high), size, size), self.look)
 
     def rail(self, low: float, high: float, deep: float = 0.02, name: str = "rail") -> Part:
-        """Make a board bent with the back, from post to post, between the heights `low` and `high`."""
+        """Make a board bent with the back, post to post, `deep` thick, between heights `low` and `high`."""
         y, half = self.point(self.half, self.seat)[1], self.half
         board = bowed((-half, y - deep / 2, low), (half, y + deep / 2, high), self.bow)
         return Part(name, leaned(board, self.seat, self.slope), self.look)
@@ -75,7 +78,7 @@ def _ladder(draw: Draw, back: Back) -> Parts:
 
 
 def _between_rails(draw: Draw, back: Back) -> tuple[float, float, Parts]:
-    """Make a lower and an upper rail; return the lower and upper end of the gap between, and the rails."""
+    """Make a lower and an upper rail; return a height in each, to join bars between them, and the rails."""
     low = back.seat + draw.between(0.06, 0.14)
     crest = draw.between(0.05, 0.09)
     rails = [back.rail(low - 0.025, low + 0.015), back.rail(back.top - crest, back.top, 0.024, "crest")]

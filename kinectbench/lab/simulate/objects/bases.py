@@ -143,7 +143,7 @@ def round_legs(
 ) -> Parts:
     """Make three or more round legs in a circle, of radius `reach_m` at the floor and `inner_m` at the top.
 
-    The first leg points to the front.
+    The first leg points to the front. `thick_m` is the diameter at the top, at the height `head_m`.
     """
     foot = max(0.02, 0.65 * thick_m)
     for turn in np.arange(count) * 2 * np.pi / count + np.pi / 2:
@@ -155,7 +155,11 @@ def round_legs(
 
 
 def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, look: Look) -> Parts:
-    """Make two bent tubes, each of two splayed legs and a bar between, and two bars that join the tubes."""
+    """Make two bent tubes, each of two splayed legs and a bar between, and two bars that join the tubes.
+
+    `half_m` is x and y of the upper ends, `head_m` their height; the feet are `splay_m` farther out along
+    both axes.
+    """
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
         # The legs continue below the floor, where they are cut off level.
@@ -167,7 +171,10 @@ def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, l
 
 
 def sled(half_m: Vector2, head_m: float, radius_m: float, look: Look) -> Parts:
-    """Make two tube loops that lie on the floor from front to back, and two bars between them."""
+    """Make two tube loops that lie on the floor from front to back, and two bars between them.
+
+    `half_m` is x of the right loop, and half its length along y; `head_m` is its height.
+    """
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
         corners = [(s * x, -0.8 * y, z), (s * x, -y, radius_m), (s * x, y, radius_m), (s * x, 0.8 * y, z)]
@@ -178,7 +185,11 @@ def sled(half_m: Vector2, head_m: float, radius_m: float, look: Look) -> Parts:
 
 
 def square_loops(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
-    """Make two closed frames of square tube at the left and right ends."""
+    """Make two closed frames of square tube at the left and right ends.
+
+    `half_m` is x of the right frame, and half its length along y; `head_m` is its height, `thick_m` the
+    tube's thickness.
+    """
     x, y = half_m
     for s in SIDES:
         outer = box((s * x - thick_m / 2, -y, 0.0), (s * x + thick_m / 2, y, head_m))
@@ -187,7 +198,7 @@ def square_loops(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> 
 
 
 def hairpins(half_m: Vector2, head_m: float, look: Look) -> Parts:
-    """Make four corner legs of two thin steel bars each, which meet at the foot."""
+    """Make four legs at (+-x, +-y) of `half_m`, each of two thin steel bars that meet at the foot."""
     size = (0.017, 0.017)
     for sx, sy in CORNERS:
         x, y = sx * half_m[0], sy * half_m[1]
@@ -225,7 +236,17 @@ def column(draw: Draw, reach_m: float, head_m: float, thick_m: float, look: Look
 def star(
     draw: Draw, count: int, reach_m: float, head_m: float, thick_m: float, look: Look, *, wheels: bool
 ) -> Parts:
-    """Make a column on a star of feet, perhaps on castors; the first foot points to the back."""
+    """Make a column on a star of feet, perhaps on castors; the first foot points to the back.
+
+    Args:
+        draw: draws the height of feet without castors.
+        count: number of feet.
+        reach_m: length of a foot from the column's axis.
+        head_m: top of the column.
+        thick_m: diameter of the column.
+        look: material, except of castors.
+        wheels: whether the feet stand on castors.
+    """
     from manifold3d import Manifold
 
     lift, high = (0.05, 0.035) if wheels else (0.0, draw.between(0.04, 0.07))
@@ -245,7 +266,10 @@ def star(
 
 
 def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
-    """Make an X of two legs at the left and right ends, and a bar that joins the crossings."""
+    """Make an X of two legs at the left and right ends, and a bar that joins the crossings.
+
+    `half_m` is x of the right X, and y of the ends of its legs; `head_m` is its height.
+    """
     x, y = half_m
     for s, way in CORNERS:
         # One leg is a little thinner, so that the two share no plane.
@@ -256,7 +280,10 @@ def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> 
 
 
 def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
-    """Make two trestles (a post between foot and head beam, or an A of two legs), and a long stretcher."""
+    """Make two trestles (a post between foot and head beam, or an A of two legs), and a long stretcher.
+
+    `half_m` is x of the right trestle, and half its length along y; `head_m` is its height.
+    """
     x, y, wide = *half_m, draw.between(0.045, 0.07)
     if draw.chance(0.5):
         post = draw.between(0.09, 0.16)
@@ -281,7 +308,10 @@ def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
 
 
 def panels(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
-    """Make two upright boards at the left and right ends."""
+    """Make two upright boards at the left and right ends.
+
+    `half_m` is x of the right board, and half its length along y; `head_m` is its height.
+    """
     x, y = half_m
     for s in SIDES:
         yield Part("panel", box((s * x - thick_m / 2, -y, 0.0), (s * x + thick_m / 2, y, head_m)), look)

@@ -258,7 +258,16 @@ def _tubular(draw: Draw, size: _Size) -> Parts:
 
 
 def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: float, look: Look) -> Parts:
-    """Draw armrests: two bent tubes, each from the back to the front of the frame on its side."""
+    """Draw armrests: two bent tubes, each from the back to the front of the frame on its side.
+
+    Args:
+        draw: draws the height and length of the armrests.
+        size: the chair's size.
+        slope: metres that the back leans backwards for each metre up.
+        frame_z: height of the frame's tubes beside the seat.
+        radius: radius of the frame's tubes.
+        look: material of the tubes.
+    """
     z, front = size.seat + draw.between(0.17, 0.23), size.y - draw.between(0.05, 0.12)
     wood = draw.pick(looks.WOODS)
     for s in SIDES:
@@ -294,7 +303,7 @@ def _office(draw: Draw, size: _Size) -> Parts:
 
 
 def _office_arms(draw: Draw, size: _Size, under: float, look: Look) -> Parts:
-    """Draw T-shaped armrests on brackets under the seat, or closed loops."""
+    """Draw T-shaped armrests or closed loops, on brackets at the height `under` of the seat's underside."""
     z, out = size.seat + draw.between(0.19, 0.24), size.x + 0.035
     loop = draw.chance(0.4)
     for s in SIDES:

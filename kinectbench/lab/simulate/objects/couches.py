@@ -102,14 +102,17 @@ def _body(size: _Size, look: Look) -> Part:
 
 
 def _back(size: _Size, soft: float, look: Look) -> Part:
-    """Make a soft board behind the seat, from the body's bottom to the top."""
+    """Make a board behind the seat, edges rounded by radius `soft`, from the body's bottom to the top."""
     inner = size.x - max(0.0, size.arm - 0.012)
     block = cushion((-inner, -size.y, size.foot + 0.02), (inner, -size.y + size.deep, size.top), soft)
     return Part("back", leaned(block, size.base, size.slope), look)
 
 
 def _arms(draw: Draw, size: _Size, soft: float, look: Look) -> Parts:
-    """Draw two arms: a box, a slim panel, a slope to the front, or a roll on top."""
+    """Draw two arms: a box, a slim panel, a slope to the front, or a roll on top.
+
+    `soft` is the radius of the rounded edges of a box and of a slope.
+    """
     if size.arm == 0:
         return
     kind = draw.choose(["box", "sloped", "rolled"] if size.arm > 0.11 else ["box", "sloped"])
@@ -135,7 +138,7 @@ def _arms(draw: Draw, size: _Size, soft: float, look: Look) -> Parts:
 
 
 def _seat_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
-    """Draw seat cushions: one for each seat, or one for all."""
+    """Draw seat cushions, one for each seat or one for all, in the width from x = -`inner` to `inner`."""
     count = size.seats if draw.chance(0.8) else 1
     front = size.y + draw.between(-0.02, 0.02)
     soft, crown = draw.between(0.03, 0.05), draw.between(0.008, 0.03)
@@ -146,7 +149,7 @@ def _seat_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
 
 
 def _back_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
-    """Draw back cushions, one for each seat."""
+    """Draw back cushions, one for each seat, in the width from x = -`inner` to `inner`."""
     thick, soft = draw.between(0.1, 0.16), draw.between(0.04, 0.06)
     top = size.top + draw.between(-0.06, 0.06)
     y = -size.y + size.deep
@@ -156,7 +159,11 @@ def _back_cushions(draw: Draw, size: _Size, inner: float, look: Look) -> Parts:
 
 
 def _pillows(draw: Draw, size: _Size, inner: float, ahead: float) -> Parts:
-    """Draw one or two square pillows in the seat's corners, leaning `ahead` metres in front of the back."""
+    """Draw one or two square pillows in the seat's corners, leaning in front of the back.
+
+    The seat reaches from x = -`inner` to `inner`; the pillows' middles are `ahead` metres in front of the
+    back's face.
+    """
     look, edge = draw.pick(looks.CLOTHS), draw.between(0.34, 0.42)
     y = -size.y + size.deep + ahead
     for s in SIDES[: draw.integer(1, 3)]:
@@ -168,7 +175,10 @@ def _pillows(draw: Draw, size: _Size, inner: float, ahead: float) -> Parts:
 
 
 def _feet(draw: Draw, size: _Size, half: tuple[float, float]) -> Parts:
-    """Draw short feet, tapered legs, steel runners or a plinth; nothing for a couch on the floor."""
+    """Draw short feet, tapered legs, steel runners or a plinth; nothing for a couch on the floor.
+
+    `half` is half the couch's width along x and half its depth along y; the feet stand inside of that.
+    """
     if size.foot == 0:
         return
     wood, metal, x, y = draw.pick(looks.WOODS), draw.pick(looks.METALS), half[0] - 0.07, half[1] - 0.08

@@ -75,7 +75,7 @@ class Family:
     Attributes:
         draw: draws the parts of one object.
         looked_at: whether this is a development family.
-        furniture: whether the thresholds for furniture apply to it.
+        furniture: whether benchmarks check its results against the thresholds for furniture.
         closed_below: whether its parts leave no space behind the underside open to the air, so that the
             setting `underside: closed` is true of it. Slats, trays, shells and vessels on feet are open.
     """

@@ -33,8 +33,8 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
     """Load a mesh file as a subject: z up, on z = 0, with its bounding box centred at x = y = 0.
 
     Closed bodies, and bodies with small holes, which are filled, become their exact union. Any other mesh is
-    voxelised by the paper authors' rule. If this changed the surface, the camera sees the solid's surface
-    instead, in the file's colours, so that images and truth agree.
+    voxelised by the paper authors' rule for open meshes (`voxelize_open`). If this changed the surface, the
+    camera sees the solid's surface instead, in the file's colours, so that images and truth agree.
 
     Args:
         path: obj, ply, stl, glb or off, in metres.
@@ -85,7 +85,7 @@ def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | 
 
 
 def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, str]:
-    """Voxelise a mesh by the paper authors' rule, and return a closed surface 0.9 voxels outside it.
+    """Voxelise an open mesh by the paper authors' rule; return a closed surface 0.9 voxels outside it.
 
     The second value is one line on how it was closed.
     """

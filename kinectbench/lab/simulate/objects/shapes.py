@@ -64,7 +64,7 @@ class Subject:
 
 
 def box(low_m: Vector3, high_m: Vector3) -> "Manifold":
-    """Make the axis-aligned box between two opposite corners."""
+    """Make the axis-aligned box from its lowest to its highest corner."""
     from manifold3d import Manifold
 
     low, high = np.array(low_m, np.float64), np.array(high_m, np.float64)
@@ -113,7 +113,10 @@ def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) ->
 
 
 def cushion(low_m: Vector3, high_m: Vector3, radius_m: float, crown_m: float = 0.0) -> "Manifold":
-    """Make a box with rounded edges and corners, whose upper face bulges by `crown_m` in the middle."""
+    """Make a box with rounded edges and corners, whose upper face bulges by `crown_m` in the middle.
+
+    `low_m` and `high_m` are opposite corners of the box, `radius_m` is that of the edges.
+    """
     from manifold3d import Manifold
 
     low, high = np.array(low_m, np.float64), np.array(high_m, np.float64)
@@ -267,7 +270,7 @@ def bent(shape: "Manifold", move: Callable[[Points], Points], edge_m: float = BE
 
 
 def bowed(low_m: Vector3, high_m: Vector3, bow_m: float) -> "Manifold":
-    """Make an upright board whose middle is bent backwards by `bow_m`."""
+    """Make an upright board between two opposite corners, its middle bent backwards (-y) by `bow_m`."""
     middle, half = (low_m[0] + high_m[0]) / 2, (high_m[0] - low_m[0]) / 2
 
     def move(points: Points) -> Points:

@@ -67,7 +67,10 @@ def _wooden(draw: Draw, size: _Size) -> Parts:
 
 
 def _drawer(draw: Draw, half: tuple[float, float], head: float, high: float, wood: Look) -> Parts:
-    """Draw the front of a drawer with a knob, in the front apron."""
+    """Draw the front of a drawer with a knob, in the front apron.
+
+    `half` is x and y of the legs' centres; the apron is `high` and reaches up to the height `head`.
+    """
     wide, middle, face = min(0.22, 0.6 * half[0]), head - high / 2, half[1] + 0.017
     front = box((-wide, half[1], head - high + 0.008), (wide, face, head - 0.014))
     knob = rod((0.0, face - 0.008, middle), (0.0, face + 0.02, middle), 0.012)
