@@ -116,6 +116,10 @@ def _listing(job: Job) -> _Listing:
     store = store_of(job)
     files = files_of_recording(store, job)
     built = frozenset(each.name for each in store.objects(f"build/{job.recording.id}"))
+    if Path(job.recording.path).is_absolute() and not job.source.exists():
+        kept = [name for name in built if name.startswith(f"build/{job.recording.id}/{SOURCES}/")]
+        if len(kept) == 1:  # deleted after its build: what is stored is of these files
+            return _Listing(store, files, built, kept[0])
     return _Listing(store, files, built, sources_name(job, files))
 
 

@@ -6,7 +6,7 @@ import fcntl
 import os
 import re
 from collections.abc import Iterator, Set
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
@@ -27,22 +27,24 @@ def is_ours(name: str) -> bool:
     return name == LOCK or _LEFT.fullmatch(name) is not None
 
 
+def passed_over(name: str) -> bool:
+    """Return whether a file of this name is no person's: `is_ours`, or left by a file manager."""
+    return is_ours(name) or name in OF_FILE_MANAGERS
+
+
 def remains(folder: Path) -> list[Path]:
     """Return the lock and the unfinished downloads in a folder and below it; links are not followed."""
     return [Path(place, name) for place, _, names in os.walk(folder) for name in names if is_ours(name)]
 
 
 def unknown_file(folder: Path, known: Set[str]) -> str | None:
-    """Return the first file or link of a folder that is neither in `known` nor ours; None if there is none.
-
-    What file managers leave is passed over.
+    """Return the first file or link of a folder that is neither in `known` nor `passed_over`; None if there is none.
 
     Raises:
         ReleaseError: as in `release_files`.
     """
     others = (p for p in release_files(folder) if p.relative_to(folder).as_posix() not in known)
-    names = (path.relative_to(folder).as_posix() for path in others if not is_ours(path.name))
-    return next((name for name in names if PurePosixPath(name).name not in OF_FILE_MANAGERS), None)
+    return next((path.relative_to(folder).as_posix() for path in others if not passed_over(path.name)), None)
 
 
 def refuse_other_content(out: Path) -> None:

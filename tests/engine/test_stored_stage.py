@@ -168,3 +168,15 @@ def test_a_changed_recording_outside_the_store_is_noticed(small: Path, tmp_path:
     shutil.rmtree(outside)
     with raises(RecordingError, "recording.not-found"):
         checkout(job, tmp_path / "c")
+
+
+def test_what_was_built_of_a_recording_outside_the_store_stays_when_that_is_deleted(
+    small: Path, tmp_path: Path, s3: str
+) -> None:
+    put_benchmark(small, s3)
+    shutil.copytree(small / "recordings/chair", outside := tmp_path / "chair")
+    job = replace(jobs_of(small)[0], root=Path(s3))
+    job = replace(job, recording=job.recording.model_copy(update={"path": str(outside)}))
+    assert checkout(job, tmp_path / "a").current == STAGE_NAMES
+    shutil.rmtree(outside)
+    assert checkout(job, tmp_path / "b").current == STAGE_NAMES

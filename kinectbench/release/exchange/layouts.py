@@ -1,16 +1,19 @@
 """Shared parts of all layouts: export.json, and the names of splits, categories and files."""
 
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import ClassVar
 
 from kinectbench._version import __version__
+from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import pretty_json, replaced_folder
+from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
+from kinectbench.core.storage import pretty_json, replaced_folder, sha256_text
 from kinectbench.core.voxels.pair_file import Pair, PairInput
 from kinectbench.release.contents import release_files
-from kinectbench.release.own_folder import unknown_file
+from kinectbench.release.own_folder import passed_over
 from kinectbench.release.release import Release
 
 EXPORT_JSON = "export.json"
@@ -36,30 +39,69 @@ MATRICES = ("T_world_grid", "T_world_camera", "K")
 SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
 
 
+class ExportFile(Stored):
+    """What is read of export.json before an earlier export is replaced."""
+
+    FILE: ClassVar[str] = EXPORT_JSON
+    ERROR: ClassVar[type[KinectBenchError]] = PairError
+    ADVICE: ClassVar[str] = "choose a new or empty folder"
+
+    files_sha256: str | None = None
+
+
+def names_sha256(folder: Path, but: str = EXPORT_JSON) -> str:
+    """Return the SHA-256 over the names of a folder's files, sorted, a line each.
+
+    The file `but` is left out, and what file managers, locks and unfinished downloads leave.
+    """
+    names = (
+        path.relative_to(folder).as_posix() for path in release_files(folder) if not passed_over(path.name)
+    )
+    return sha256_text("\n".join(map(ascii, sorted(set(names) - {but}))))
+
+
 @contextmanager
-def new_folder(out: Path, known_by: str = EXPORT_JSON) -> Iterator[Path]:
+def new_folder(out: Path) -> Iterator[Path]:
     """Yield an empty temporary folder, which replaces `out` if the `with` block succeeds.
 
+    The block writes export.json. A hash over the names of all files is added to it, by which a later export
+    recognises a folder that holds nothing else.
+
     Args:
-        out: a new or an empty folder, or one that may be replaced.
-        known_by: the file that marks a folder as replaceable; default: export.json of an earlier export.
+        out: a new or an empty folder, or an earlier export.
 
     Raises:
-        SettingsError: `out` holds something else: no `known_by`, or a file that the new folder lacks.
+        SettingsError: `out` holds something else.
+        PairError: `out` holds a damaged export.json.
         StorageError: the disk is full or read-only.
     """
-    if out.exists() and not (out.is_dir() and ((out / known_by).is_file() or not any(out.iterdir()))):
-        raise SettingsError(
-            f"{out}: holds something else; choose a new or empty folder", what="other-content"
-        )
+    earlier = ExportFile.read_if_there(out) if out.is_dir() else None
+    refuse_others(out, earlier.files_sha256 if earlier else None, EXPORT_JSON)
     with replaced_folder(out) as folder:
         yield folder
-        written = {path.relative_to(folder).as_posix() for path in release_files(folder)}
-        if out.exists() and (other := unknown_file(out, written)):
-            raise SettingsError(
-                f"{out / other}: would be deleted; move it away, or choose a new or empty folder",
-                what="other-content",
-            )
+        content = json.loads((folder / EXPORT_JSON).read_text(encoding="utf-8"))
+        content["files_sha256"] = names_sha256(folder)
+        (folder / EXPORT_JSON).write_text(pretty_json(content), encoding="utf-8")
+
+
+def refuse_others(out: Path, written_sha256: str | None, known_by: str) -> None:
+    """Raise an error unless a folder is missing or empty, or holds only the files that were written there.
+
+    Args:
+        out: the folder.
+        written_sha256: `names_sha256` when it was written; None if it is not known.
+        known_by: the file that states it.
+
+    Raises:
+        SettingsError: see above.
+    """
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    if not out.is_dir() or written_sha256 is None or written_sha256 != names_sha256(out, known_by):
+        raise SettingsError(
+            f"{out}: holds something else than an earlier output alone; choose a new or empty folder",
+            what="other-content",
+        )
 
 
 def write_export_json(folder: Path, release: Release, rows: Mapping[str, object]) -> None:

@@ -11,9 +11,10 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.extras import missing_extra
 from kinectbench.core.geometry.rigid import similarity_problem
+from kinectbench.core.storage import replaced_folder
 from kinectbench.core.types import Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
-from kinectbench.release.exchange.layouts import new_folder
+from kinectbench.release.exchange.layouts import names_sha256, refuse_others
 from kinectbench.release.exchange.rgbd import ViewCamera, camera_of, export_rgbd
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.adapters.adapter import Adapter, find_output
@@ -31,8 +32,8 @@ ADAPTERS: Mapping[str, Adapter] = {
     "pointr": POINTR,
     "patchcomplete": PATCHCOMPLETE,
 }
-# The key of method.json's settings that marks adapted predictions.
-ADAPTED_BY = "adapted_by"
+# The key of method.json's settings by which a later `adapt` recognises a folder with nothing but its output.
+FILES = "files_sha256"
 # Two poses of one view that differ by less are equal: writing and reading JSON changes far less.
 SAME_POSE = 1e-6
 
@@ -92,13 +93,10 @@ def adapt(
     adapter = adapter_of(name)
     if not output.is_dir():
         raise PredictionError(f"{output}: no such folder", what="no-folder")
-    if (out / MethodFile.FILE).is_file() and ADAPTED_BY not in (MethodFile.read(out).settings or {}):
-        raise SettingsError(
-            f"{out}: holds predictions that `adapt` did not write; choose a new or empty folder",
-            what="other-content",
-        )
+    earlier = MethodFile.read_if_there(out) if out.is_dir() else None
+    refuse_others(out, (earlier and earlier.settings or {}).get(FILES), MethodFile.FILE)
     problems, volumes, written = list[str](), dict[str, Float64](), 0
-    with new_folder(out, MethodFile.FILE) as folder:
+    with replaced_folder(out) as folder:
         for done, target in enumerate(release.targets, start=1):
             try:
                 camera = _adapted(release, name, adapter, output, target, folder)
@@ -120,7 +118,10 @@ def adapt(
             axes="cv",
             volume_m=volumes or None,
             inputs=adapter.inputs,
-            settings={ADAPTED_BY: f"kinectbench {__version__}"},
+            settings={
+                "adapted_by": f"kinectbench {__version__}",
+                FILES: names_sha256(folder, MethodFile.FILE),
+            },
         )
         method_file.write(folder)
     return written, problems

@@ -136,6 +136,18 @@ def test_another_programs_log_is_no_trajectory(tmp_path: Path, said: str) -> Non
     assert given.warnings == ()
 
 
+@pytest.mark.parametrize("row", ["{} -1 -1", "{}", "{} 0 0.93"])
+@pytest.mark.parametrize("begin", ["", "\ufeff"])
+def test_a_log_of_any_name_may_have_other_words_behind_the_frame(
+    tmp_path: Path, row: str, begin: str
+) -> None:
+    folder = write_folder(tmp_path / "r")
+    blocks = "".join(f"{row.format(i)}\n{in_rows(T)}\n" for i, T in enumerate(poses()))
+    (folder / "pose.log").write_text(begin + blocks)
+    given = opened(folder).given_trajectory
+    assert given is not None and len(given.stamps_ns) == 4
+
+
 @pytest.mark.parametrize("name", ["trajectory.log", "scan.log"])
 def test_a_log_of_redwood_is_found_beside_another_programs(tmp_path: Path, name: str) -> None:
     folder = write_folder(tmp_path / "r")

@@ -1,7 +1,9 @@
 """Read poses from text: one file for all frames (TUM, RTAB-Map, KITTI, matrices), or one per frame."""
 
+import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -142,10 +144,16 @@ def _matrix(row: str, where: str) -> Float64:
 
 
 def starts_like_a_log(file: Path) -> bool:
-    """Whether a file starts as `read_log` expects it, by its first row but for comments: `i j k`."""
-    rows = read_head(file).decode("utf-8", "replace").splitlines() if file.is_file() else []
+    """Whether a file starts as `read_log` expects it: the first row but for comments is a frame and numbers."""
+    rows = read_head(file).decode("utf-8-sig", "replace").splitlines() if file.is_file() else []
     first = next((words for row in rows if (words := row.partition("#")[0].split())), [])
-    return len(first) == 3 and all(map(FRAME_NUMBER.fullmatch, first))
+    return 0 < len(first) <= 3 and bool(FRAME_NUMBER.fullmatch(first[0])) and all(map(_is_number, first))
+
+
+def _is_number(word: str) -> bool:
+    with suppress(ValueError):
+        return math.isfinite(float(word))
+    return False
 
 
 def read_log(file: Path, frames: int) -> list[Float64]:
