@@ -21,7 +21,14 @@ MISSING_STEPS = 1.5
 
 
 class _Matching(NamedTuple):
-    """The best pairs so far, as a linked list; the better of two has more pairs, then a smaller total gap."""
+    """The best pairs so far, as a linked list; the better of two has more pairs, then a smaller total gap.
+
+    Attributes:
+        pairs: number of pairs.
+        minus_gap_ns: minus the sum of their time differences, nanoseconds.
+        pair: the last pair of indices, (depth, colour); None at the start of the list.
+        before: the pairs before the last one.
+    """
 
     pairs: int
     minus_gap_ns: int
