@@ -59,8 +59,8 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
 
     Raises:
         SegmentationError: no file is named by a frame of the recording, two files are named by one frame, or
-            a file only adds to a mask or removes from it. Raised later, on use: a mask is damaged or has
-            another size.
+            a name says that the mask only adds to another or takes from it. Raised later, on use: a mask is
+            damaged or has another size.
     """
     given = read_masks(folder)
     names: dict[int, str] = {}

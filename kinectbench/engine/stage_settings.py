@@ -147,7 +147,7 @@ class SegmentSettings(StageSettings):
 
 
 class SampleSettings(StageSettings):
-    """Settings of `sample-views`; its masks also use the floor cuts of `segment`."""
+    """Settings of `sample-views`; its masks also use the heights at which `segment` cuts off the floor."""
 
     ADDED = ("segment_by", "segmentation.seed", "segmentation.floor_cut_m", "segmentation.low_cut_m")
 
@@ -158,7 +158,7 @@ class SampleSettings(StageSettings):
 
 
 class PairsSettings(StageSettings):
-    """Settings of `pairs`: the form of pairs, and limits that `sample-views` has, too."""
+    """Settings of `pairs`: the form of pairs, and how well a view must fit the object."""
 
     ADDED = ("pairs.max_residual_m", "pairs.min_visible_share")
 
