@@ -34,7 +34,8 @@ def read_glb(content: bytes) -> Triangles:
     """Read the vertices (n, 3) and triangles (m, 3) of all meshes of the default scene, y up.
 
     Raises:
-        ValueError: the file is damaged, claims more than it holds, is compressed, or holds too much.
+        ValueError: the file is damaged, claims more than it holds, is compressed, has no triangle, or has too
+            many nodes, vertices or triangles.
     """
     not_a_scene = KeyError, IndexError, TypeError, AttributeError, RecursionError, OverflowError
     try:
@@ -116,7 +117,7 @@ def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
 
 
 def _T_parent_node(facts: dict[str, Any]) -> Float64:
-    """A node's transform (4, 4) to its parent: a matrix by columns, or scale, rotation and translation."""
+    """A node's transform (4, 4) to its parent: from a matrix by columns, or scale, rotation, translation."""
     if "matrix" in facts:
         return np.array(facts["matrix"], dtype=np.float64).reshape(4, 4).T
     rotation = rotation_from_quaternion_xyzw(np.array(facts.get("rotation", (0, 0, 0, 1)), float).reshape(4))

@@ -184,7 +184,7 @@ class _Element:
 
 
 def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], int]:
-    """Parse the header: byte order ("" for text), elements, offset of the data; check that the data fits."""
+    """Parse and check the header: byte order ("" for text), elements, and offset at which the data begins."""
     malformed = ValueError("a malformed header")
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
     line_end = content.find(b"\n", max(end, 0), MAX_HEADER_BYTES + 16)
@@ -311,7 +311,7 @@ def _row(data: NDArray[np.generic], position: int, element: _Element) -> tuple[i
 
 
 def _count(data: NDArray[np.generic], position: int, one: _Property) -> int:
-    """The length of the list `one` that begins at index `position` of the data."""
+    """The length of the list of the property `one` that begins at index `position` of the data."""
     if position + one.count_width > len(data):
         raise ValueError("cut short in its faces; write it again")
     assert one.count is not None, "a list"

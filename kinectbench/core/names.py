@@ -15,7 +15,7 @@ RESERVED = ("overall", "all")
 
 
 def reserved_problem(category: str) -> str | None:
-    """Why a category cannot have this name, if it is one of the mean over all categories; else None."""
+    """Why a category cannot have this name, which the mean over all categories has; None if it can."""
     if category.lower() in RESERVED:
         return f"'{category}' is what the mean over all categories is called; choose another"
     return None

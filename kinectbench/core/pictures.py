@@ -152,7 +152,10 @@ def render_pieces(
 
 
 def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[Float64]:
-    """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of the centre."""
+    """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of the centre.
+
+    They are traced in a picture of `size_px` pixels a side; holes have none.
+    """
     import cv2
 
     hit = np.isfinite(cast(mesh, viewpoint, size_px)[0]).astype(np.uint8)

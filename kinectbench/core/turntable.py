@@ -95,7 +95,7 @@ def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
 def _frame(
     points: Float64, looks: Float64, turn: tuple[float, float], tilt: tuple[float, float], size_px: int
 ) -> Rgb:
-    """Draw points, seen from far away, as a shaded picture; of the points on a pixel, the nearest is shown.
+    """Draw points in parallel projection as a shaded picture; of the points on a pixel, the nearest is shown.
 
     Args:
         points: (n, 3), z up, in pixels from the picture's centre.

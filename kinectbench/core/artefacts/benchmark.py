@@ -204,7 +204,7 @@ class ReleaseInfo(ReleaseFile):
         return info is None or info.split not in self.inputs_only
 
     def isolates(self, recording: str) -> bool:
-        """Whether a recording is here with one view and no truth; False in the part with held-back truth."""
+        """Whether the release has one view of a recording and no truth; False in its part with truths."""
         return self.hides(recording) and recording in self.isolated
 
 

@@ -259,10 +259,10 @@ class QualityFile(Stored):
 
     @property
     def trusted_iou(self) -> tuple[float | None, float | None, str]:
-        """Estimated IoU to the unknown truth, lower end of its interval, and the voxels it is of, in words.
+        """Estimated IoU to the unknown truth, lower end of its interval, and words on what it counts.
 
-        It is of the known voxels, which scores count, and the words are " on known voxels". In files without
-        that estimate it is of the whole solid, and the words are "".
+        It counts known voxels, as scores do, and the words are " on known voxels". In files without that
+        estimate it counts all voxels of the solid, and the words are "".
         """
         if self.estimated_known_iou is None:
             return self.estimated_iou, self.estimated_iou_low, ""
@@ -270,7 +270,7 @@ class QualityFile(Stored):
 
     @property
     def measurement_warnings(self) -> tuple[str, ...]:
-        """Warnings that the object found may be wrong: `doubts`; in an older file, by their wording."""
+        """Warnings that the object found may be wrong: `doubts`; in older files, some of `warnings`."""
         if self.doubts is not None:
             return self.doubts
         return tuple(line for line in self.warnings if any(words in line for words in MEASUREMENT_WARNINGS))
@@ -305,8 +305,7 @@ def with_interval(
 ) -> str | None:
     """Format a value and its interval, such as `0.74 (0.35 to 0.80)`; without an interval the value alone.
 
-    By default with two decimals, or three if there is no interval, which would be wider than rounding. None
-    without a value.
+    By default there are two decimals, or three without an interval. Without a value the result is None.
     """
     if value is None:
         return None

@@ -144,7 +144,10 @@ def columns_of(targets: Iterable[Target]) -> tuple[str, ...]:
 
 
 def targets_text(targets: Sequence[Target], columns: Sequence[str] = ()) -> str:
-    """The text of targets.csv, or of a split's table in targets/; `columns`: if of an earlier release."""
+    """The text of targets.csv, or of one split's table in targets/.
+
+    Earlier releases have fewer `columns`; by default they are those of this version.
+    """
     columns = columns or columns_of(targets)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")

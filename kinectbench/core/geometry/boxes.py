@@ -56,7 +56,7 @@ class OrientedBox:
         return rigid(yaw_rotation(self.yaw_rad), self.center_m)
 
     def grown(self, margin_m: float) -> "OrientedBox":
-        """The box with every side moved out by `margin_m`, metres."""
+        """The box with every side moved out by `margin_m`, metres; without its anchor."""
         x, y, z = (edge + 2 * margin_m for edge in self.size_m)
         return OrientedBox(self.center_m, (x, y, z), self.yaw_rad)
 

@@ -28,12 +28,12 @@ class NormalEquations:
 
     @classmethod
     def of_prior(cls, information: Float64, state: Float64) -> "NormalEquations":
-        """Equations of the prior that the unknowns, now `state` (n,), are 0; its information is (n, n)."""
+        """Equations of the prior that the unknowns, now `state` (n,), are 0; `information` is (n, n)."""
         return cls(information, -information @ state)
 
     @classmethod
     def of_products(cls, products: Float64) -> "NormalEquations":
-        """The normal equations in `weighted_products`, (n + 1, n + 1), of rows of J and the residual."""
+        """The normal equations in the result (n + 1, n + 1) of `weighted_products` for rows of J and r."""
         return cls(products[:-1, :-1], products[:-1, -1])
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":

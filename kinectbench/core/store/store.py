@@ -257,7 +257,10 @@ class Store:
         return True
 
     def _append(self, name: str, out: IO[bytes], first: list["ObjectMeta"], most_bytes: int) -> None:
-        """Download a file's rest into `out`, from its position on; `first` keeps the first metadata."""
+        """Download the rest of a file into `out`, from its position on.
+
+        `first` keeps the metadata of the first response, which later ones must match.
+        """
         at = out.tell()
         if first and at == first[0]["size"]:
             return
@@ -319,7 +322,7 @@ def in_parallel(
 
     Args:
         calls: functions without arguments, such as methods of `Store` by `functools.partial`.
-        done: called in this thread with the number of finished calls, without those after an unfinished one.
+        done: called in this thread with the number of calls, from the first on, that have all finished.
         at_once: number of calls that run at a time.
     """
     stop = threading.Event()
