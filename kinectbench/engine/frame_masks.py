@@ -44,7 +44,7 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 def plane_given(
     sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
 ) -> Vector4 | None:
-    """The plane (a, b, c, d) below the object, world frame: `floor`, or a detected turntable's, or None."""
+    """The plane (a, b, c, d) below the object, world frame: `floor`, or the turntable's if `by` names one."""
     if by != "turntable" or floor is not None:
         return floor
     plane_world = plane_below(whole(sequence), trajectory)

@@ -203,7 +203,7 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
 def _differences(
     then: Mapping[str, object], now: Mapping[str, object], above: str = ""
 ) -> dict[str, tuple[object, object]]:
-    """Settings that differ: {`above` and dotted key: (then, now)}; a missing one is "default"."""
+    """Settings that differ: {dotted key, after `above`: (then, now)}; a missing one is "default"."""
     found: dict[str, tuple[object, object]] = {}
     for key in {**then, **now}:
         old, new = then.get(key, "default"), now.get(key, "default")
