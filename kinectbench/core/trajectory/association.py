@@ -91,7 +91,7 @@ def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int
     """Largest accepted time difference between a frame's depth and colour image, nanoseconds.
 
     It is half a frame interval of the faster stream plus half the larger jitter of the two streams, at most
-    `TOLERANCE_NS`. Unless that limit applies, the nearest image is within it, and the next frame's mostly not.
+    `TOLERANCE_NS`. Unless that limit applies, the nearest image is within it; the next frame's mostly not.
 
     Args:
         depth_ns: stamps of depth, nanoseconds, in any order.
