@@ -58,13 +58,13 @@ def plan_picture(
     T_floor_world: Float64,
     trajectory: Trajectory,
 ) -> bytes:
-    """Draw heights, numbered boxes and the camera's path from above, in the floor frame; return a PNG file.
+    """Draw the surface's heights, numbered boxes and the camera's path from above; return a PNG file.
 
     Args:
-        boxes: the boxes to draw, numbered from 1.
+        boxes: the boxes to draw, in the floor frame, numbered from 1.
         points_floor: (n, 3) points of the scene's surface, metres.
         focus_floor: (3,) the point that the cameras look at.
-        T_floor_world: (4, 4).
+        T_floor_world: (4, 4), from the world to the floor frame.
         trajectory: poses of the frames.
     """
     figure = new_figure(7.2, 6.2, "white")
@@ -92,7 +92,7 @@ def plan_picture(
 def box_picture(number: int, shown: ShownBox, sequence: Sequence, trajectory: Trajectory) -> bytes:
     """Draw a box's edges, number and surface points into the frame that shows it best; return a PNG file.
 
-    The frame is in colour if its colour has the depth image's size; otherwise it shows depth.
+    The frame is drawn in colour if its colour image is as large as its depth image, otherwise as depth.
     """
     import cv2
 
@@ -142,7 +142,7 @@ def _sampled_world(shown: ShownBox) -> Float64:
 def _seen(
     points_world: Float64, frame: int, sequence: Sequence, trajectory: Trajectory
 ) -> tuple[Int64, float]:
-    """Pixels (k, 2) of the points that agree with the depth of a frame, and their mean depth, metres."""
+    """Pixels (k, 2) of the points that a frame's depth shows; and their mean depth, metres, inf for k = 0."""
     points_camera = transform_points(invert_rigid(trajectory.T_world_camera[frame]), points_world)
     points_camera = points_camera[_inside(points_world, frame, sequence, trajectory)]
     pixels = np.rint(sequence.camera.project(points_camera)).astype(np.int64)
@@ -175,7 +175,7 @@ def _background(sequence: Sequence, frame: int) -> Rgb:
 def _edges_px(
     box: OrientedBox, T_camera_floor: Float64, sequence: Sequence
 ) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Project the parts of a box's edges in front of the camera: their end pixels, ((u, v), (u, v)) each."""
+    """Project a box's edges, cut off behind the camera: the end pixels ((u, v), (u, v)) of each."""
     corners = transform_points(T_camera_floor, box.corners_floor())
     lines = []
     for a, b in ((corners[i], corners[j]) for i, j in EDGES):
@@ -191,7 +191,7 @@ def _edges_px(
 
 
 def _heights(points_floor: Float64) -> tuple[Float64, tuple[float, float, float, float]]:
-    """Greatest height of the surface in each ground cell (nx, ny), NaN if empty; extent (x0, x1, y0, y1)."""
+    """Greatest z of the points per ground cell, (nx, ny), NaN if empty; extent (x0, x1, y0, y1), metres."""
     cell_m = max(PLAN_CELL_M, float(np.ptp(points_floor[:, :2], axis=0).max()) / MOST_PLAN_CELLS)
     cells = np.floor(points_floor[:, :2] / cell_m).astype(int)
     first = cells.min(axis=0)

@@ -12,7 +12,7 @@ class KinectBenchError(Exception):
     Each argument becomes a line of the message.
 
     Attributes:
-        kind: first half of the code; each class has one.
+        kind: first half of the error's code `<kind>.<what>`; each class has one.
         what: second half of the code; the class's own value unless an error gives another.
     """
 

@@ -34,7 +34,8 @@ def read_glb(content: bytes) -> Triangles:
     """Read the vertices (n, 3) and triangles (m, 3) of all meshes of the default scene, y up.
 
     Raises:
-        ValueError: the file is damaged, claims more than it holds, is compressed, or holds too much.
+        ValueError: the file is damaged, claims more than it holds, is compressed, has no triangle, or has too
+            many nodes, vertices or triangles.
     """
     not_a_scene = KeyError, IndexError, TypeError, AttributeError, RecursionError, OverflowError
     try:
@@ -94,7 +95,10 @@ def _parts(gltf: dict[str, Any], binary: bytes) -> Iterator[Triangles]:
 
 
 def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
-    """Yield each mesh index of the default scene with T_scene_node, which is the identity without a scene."""
+    """Yield (mesh index, T_scene_node) of each node with a mesh in the default scene.
+
+    Without scenes, every mesh of the file is yielded with the identity.
+    """
     if not gltf.get("scenes"):
         yield from ((number, np.eye(4)) for number in range(len(gltf.get("meshes", ()))))
         return
@@ -113,7 +117,7 @@ def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
 
 
 def _T_parent_node(facts: dict[str, Any]) -> Float64:
-    """A node's transform (4, 4): a matrix stored by columns, or scale, then rotation, then translation."""
+    """A node's transform (4, 4) to its parent: from a matrix by columns, or scale, rotation, translation."""
     if "matrix" in facts:
         return np.array(facts["matrix"], dtype=np.float64).reshape(4, 4).T
     rotation = rotation_from_quaternion_xyzw(np.array(facts.get("rotation", (0, 0, 0, 1)), float).reshape(4))
@@ -125,7 +129,16 @@ def _T_parent_node(facts: dict[str, Any]) -> Float64:
 def _array(
     gltf: dict[str, Any], binary: bytes, number: object, types: Types, kind: str, width: int
 ) -> NDArray[Any]:
-    """Read the values of an accessor, (count, width), from the binary part."""
+    """Read the values of an accessor, (count, width), from the binary part.
+
+    Args:
+        gltf: the JSON part.
+        binary: the binary part.
+        number: index of the accessor.
+        types: accepted component types, each with its numpy type.
+        kind: required type of the accessor, such as "VEC3".
+        width: how many numbers a value of this type has.
+    """
     accessor = gltf["accessors"][_index(number)]
     if accessor["componentType"] not in types or accessor["type"] != kind or "sparse" in accessor:
         raise ValueError("positions or indices of an uncommon type; write float32 and plain indices")

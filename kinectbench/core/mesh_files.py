@@ -89,7 +89,8 @@ def read_ply(content: bytes) -> Triangles:
 
     Raises:
         ValueError: the header is malformed or claims more than the file holds, no faces follow the vertices,
-            lists stand before the faces, a face names a missing vertex, or there are too many.
+            lists stand before the faces, a face names a missing vertex, or there are too many vertices or
+            triangles.
     """
     vertices, triangles, _ = _read_ply(content, MAX_VERTICES)
     if triangles is None:
@@ -140,10 +141,16 @@ def _read_ply(
 
 @dataclass(frozen=True)
 class _Property:
-    """A property of an element: name, type, and for a list the type of its count.
+    """A property of an element, as the header declares it.
 
     The data of a text file is an array of numbers, so that a value takes one array element. The data of a
     binary file is an array of bytes.
+
+    Attributes:
+        name: name of the property.
+        kind: type of its values.
+        count: type of the number that states a list's length; None if the property is no list.
+        text: whether the file is a text file.
     """
 
     name: str
@@ -177,7 +184,7 @@ class _Element:
 
 
 def _header(content: bytes, most_vertices: int) -> tuple[str, list[_Element], int]:
-    """Parse the header: byte order ("" for text), elements, offset of the data; check that the data fits."""
+    """Parse and check the header: byte order ("" for text), elements, and offset at which the data begins."""
     malformed = ValueError("a malformed header")
     end = content.find(b"end_header", 0, MAX_HEADER_BYTES)
     line_end = content.find(b"\n", max(end, 0), MAX_HEADER_BYTES + 16)
@@ -241,7 +248,7 @@ def numbers_of(content: bytes, start: int = 0) -> NDArray[np.float64]:
 
 
 def _column(rows: NDArray[np.generic], element: _Element, name: str) -> NDArray[np.float64]:
-    """The values of a scalar property in all rows."""
+    """The values of the scalar property `name` of an element in all its rows."""
     place = 0
     for one in element.properties:
         if one.name == name:
@@ -304,7 +311,7 @@ def _row(data: NDArray[np.generic], position: int, element: _Element) -> tuple[i
 
 
 def _count(data: NDArray[np.generic], position: int, one: _Property) -> int:
-    """The length of the list at `position`."""
+    """The length of the list of the property `one` that begins at index `position` of the data."""
     if position + one.count_width > len(data):
         raise ValueError("cut short in its faces; write it again")
     assert one.count is not None, "a list"
@@ -319,7 +326,14 @@ def _count(data: NDArray[np.generic], position: int, one: _Property) -> int:
 def _equal_lengths(
     data: NDArray[np.generic], position: int, element: _Element, steps: NDArray[np.int64]
 ) -> bool:
-    """Whether all rows have lists of the same lengths as the first row."""
+    """Whether all rows of an element have lists of the same lengths as its first row.
+
+    Args:
+        data: numbers of a text file, bytes of a binary one.
+        position: index in the data where the first row begins.
+        element: the element.
+        steps: (n,) distance of each row's begin from `position` if all lengths are the same.
+    """
     for one in element.properties:
         if one.count is None:
             position += one.width
@@ -338,7 +352,15 @@ def _gathered(
     kind: np.dtype[np.generic],
     text: bool,
 ) -> NDArray[np.generic]:
-    """Gather numbers (n, count): for each position, `count` numbers that begin there."""
+    """Gather numbers (n, count): for each position, `count` numbers that begin there.
+
+    Args:
+        data: numbers of a text file, bytes of a binary one.
+        positions: (n,) indices in the data.
+        count: how many numbers to gather from each.
+        kind: type of the numbers in a binary file.
+        text: whether the file is a text file.
+    """
     places = 1 if text else kind.itemsize
     values: NDArray[np.generic] = data[positions[:, None] + np.arange(count * places)]
     return values if text else values.view(kind)

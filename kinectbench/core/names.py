@@ -15,7 +15,7 @@ RESERVED = ("overall", "all")
 
 
 def reserved_problem(category: str) -> str | None:
-    """Why a category name clashes with the names of the mean over categories; None if it does not."""
+    """Why a category cannot have this name, which the mean over all categories has; None if it can."""
     if category.lower() in RESERVED:
         return f"'{category}' is what the mean over all categories is called; choose another"
     return None
@@ -44,7 +44,7 @@ StoredCategory = Annotated[str, _checked(reserved_problem)]
 
 
 class Named(NamedTuple):
-    """The three names of one recording: its own, its object's and its category's."""
+    """The names of a recording, of its object and of its category."""
 
     recording: str
     object: str

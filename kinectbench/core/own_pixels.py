@@ -1,4 +1,4 @@
-"""Masked recordings: depth inside the masks is the object's; depth well outside shows free space."""
+"""Masked recordings: depth inside the masks is the object's; depth well outside shows what space is free."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ class OwnPixels:
     masks: Masks
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Depth of one frame within its mask, eroded by a pixel: (height, width) uint16, 0 elsewhere."""
+        """Native depth of a frame inside its mask eroded by a pixel: (height, width) uint16, 0 elsewhere."""
         import cv2
 
         native, mask = self.frames.depth_native(index), self.masks(index)

@@ -60,7 +60,13 @@ def look_along(forward: Float64, up: Float64) -> Float64:
 
 
 def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
-    """The viewpoint of this orientation that just shows all points (n, 3), n > 0, with a relative margin."""
+    """The viewpoint of an orientation that just shows all points.
+
+    Args:
+        points_m: (n, 3), n > 0.
+        R_frame_view: orientation, as in `Viewpoint`.
+        margin: edge of the picture, as a multiple of the points' greater extent in it.
+    """
     points_view = points_m @ R_frame_view
     low, high = points_view.min(axis=0), points_view.max(axis=0)
     size = high - low
@@ -102,7 +108,7 @@ def cast(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> tuple[Float6
 def cast_pieces(
     pieces: Sequence[TriangleMesh], viewpoint: Viewpoint, size_px: int
 ) -> tuple[Float64, Float64, NDArray[np.intp]]:
-    """As `cast`, for several meshes; also the index of the hit mesh (size_px, size_px), else len(pieces)."""
+    """Like `cast`, for several meshes; also the index of each pixel's mesh, len(pieces) without a hit."""
     scene, tensor = raycaster(*pieces)
     rays = np.empty((size_px, size_px, 6), np.float32)
     rays[..., :3] = ray_starts(viewpoint, size_px)
@@ -146,7 +152,10 @@ def render_pieces(
 
 
 def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[Float64]:
-    """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of the centre."""
+    """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of the centre.
+
+    They are traced in a picture of `size_px` pixels a side; holes have none.
+    """
     import cv2
 
     hit = np.isfinite(cast(mesh, viewpoint, size_px)[0]).astype(np.uint8)
@@ -159,7 +168,8 @@ def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> lis
 def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleMesh:
     """The closed surface where densities (nx, ny, nz) cross `level`; cells outside the grid count as 0.
 
-    Vertices are in metres from the grid's corner. Faces look inward, on which pictures do not depend.
+    Vertices are in metres from the grid's corner; a cell's edge is `cell_m`. Faces look inward, on which
+    pictures do not depend.
     """
     surface = isosurface(np.pad(density, 1), level=level)
     return replace(surface, vertices=(surface.vertices - 0.5) * cell_m)

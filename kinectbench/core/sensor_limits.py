@@ -1,7 +1,7 @@
 """Limits of a depth camera and of its positions: the lengths that define which space is air.
 
-`core.voxels.seeable` has the definition. The settings take their defaults from here; this file imports no
-heavy library.
+Air is the space that a camera within these limits could see (`core.voxels.seeable`). The settings take their
+defaults from here; this file imports no heavy library.
 """
 
 from dataclasses import astuple, dataclass
@@ -29,11 +29,11 @@ class SensorLimits:
 
     @classmethod
     def of_size(cls, longest_m: float) -> "SensorLimits":
-        """Default limits for an object of this size: lines of sight 30 mm wide, or 20 mm below 0.4 m."""
+        """Default limits by an object's longest side: lines of sight 20 mm wide below 0.4 m, else 30 mm."""
         return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
 
     def enlarged(self, scale: float) -> "SensorLimits":
-        """The same limits for a world whose lengths are divided by `scale`."""
+        """The same limits with every length divided by `scale`, for a world in units of `scale` metres."""
         return SensorLimits(*(length_m / scale for length_m in astuple(self)))
 
 

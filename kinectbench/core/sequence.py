@@ -105,7 +105,7 @@ class Sequence:
         return corrected_depth_m(depth_m, self.depth_correction_per_m)
 
     def calibrated(self, calibration: DepthCalibration) -> "Sequence":
-        """The same recording with corrected depth."""
+        """The same recording with its depth corrected by a calibration."""
         if calibration.is_none:
             return replace(self, depth_correction_per_m=None)
         correction = calibration.correction_per_m(self.camera.width, self.camera.height)

@@ -44,11 +44,11 @@ class Watched:
 
     Attributes:
         still_m: (height, width) float32, the depth of static pixels, 0 elsewhere.
-        behind_m: (height, width) float32, the farthest depth (90 % quantile); infinite where depth is mostly
-            missing.
+        behind_m: (height, width) float32, the farthest depth over time (90 % quantile); infinite where most
+            frames have no depth.
         moving: (height, width) bool, pixels in which something moves.
-        moving_share: ratio of the image that moves and also differs between quarters of the recording, which
-            excludes unstable edges.
+        moving_share: ratio of the image that moves and whose depth also differs between quarters of the
+            recording's time, which excludes unstable edges.
         still_share: of the pixels with depth away from moving ones, the ratio with constant depth.
         still_gray_share: ratio of the static pixels whose grey is constant too; None with too little colour.
         around_share: ratio of the image with constant depth, away from moving pixels.
@@ -72,12 +72,12 @@ class Watched:
 
     @property
     def plain(self) -> bool:
-        """Whether the object has no surroundings, so that it may be the object or the camera that moves."""
+        """Whether the object stands in empty space, so that either it or the camera may be what moves."""
         return self.around_share < AROUND_SHARE and self.empty_share >= EMPTY_SHARE
 
     @property
     def something_moves(self) -> bool:
-        """Whether something moves, if the camera stands still."""
+        """Whether enough of the image changes for a moving object, provided that the camera stands still."""
         return self.moving_share >= MOVING_SHARE
 
 
@@ -164,7 +164,7 @@ def watch_some(sequence: Recorded) -> SomeWatched:
 
 
 def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
-    """Pixels whose median depth, or ratio of valid depth, differs between quarters of the frames.
+    """Pixels whose median depth, or ratio of frames with depth, differs between quarters of the frames.
 
     Args:
         values: (k, height, width) metres, NaN without depth; 0 for pixels that have depth in too few frames.

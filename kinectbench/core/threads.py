@@ -37,8 +37,8 @@ def using_threads(count: int) -> Iterator[None]:
 def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Yield the function's results in order, while threads compute the next ones.
 
-    Besides the result that is yielded, at most one more than there are threads is held, which bounds memory.
-    An error of the function or of the iterator is raised where its result would be yielded.
+    At most `threads + 1` results wait to be yielded, which bounds memory. An error of the function or of the
+    iterator is raised where its result would be yielded.
 
     Args:
         function: its result depends only on the item.

@@ -69,7 +69,7 @@ def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
 
 
 def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
-    """Sample a surface at most a pixel apart: points (n, 3); and normals with colours, (n, 6)."""
+    """Sample a surface at most a pixel apart: points (n, 3); and the normal and colour of each, (n, 6)."""
     corners = mesh_px.vertices[mesh_px.faces]
     bends = np.concatenate([mesh_px.vertex_normals, colors], axis=1)[mesh_px.faces]
     sides = corners - np.roll(corners, 1, axis=1)
@@ -95,7 +95,15 @@ def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
 def _frame(
     points: Float64, looks: Float64, turn: tuple[float, float], tilt: tuple[float, float], size_px: int
 ) -> Rgb:
-    """Draw points seen from azimuth `turn` and elevation `tilt`, each (cosine, sine); the nearest wins."""
+    """Draw points in parallel projection as a shaded picture; of the points on a pixel, the nearest is shown.
+
+    Args:
+        points: (n, 3), z up, in pixels from the picture's centre.
+        looks: (n, 6), normal and colour of each point.
+        turn: cosine and sine of the viewer's azimuth.
+        tilt: cosine and sine of the viewer's elevation.
+        size_px: edge of the picture before it is reduced to FRAME_PX.
+    """
 
     def seen(of: Float64) -> tuple[Float64, Float64, Float64]:
         """Coordinates (right, down, forward) of vectors (n, 3) for a viewer at this azimuth and elevation."""

@@ -47,7 +47,7 @@ class UprightFrames:
         return upright_depth(native, self.depth_scale, self.camera, shutter.motion[index], shutter.readout_s)
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame, corrected if it is registered to depth and whole: (suffix, bytes), or None."""
+        """Colour of one frame, corrected if registered to depth and undamaged: (suffix, bytes), or None."""
         import cv2
 
         encoded, shutter = self.frames.color_encoded(index), self.shutter

@@ -217,10 +217,11 @@ def fetch_files(
 
 
 def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
-    """List a recording in the store: one file, or the files of its folder and known ones beside the folder.
+    """List a recording's files in the store, with those that lie beside its folder but belong to it.
 
     Returns:
-        The files, without hidden ones and the clicked point; [] if the recording's path is absolute.
+        The files, without hidden ones and the file with the point that a person clicked; [] if the
+        recording's path is absolute.
 
     Raises:
         SettingsError: the path leads out of the store.

@@ -106,7 +106,7 @@ def _check_scheduler_file(address: str) -> None:
 
 
 def _connected(address: str, local: int, stack: ExitStack) -> "Client":
-    """Connect to the scheduler at an address, or start a local one with `local` processes."""
+    """Connect to a scheduler, or start one with `local` processes if not 0; `stack` closes both."""
     from distributed import Client, LocalCluster
 
     _be_quiet()  # after the import, which sets the levels of loggers

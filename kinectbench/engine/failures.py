@@ -33,7 +33,7 @@ def stored_failure(build: Path) -> Failed | None:
 
 
 def would_fail_again(failed: Failed) -> bool:
-    """Whether a retry is useless: the recording or settings caused the failure, in this package version."""
+    """Whether a retry is useless: this package version has failed, by fault of the recording or settings."""
     return failed.fingerprint is not None and failed.package_version == __version__
 
 

@@ -44,7 +44,7 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 def plane_given(
     sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
 ) -> Vector4 | None:
-    """The plane (a, b, c, d) below the object, world frame: `floor`, or a detected turntable's, or None."""
+    """The plane (a, b, c, d) below the object, world frame: `floor`, or the turntable's if `by` names one."""
     if by != "turntable" or floor is not None:
         return floor
     plane_world = plane_below(whole(sequence), trajectory)
@@ -59,8 +59,8 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
 
     Raises:
         SegmentationError: no file is named by a frame of the recording, two files are named by one frame, or
-            a file only adds to a mask or removes from it. Raised later, on use: a mask is damaged or has
-            another size.
+            a name says that the mask only adds to another or takes from it. Raised later, on use: a mask is
+            damaged or has another size.
     """
     given = read_masks(folder)
     names: dict[int, str] = {}

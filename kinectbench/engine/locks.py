@@ -87,7 +87,7 @@ def sweep(path: Path) -> None:
 
 
 def _taken(lock: IO[str], folder: Path, how: int) -> bool:
-    """Try to take the lock with the flock flags `how`; False if they forbid waiting for another run."""
+    """Try to take the lock of a folder; False if another run holds it and the flags `how` forbid waiting."""
     try:
         fcntl.flock(lock, how)
     except BlockingIOError:

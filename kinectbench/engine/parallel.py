@@ -134,12 +134,12 @@ def build(
 
 
 def _build_watched(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome | WorkerLost:
-    """Build a recording in a worker process, and end the process if the build hangs."""
+    """Call `build_one` in a worker, and send progress by `say`; if the build hangs, the process ends."""
     return watched(lambda hung: _build(partial(build_one, hung=hung), job, say))
 
 
 def _build(build_one: BuildOne, job: Job, say: SendMessage) -> Outcome:
-    """Build a recording and report its progress to the parent."""
+    """Call `build_one`, and send the recording's progress to the parent process by `say`."""
 
     def report(stage: str, done: int, total: int) -> None:
         say((job.recording.id, stage, done, total))

@@ -203,7 +203,7 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
 def _differences(
     then: Mapping[str, object], now: Mapping[str, object], above: str = ""
 ) -> dict[str, tuple[object, object]]:
-    """Compare settings: {dotted key such as fusion.voxel_size_m: (then, now)}; missing ones are "default"."""
+    """Settings that differ: {dotted key, after `above`: (then, now)}; a missing one is "default"."""
     found: dict[str, tuple[object, object]] = {}
     for key in {**then, **now}:
         old, new = then.get(key, "default"), now.get(key, "default")

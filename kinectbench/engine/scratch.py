@@ -56,7 +56,7 @@ def _prefix() -> str:
 
 
 def _sweep(base: Path) -> None:
-    """Remove scratch folders of kinectbench below `base` that no process uses."""
+    """Remove scratch folders of kinectbench below `base` that no process uses, unless younger than 1 min."""
     for folder in base.glob(f"{PREFIX}*"):
         with contextlib.suppress(OSError):
             if time.time() - folder.lstat().st_mtime > YOUNG_S:

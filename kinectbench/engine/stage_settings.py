@@ -44,7 +44,7 @@ def part_of(wanted: type[Section], section: Settings) -> Section:
     """Copy a section of benchmark.yaml into the model `wanted`, which has only some of the section's keys.
 
     Args:
-        wanted: the model; its fields with `exclude` keep their defaults.
+        wanted: the model; fields that it excludes from JSON keep their defaults.
         section: the whole section.
     """
     kept = (name for name, field in wanted.model_fields.items() if not field.exclude)
@@ -75,7 +75,7 @@ class StageSettings(Settings):
 
 
 class IngestSettings(StageSettings):
-    """Settings of `ingest`."""
+    """Settings of `ingest`, which reads a recording."""
 
     ADDED = ("needs_trajectory", "own_pixels", "camera.sensor")
 
@@ -87,7 +87,7 @@ class IngestSettings(StageSettings):
 
 
 class TrackSettings(StageSettings):
-    """Settings of `track`."""
+    """Settings of `track`, which finds the camera's poses."""
 
     ADDED = ("segment_by",)
 
@@ -109,7 +109,7 @@ class ObjectFusion(FusionSettings):
 
 
 class FuseSettings(StageSettings):
-    """Settings of `fuse`."""
+    """Settings of `fuse`, which fuses depth images into the scene."""
 
     ADDED = ("segment_by",)
 
@@ -118,7 +118,7 @@ class FuseSettings(StageSettings):
 
 
 class SuggestSettings(StageSettings):
-    """Settings of `suggest`."""
+    """Settings of `suggest`, which lists boxes that may hold the object."""
 
     ADDED = ("segment_by", "floor", "pick")
 
@@ -129,7 +129,7 @@ class SuggestSettings(StageSettings):
 
 
 class SegmentSettings(StageSettings):
-    """Settings of `segment`."""
+    """Settings of `segment`, which makes the object's solid shape."""
 
     ADDED = (
         *("segment_by", "floor", "underside", "pick"),
@@ -147,7 +147,7 @@ class SegmentSettings(StageSettings):
 
 
 class SampleSettings(StageSettings):
-    """Settings of `sample-views`; its masks also use the floor cuts of `segment`."""
+    """Settings of `sample-views`; its masks also use the heights at which `segment` cuts off the floor."""
 
     ADDED = ("segment_by", "segmentation.seed", "segmentation.floor_cut_m", "segmentation.low_cut_m")
 
@@ -158,7 +158,7 @@ class SampleSettings(StageSettings):
 
 
 class PairsSettings(StageSettings):
-    """Settings of `pairs`: the form of pairs, and limits that `sample-views` has, too."""
+    """Settings of `pairs`: the form of pairs, and how well a view must fit the object."""
 
     ADDED = ("pairs.max_residual_m", "pairs.min_visible_share")
 

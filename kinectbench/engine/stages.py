@@ -358,7 +358,7 @@ def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
 
 
 def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, has_input: Callable[[str, str], bool]) -> bool:
-    """Whether an artefact was made from the inputs from outside `build/` that the job names now."""
+    """Whether an artefact's inputs from outside `build/` are the job's; `has_input` compares a hash."""
     named = stage.outside(job)
     if manifest.inputs.keys() - set(stage.inputs) != set(named):
         return False

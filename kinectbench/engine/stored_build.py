@@ -97,7 +97,11 @@ def build_stored(
 def _built(
     copy: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: Report
 ) -> Outcome | None:
-    """Build and upload; None if another run has stored different bytes of a stage: then start again."""
+    """Call `build` if a stage up to `upto` is missing or forced, and upload what it made.
+
+    Returns:
+        The outcome; None if another run has stored different bytes of a stage: then start again.
+    """
     missing = [each for each in stages_upto(upto) if each.name not in copy.current or each.name in force]
     if not missing:
         if copy.failed:

@@ -33,7 +33,7 @@ def stored_folder(recording: str, artefact: Artefact) -> str:
 
 
 def is_stored(names: Collection[str], recording: str, artefact: Artefact) -> bool:
-    """Whether a listing of `build/<recording>/` contains the finished artefact."""
+    """Whether `names`, a listing of `build/<recording>/`, contains the finished artefact."""
     return f"{stored_folder(recording, artefact)}/{Manifest.FILE}" in names
 
 

@@ -121,7 +121,7 @@ def _to_do_first(
     """The warning to deal with first; None without warnings.
 
     Causes come before effects: units and intrinsics, poses, floor and choice of the object, unseen parts,
-    and then all other warnings by stage.
+    and then all other warnings.
     """
     of_object = quality.warnings if quality else ()
     poses = (line for line in of_object if health is not None and health.verdict in line)

@@ -191,7 +191,7 @@ def _location(error: ErrorDetails) -> Location:
 
 
 def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, known: yaml_nodes.Known) -> str:
-    """Describe a pydantic error in a line: file and line number, key, value found, value expected."""
+    """Describe a pydantic error in a line: place, key, value found, value expected; `known` is a cache."""
     location, kind = _location(error), error["type"]
     annotation, constraints, used = field_at(error["loc"])
     anchor, value = yaml_nodes.find(root, location, known)

@@ -261,7 +261,7 @@ class MaskCuts(FloorCuts):
 
 
 class ObjectCuts(FloorCuts):
-    """Limits of the floor and of air, the space that some camera could see; the rest is the object.
+    """Limits of the floor and of air, the space that some camera could see; other space is the object.
 
     They hold for a whole benchmark, because in unmeasured space they decide which voxels are solid.
     """

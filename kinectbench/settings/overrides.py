@@ -60,7 +60,7 @@ def _nested(override: str) -> dict[str, object]:
 
 
 def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], what: str) -> str:
-    """Describe a pydantic error in a line that starts with the option."""
+    """Describe a pydantic error in a line that starts with the wrong option; without one, with `what`."""
     location = tuple(error["loc"])
     annotation, constraints, _ = field_at(location, model)
     where = _option([str(part) for part in location], overrides) if location else what
@@ -77,7 +77,7 @@ def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], 
 
 
 def _homes(model: type[Settings], key: str, where: str = "") -> Iterator[str]:
-    """Yield the dotted names, such as `path.frames`, under which the model has a key."""
+    """Yield all dotted names of a key in a model and its sections, such as `path.frames`, after `where`."""
     for name, field in model.model_fields.items():
         if name == key:
             yield where + name

@@ -71,7 +71,7 @@ class ChangeSettings(Settings):
 class GateSettings(Settings):
     """Limits that a recording must keep to be published, unless its `review` accepts it.
 
-    Warnings have stricter limits, because they only point to problems. Data beyond these would mislead.
+    Warnings, which only point to problems, have stricter limits. Data beyond the limits here would mislead.
     """
 
     # The IoU of the paper's networks is 0.5 to 0.7: a ground truth that is less like the object than

@@ -114,7 +114,10 @@ def _place(config: Path, path: str) -> str:
 def _entries(
     folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str], taken: Iterable[str] = ()
 ) -> list[list[str]]:
-    """The lines of each recording. A recording that is the folder itself is named like the folder."""
+    """The lines of each recording, whose ids differ from `taken`.
+
+    A recording that is the folder itself is named like the folder.
+    """
     paths = [folder.resolve().name if path == "." else path for path, _ in recordings]
     names = _unique_ids(paths, suffixes, taken)
     return [
@@ -134,7 +137,7 @@ def _top_level(folder_name: str) -> list[str]:
 
 
 def _recording(name: str, path: str, kind: str) -> list[str]:
-    """The lines of one recording, with comments that ask a person to fill in keys."""
+    """The lines of one recording of the format `kind`, with comments that ask a person to fill in keys."""
     fields = RecordingSettings.model_fields
     underside = CategorySettings.model_fields["underside"]
     return [
@@ -148,7 +151,7 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
 
 
 def _picked(recording: Path) -> list[str]:
-    """The line `pick:` with the point clicked while recording; a comment if it is unreadable, else empty."""
+    """The line `pick:` with the point clicked while recording; a comment if its file is unreadable; or []."""
     try:
         picked = PickSettings.model_validate_json(read_plain_text(recording / PICK_FILE, PICK_BYTES))
     except (FileNotFoundError, NotADirectoryError):  # the latter where the recording is one file
@@ -215,7 +218,10 @@ def _safe(text: str, otherwise: str) -> str:
 
 
 def _unique_ids(paths: Sequence[str], suffixes: Sequence[str], others: Iterable[str] = ()) -> list[str]:
-    """An id for each path: its last part; if others share that, the whole path; plus a number if needed."""
+    """An id for each path that is none of `others`.
+
+    It is the last part, without suffix; the whole path if others share that; plus a number if needed.
+    """
     taken = {name.lower() for name in others}
     ending = re.compile(f"({'|'.join(map(re.escape, suffixes))})+$", re.IGNORECASE)
     whole = [ending.sub("", path.strip("/")) for path in paths]

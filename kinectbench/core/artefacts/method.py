@@ -241,7 +241,7 @@ class TrainingFile(Stored):
 
     @property
     def threshold(self) -> float | None:
-        """Best threshold by the last validation up to the step of the weights; None without a validation."""
+        """The best threshold in the last validation before or at the weights' step; None without one."""
         step = math.inf if self.weights_step is None else self.weights_step
         thresholds = [row.threshold for row in self.rows if row.step <= step and row.threshold is not None]
         return thresholds[-1] if thresholds else None

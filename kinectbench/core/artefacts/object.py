@@ -44,7 +44,7 @@ class BoxPart(StoredPart):
 
     @classmethod
     def of(cls, box: OrientedBox, decimals_m: int, decimals_rad: int) -> Self:
-        """Convert a box, rounded to these numbers of decimals of metres and of radians."""
+        """Convert a box, with metres rounded to `decimals_m` decimals and radians to `decimals_rad`."""
         x, y, z = (round(value, decimals_m) for value in box.center_m)
         length, width, height = (round(value, decimals_m) for value in box.size_m)
         return cls(
@@ -259,10 +259,10 @@ class QualityFile(Stored):
 
     @property
     def trusted_iou(self) -> tuple[float | None, float | None, str]:
-        """Estimated IoU to the unknown truth, lower end of its interval, and words that name its voxels.
+        """Estimated IoU to the unknown truth, lower end of its interval, and words on what it counts.
 
-        Scores count known voxels, so the estimate covers these, and the words are " on known voxels".
-        Files without it give the estimate of the whole solid, and "" as the words.
+        It counts known voxels, as scores do, and the words are " on known voxels". In files without that
+        estimate it counts all voxels of the solid, and the words are "".
         """
         if self.estimated_known_iou is None:
             return self.estimated_iou, self.estimated_iou_low, ""
@@ -270,7 +270,7 @@ class QualityFile(Stored):
 
     @property
     def measurement_warnings(self) -> tuple[str, ...]:
-        """The content of `doubts`; of an older file, the warnings that contain `MEASUREMENT_WARNINGS`."""
+        """Warnings that the object found may be wrong: `doubts`; in older files, some of `warnings`."""
         if self.doubts is not None:
             return self.doubts
         return tuple(line for line in self.warnings if any(words in line for words in MEASUREMENT_WARNINGS))
@@ -305,8 +305,7 @@ def with_interval(
 ) -> str | None:
     """Format a value and its interval, such as `0.74 (0.35 to 0.80)`; without an interval the value alone.
 
-    The default is two decimals with an interval, which is wider than rounding, else three. Without a value
-    the result is None.
+    By default there are two decimals, or three without an interval. Without a value the result is None.
     """
     if value is None:
         return None

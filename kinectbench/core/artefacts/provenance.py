@@ -53,7 +53,7 @@ class LineageRecording(StoredPart):
 
 
 def files_hash(files: Mapping[str, str]) -> str:
-    """SHA-256 over the names and hashes of files, as in `files_sha256`: of their JSON with sorted keys."""
+    """SHA-256 over {file name: SHA-256 of the file}, as JSON with sorted keys: value of `files_sha256`."""
     return sha256_text(canonical_json(dict(files)))
 
 

@@ -122,9 +122,9 @@ class ReferenceFile(Stored, ComparedMesh):
 
     @classmethod
     def of(cls, compared: Sequence[ComparedMesh], object_fingerprint: str) -> Self:
-        """Make the file from comparisons with one object, given from the last to the first.
+        """Make the file from comparisons of one object with meshes, the latest first.
 
-        The last accepted one comes to the top level of the file, the others into `others`.
+        The latest accepted one comes to the top level of the file, the others into `others`.
         """
         first, *others = sorted(compared, key=lambda each: (each.refused is not None, bool(each.itself)))
         values = given(first) | {"object_fingerprint": object_fingerprint}
@@ -145,5 +145,5 @@ OF_FILE = ReferenceFile.model_fields.keys() - ComparedMesh.model_fields.keys()
 
 
 def given(part: ComparedMesh) -> dict[str, Any]:
-    """The fields of a comparison that were set, by name; fields at their defaults are left out."""
+    """The fields of a comparison that were given when it was made, by name; others have their defaults."""
     return {key: getattr(part, key) for key in part.model_fields_set}

@@ -68,7 +68,7 @@ def write_rows(rows: Sequence[ScoreRow], folder: Path, *, over: bool) -> RowsFil
     Args:
         rows: rows of the table.
         folder: folder of the table's JSON file.
-        over: whether to replace a rows.npz with other rows.
+        over: whether an existing rows.npz that holds other rows may be replaced.
 
     Returns:
         The entry for the JSON file; None if the rows are few, and belong in the JSON file itself.
@@ -167,7 +167,7 @@ def read_rows(folder: Path, stated: RowsFile) -> tuple[ScoreRow, ...]:
 
 
 def _check(arrays: Arrays, count: int) -> None:
-    """Check shapes, types and text indices of the columns; decode texts and add later columns in place."""
+    """Check the columns' shapes, types and text indices; in place, decode texts and add missing columns."""
     texts = (*TEXTS, *(name for name in (IN_SPACE,) if name in arrays))
     for name in (*texts, *NUMBERS, CURVE):
         # Tables of earlier versions lack figures of predictions in the camera frame.

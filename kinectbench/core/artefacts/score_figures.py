@@ -40,7 +40,7 @@ def _share(heading: str | None, meaning: str) -> Any:
 
 
 def _loss(heading: str | None, meaning: str, unit: str) -> Any:
-    """Declare a metric >= 0 without upper bound of which lower values are better; arguments as `_share`."""
+    """Declare a metric >= 0 in `unit`, without upper bound, where lower values are better; see `_share`."""
     extra: dict[str, JsonValue] = {"minimum": 0, "unit": unit, "better": "lower"}
     return Field(None, title=heading, description=meaning, json_schema_extra=extra)
 

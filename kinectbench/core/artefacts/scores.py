@@ -281,9 +281,9 @@ class ScoreTable(Stored):
 
     @property
     def counted_by(self) -> str:
-        """How predictions were counted, as text; tables with different values are not compared.
+        """How predictions were counted: version of `score`, and how grids were upsampled, as text.
 
-        The setting `missing` is left out, because it does not change the numbers of predicted pairs.
+        Tables that differ here are not compared. The setting `missing` does not change the numbers of a pair.
         """
         return f"score version {self.score_version}, upsampling {self.settings.upsampling or 'unknown'}"
 

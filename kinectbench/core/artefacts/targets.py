@@ -144,7 +144,10 @@ def columns_of(targets: Iterable[Target]) -> tuple[str, ...]:
 
 
 def targets_text(targets: Sequence[Target], columns: Sequence[str] = ()) -> str:
-    """The text of targets.csv, or of one split's table in targets/; earlier releases have fewer columns."""
+    """The text of targets.csv, or of one split's table in targets/.
+
+    Earlier releases have fewer `columns`; by default they are those of this version.
+    """
     columns = columns or columns_of(targets)
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
@@ -162,7 +165,7 @@ def by_recording(targets: Iterable[Target]) -> dict[str, list[Target]]:
 
 
 def check_names(targets: Sequence[Target], where: str) -> None:
-    """Refuse contradictory names, categories named like a mean, and an object in two splits.
+    """Refuse names that differ only by case, an object in two categories or splits, and reserved categories.
 
     Raises:
         ReleaseError: one line that names the problem.
@@ -229,7 +232,7 @@ def list_of_files(sums: str) -> str:
 
 
 def benchmark_sha256(sums: str, stated: str) -> str:
-    """Compute the hash that identifies a release, by the version that its benchmark.json states.
+    """Compute the hash that identifies a release, in the way that `benchmark_sha256_version` states.
 
     Args:
         sums: the text of SHA256SUMS.

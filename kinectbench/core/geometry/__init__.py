@@ -1,4 +1,4 @@
-"""Rigid transforms, cameras, planes, boxes and grids: numpy only, no state."""
+"""Rigid transforms, cameras, planes, boxes, grids, depth and meshes: functions and values without state."""
 
 from kinectbench.core.geometry.boxes import Grid, OrientedBox
 from kinectbench.core.geometry.camera import Camera

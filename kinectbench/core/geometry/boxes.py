@@ -21,12 +21,12 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 
 class BoxAnchor(NamedTuple):
-    """A frame of the recording that identifies the floor frame in which a box was chosen.
+    """An image of the recording whose pose identifies the floor frame in which a box was chosen.
 
     Attributes:
-        frame: index of a frame in the sequence.
-        camera_floor: pose of this frame's camera in the floor frame.
-        depth_sha256: first 16 digits of the SHA-256 of this frame's depth; None: not known.
+        frame: index of the image in the sequence.
+        camera_floor: its camera's pose in the floor frame: x, y, z in metres, and a quaternion x, y, z, w.
+        depth_sha256: first 16 digits of the SHA-256 of its depth; None: not known.
     """
 
     frame: int
@@ -56,7 +56,7 @@ class OrientedBox:
         return rigid(yaw_rotation(self.yaw_rad), self.center_m)
 
     def grown(self, margin_m: float) -> "OrientedBox":
-        """The box with every side moved out by `margin_m`, metres."""
+        """The box with every side moved out by `margin_m`, metres; without its anchor."""
         x, y, z = (edge + 2 * margin_m for edge in self.size_m)
         return OrientedBox(self.center_m, (x, y, z), self.yaw_rad)
 

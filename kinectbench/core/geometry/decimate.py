@@ -15,7 +15,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 
 def decimated(mesh: TriangleMesh, most_triangles: int) -> TriangleMesh:
-    """Reduce a mesh to at most this many triangles; a mesh with fewer is unchanged. Colours are dropped.
+    """Reduce a mesh to at most this many triangles, without colours; a mesh with fewer is unchanged.
 
     Edges collapse in the order of quadric error metrics (Garland and Heckbert, SIGGRAPH 1997), by
     fast-simplification in one thread, so that the same mesh gives the same result. It takes 1 µs a triangle,

@@ -28,12 +28,12 @@ class NormalEquations:
 
     @classmethod
     def of_prior(cls, information: Float64, state: Float64) -> "NormalEquations":
-        """Equations of the prior that the state (n,) is 0 with information (n, n); maximum a posteriori."""
+        """Equations of the prior that the unknowns, now `state` (n,), are 0; `information` is (n, n)."""
         return cls(information, -information @ state)
 
     @classmethod
     def of_products(cls, products: Float64) -> "NormalEquations":
-        """The normal equations contained in `weighted_products` (n + 1, n + 1), the residual last."""
+        """The normal equations in the result (n + 1, n + 1) of `weighted_products` for rows of J and r."""
         return cls(products[:-1, :-1], products[:-1, -1])
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
@@ -69,9 +69,10 @@ def descend(
 
 
 def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int = 1) -> Float64:
-    """Robust weights (n,) of residuals `distances` (n,), with sum 1; `counts` are the weights at distance 0.
+    """Weights (n,), with sum 1, of residuals of sizes `distances` (n,) >= 0: small for outliers.
 
-    Weights fall by Cauchy's function, or by Geman and McClure's (power 2), which nearly ignores outliers.
+    They are proportional to counts / (1 + (d / s)^2)^power, where s is three median distances. Power 1 is
+    Cauchy's function; 2 is Geman and McClure's, which nearly ignores outliers.
     """
     if not len(distances):
         return distances
@@ -84,11 +85,16 @@ def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int
 
 
 def eliminated(products: Float64, first: int, information: Float64) -> tuple[Float64, Float64]:
-    """Eliminate the first unknowns from `weighted_products` (n, n), residual last, by the Schur complement.
+    """Eliminate the first unknowns from a sum of products by the Schur complement.
 
-    The eliminated unknowns have a prior with information (first, first). Returns the products of the
-    remaining unknowns x, and F, of shape (first, n - first), by which the eliminated ones follow: F[:, -1] -
-    F[:, :-1] x.
+    Args:
+        products: (n, n), as of `weighted_products`, the residual last.
+        first: number of unknowns to eliminate.
+        information: (first, first) of a prior of these unknowns.
+
+    Returns:
+        The products of the remaining unknowns x; and F, (first, n - first), by which the eliminated ones
+        follow: F[:, -1] - F[:, :-1] x.
     """
     own = products[:first, :first] + information
     follows = np.asarray(np.linalg.solve(own, products[:first, first:]), np.float64)

@@ -68,7 +68,7 @@ class TriangleMesh:
 
     @property
     def vertex_normals(self) -> Float64:
-        """Unit vertex normals (n, 3): area-weighted means of the adjacent triangles'; 0 without triangles."""
+        """Unit vertex normals (n, 3): area-weighted means of adjacent faces' normals; 0 without faces."""
         a, b, c = (self.vertices[self.faces[:, corner]] for corner in range(3))
         doubled, corners = np.cross(b - a, c - a), self.faces.ravel()
         sums = [np.bincount(corners, along.repeat(3), len(self.vertices)) for along in doubled.T]

@@ -37,7 +37,8 @@ def refine(points: Float64, plane: Float64, reach_m: float, inlier_m: float) -> 
         points: (n, 3), metres.
         plane: (4,) the initial plane.
         reach_m: largest distance of an inlier in the first fit.
-        inlier_m: in later fits, inliers lie within 3 robust deviations, limited to half to twice this.
+        inlier_m: in later fits, the largest distance is three robust standard deviations, but at least half
+            and at most twice this.
     """
     for _ in range(8):
         distance_m = points @ plane[:3] + plane[3]

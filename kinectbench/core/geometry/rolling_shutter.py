@@ -31,8 +31,8 @@ class RollingShutter:
     Attributes:
         readout_s: time from the first row to the last, seconds; negative: the last row comes first.
         color_delay_s: delay of colour relative to depth, seconds.
-        motion: (n, 12) for each frame, camera axes: rate of the twist (rad/s, m/s), and its derivative
-            (rad/s^2, m/s^2).
+        motion: (n, 12), the camera's motion at each frame in its own axes: angular velocity (rad/s) and
+            velocity (m/s), then their derivatives (rad/s^2, m/s^2).
     """
 
     readout_s: float
@@ -131,7 +131,7 @@ def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Flo
 
 
 def _ascending(stamps_s: Float64) -> Float64:
-    """Adjust times so that each step is at least a tenth of the median step."""
+    """Times from 0 on with the given steps, but each at least a tenth of the median step."""
     steps = np.diff(stamps_s)
     least = 0.1 * max(float(np.median(steps)), 1e-6)
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
@@ -158,7 +158,7 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
-    """The pixel of the recorded image for each pixel of the corrected one: u and v, (height, width) each."""
+    """The recorded pixel for each corrected one: u and v, (height, width) each; see `upright_gray`."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     at_u, at_v = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -177,7 +177,7 @@ def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _depth_at_once(depth, units_per_m, intrinsics, motion, readout_s):  # type: ignore[no-untyped-def]
-    """Depth at mid-readout, interpolated between pixels; across a depth edge the nearest pixel's depth."""
+    """Depth at mid-readout, interpolated, or the nearest pixel's at depth edges; see `upright_depth`."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     moved = np.zeros((height, width), np.uint16)

@@ -97,7 +97,7 @@ def _shown(url: str) -> str:
 
 
 def require_usable(url: str, place: str) -> None:
-    """Check for problems that a retry cannot solve: no obstore, an unusable URL, or a bad endpoint.
+    """Check for problems that a retry cannot solve: no package obstore, an unusable URL, or a bad endpoint.
 
     Args:
         url: URL of the store.

@@ -52,7 +52,7 @@ _NO_SUCH_HOST = ("not known", "does not resolve", "No such host is known")
 
 
 class MissingObjectError(StorageError):
-    """The object does not exist."""
+    """The store has no file of this name."""
 
     what = "no-file"
 
@@ -184,7 +184,7 @@ def patiently(
 
 
 def _tell(place: str, host: str, failed_s: float, left_s: float, error: Exception) -> None:
-    """Warn once per store and process that it does not answer well, because a user may be waiting."""
+    """Warn, once per host, if calls have long failed (`failed_s`); they are retried for `left_s` more."""
     if failed_s >= TELL_AFTER_S and host not in _reported:
         _reported.add(host)
         _log.warning(
@@ -219,7 +219,10 @@ def _heard_of(host: str) -> None:
 def _given_up_for(
     place: str, host: str, since: float, error: Exception, answers: Callable[[], object] | None
 ) -> StorageError:
-    """The error after failing for too long; `StoreGoneError` if the store answers no other call either."""
+    """The error after failures since `since` (`time.monotonic`), the last of which is `error`.
+
+    It is a `StoreGoneError` if the whole store is down: the host was given up before, or `answers` fails too.
+    """
     kind, since_s = StorageError, since
     if host in _given_up or not _has_answer(place, answers):
         kind, since_s = StoreGoneError, min(since, _given_up.setdefault(host, since))

@@ -134,7 +134,13 @@ def partial_downloads(path: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class _Download:
-    """One attempt to download the file from one address."""
+    """One attempt to download the file from one address.
+
+    Attributes:
+        url: the address.
+        path, sha256, size, check, most_bytes, room: as for `download`.
+        come: called with the offset that the download has reached, bytes.
+    """
 
     url: str
     path: Path
@@ -180,7 +186,7 @@ class _Download:
         return size
 
     def _goes_on(self, answer: http.client.HTTPResponse, at: int, size: int) -> int:
-        """The offset in the file at which a response begins; 0 if the server ignores the requested range."""
+        """Offset of the first byte in a response: `at` as requested, or 0 if the whole file is sent."""
         if answer.status == http.HTTPStatus.OK:
             if self._checked_size(answer) != size:
                 raise _BrokenError("changed while it was fetched")
@@ -212,7 +218,7 @@ class _Download:
 
         Raises:
             _RefusedError: the content is not as expected.
-            KinectBenchError: of `check`, because the disk is full; the download stays.
+            KinectBenchError: raised by `check` because the disk is full; the download is kept.
         """
         with storage_errors(self.path):
             content = Content(size, sha256_file(part))
@@ -256,9 +262,9 @@ def _read(answer: http.client.HTTPResponse, most: int) -> bytes:
 
 @contextlib.contextmanager
 def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[http.client.HTTPResponse]:
-    """Open a URL from byte `at` on, if the server supports it; follow redirects to web servers only.
+    """Open a URL from byte `at` on, or from the start if its validator is no longer `mark`; follow redirects.
 
-    A redirect from https to http is refused.
+    Redirects to anything but a web server, or from https to http, are refused.
     """
     headers = {"User-Agent": f"kinectbench/{__version__}", "Accept-Encoding": "identity"}
     if at:

@@ -82,7 +82,7 @@ class Store:
         return not is_web(self.url)
 
     def place(self, name: str = "") -> str:
-        """The URL of a file, or without a name of the store, shortened and without secrets, for messages."""
+        """The URL of a file (without a name, of the store), shortened and without secrets, for messages."""
         return printable(shown(joined(self.url, name) if name else self.url), 200)
 
     def read(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes:
@@ -203,7 +203,7 @@ class Store:
         return next(self._chunks(None, None, 1), None)
 
     def _chunks(self, below: str | None, after: str | None, at_once: int) -> Iterator[Sequence["ObjectMeta"]]:
-        """Yield the listing of a folder in batches of `at_once` entries; each request has a time limit.
+        """Yield the entries below a folder whose names follow `after`, in batches of `at_once`.
 
         Raises:
             StorageError: the next batch does not arrive in time.
@@ -257,7 +257,10 @@ class Store:
         return True
 
     def _append(self, name: str, out: IO[bytes], first: list["ObjectMeta"], most_bytes: int) -> None:
-        """Download the rest of a file into `out`; `first` keeps the metadata of the first response."""
+        """Download the rest of a file into `out`, from its position on.
+
+        `first` keeps the metadata of the first response, which later ones must match.
+        """
         at = out.tell()
         if first and at == first[0]["size"]:
             return
@@ -288,7 +291,7 @@ class Store:
             )
 
     def _list_on(self, below: str, most: int, listed: list[StoredObject]) -> None:
-        """Append the rest of a listing to `listed`; begin again if the store does not list in order."""
+        """Continue the interrupted listing `listed`; begin again if the store does not list in order."""
         try:
             self._opened()
         except FileNotFoundError:  # a missing local folder holds nothing
@@ -319,7 +322,7 @@ def in_parallel(
 
     Args:
         calls: functions without arguments, such as methods of `Store` by `functools.partial`.
-        done: called in this thread with the number of finished calls, without those after an unfinished one.
+        done: called in this thread with the number of calls, from the first on, that have all finished.
         at_once: number of calls that run at a time.
     """
     stop = threading.Event()
@@ -365,7 +368,7 @@ _first_process: dict[str, int] = {}
 
 @cache
 def _opened(url: str, make: bool, process: int) -> "ObjectStore":
-    """Open a store once per process; `make` creates the folder of a file:// URL."""
+    """Open a store once per `process` (its id); `make` creates the folder of a file:// URL."""
     from obstore.store import LocalStore, MemoryStore, from_url
 
     if url.startswith("memory:"):

@@ -21,7 +21,14 @@ MISSING_STEPS = 1.5
 
 
 class _Matching(NamedTuple):
-    """The best pairs so far, as a linked list; the better of two has more pairs, then a smaller total gap."""
+    """The best pairs so far, as a linked list; the better of two has more pairs, then a smaller total gap.
+
+    Attributes:
+        pairs: number of pairs.
+        minus_gap_ns: minus the sum of their time differences, nanoseconds.
+        pair: the last pair of indices, (depth, colour); None at the start of the list.
+        before: the pairs before the last one.
+    """
 
     pairs: int
     minus_gap_ns: int
@@ -84,7 +91,7 @@ def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int
     """Largest accepted time difference between a frame's depth and colour image, nanoseconds.
 
     It is half a frame interval of the faster stream plus half the larger jitter of the two streams, at most
-    `TOLERANCE_NS`. The nearest image is always within it, and the next frame's image mostly is not.
+    `TOLERANCE_NS`. Unless that limit applies, the nearest image is within it; the next frame's mostly not.
 
     Args:
         depth_ns: stamps of depth, nanoseconds, in any order.

@@ -28,7 +28,7 @@ MIN_SPREAD_M = 0.05
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Statistics of errors, all >= 0, in the unit that the field's name gives."""
+    """Statistics of errors, all >= 0, in the unit of the `TrajectoryError` field that holds them."""
 
     rmse: float
     mean: float

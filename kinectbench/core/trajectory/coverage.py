@@ -89,7 +89,7 @@ def from_above(T_world_camera: Float64) -> Float64:
 
 
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
-    """`middle_depth_m` of up to 40 of the frames (n,), evenly spaced; every frame given must have a pose."""
+    """Median depth in the middle third of up to 40 of the frames (n,), metres; None without depth there."""
     some = frames[evenly(len(frames), MIDDLE_FRAMES)]
     thin = slice(None, None, MIDDLE_STEP_PX)
     return middle_depth_m(sequence.depth_m(int(frame))[thin, thin] for frame in some)
@@ -120,7 +120,7 @@ def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
-        depth_m: `middle_depth_m` of their images, or None.
+        depth_m: median depth in the middle of their images (`middle_depth_m`), metres, or None.
     """
     point, positions = convergence_point(T_world_camera), T_world_camera[:, :3, 3]
     if depth_m is None:
@@ -147,7 +147,8 @@ def covered_arc_rad(T_world_camera: Float64, depth_m: float | None) -> float | N
 
     Args:
         T_world_camera: (n, 4, 4), finite, any n.
-        depth_m: `middle_depth_m` of their images, or None; it helps to find the point.
+        depth_m: median depth in the middle of their images (`middle_depth_m`), metres, or None; it helps to
+            find the point.
 
     Returns:
         Radians, 0 to 2 pi. None if there is no camera, or if fewer than half of them have the point within 45

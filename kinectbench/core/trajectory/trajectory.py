@@ -30,9 +30,9 @@ class Trajectory:
     Attributes:
         stamps_ns: (n,) int64, the sequence's depth stamps.
         T_world_camera: (n, 4, 4) float64; NaN where a frame has no usable pose.
-        source: how the poses were obtained: "trust", "refine" or "tracked".
-        pose_sigma_m: (n,) uncertainty of each pose as displacement of its depth, metres; NaN if unknown. None
-            if unknown for all frames.
+        source: how the poses were obtained: "trust" (as given), "refine" (given, and refined) or "tracked".
+        pose_sigma_m: (n,) standard deviation of each pose, as a shift of its points, metres; NaN if unknown.
+            None if unknown for all frames.
         health: figures of quality that need no ground truth; None if not computed.
         depth_calibration: the correction of depth that was used to estimate or check the poses.
     """
@@ -68,7 +68,7 @@ class Trajectory:
 
     @cached_property
     def median_pose_sigma_m(self) -> float | None:
-        """Median of `pose_sigma_m` over the good frames that were checked, metres; None if none was."""
+        """Median of `pose_sigma_m` over the frames for which it is known, metres; None if there are none."""
         if self.pose_sigma_m is None:
             return None
         sigma_m = self.pose_sigma_m[self.good_frames]
