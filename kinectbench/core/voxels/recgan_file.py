@@ -51,12 +51,12 @@ def read_recgan_file(path: Path) -> Bools:
 
 
 def _is_binary(cells: NDArray[np.generic]) -> bool:
-    """Whether a grid holds only 0 and 1; checked slab by slab to save memory."""
+    """Return whether a grid holds only 0 and 1; it is checked slab by slab to save memory."""
     return all(bool(((slab == 0) | (slab == 1)).all()) for slab in cells)
 
 
 def _centring(count: int) -> tuple[slice, slice]:
-    """Slices that crop or pad `count` cells to 256 about the centre."""
+    """Return (source, target) slices along an axis that centre `count` cells in 256: they crop or pad."""
     crop, pad = max(0, (count - FULL_CELLS) // 2), max(0, (FULL_CELLS - count) // 2)
     kept = min(count, FULL_CELLS)
     return slice(crop, crop + kept), slice(pad, pad + kept)
