@@ -33,9 +33,9 @@ def remains(folder: Path) -> list[Path]:
 
 
 def unknown_file(folder: Path, known: Set[str]) -> str | None:
-    """Return the first file or link of a folder that is neither in `known` nor ours; None if there is none.
+    """Return the first file or link of a folder that is neither in `known` nor ours (`is_ours`), or None.
 
-    What file managers leave is passed over.
+    Files of file managers, such as .DS_Store, are ignored.
 
     Raises:
         ReleaseError: as in `release_files`.
@@ -50,7 +50,7 @@ def refuse_other_content(out: Path) -> None:
 
     Raises:
         ReleaseError: the folder holds something else, which the message names, or its SHA256SUMS is missing
-            or damaged, so that nobody knows what is of the release.
+            or damaged, so that nobody knows which files are of the release.
     """
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return

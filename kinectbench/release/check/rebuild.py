@@ -149,7 +149,7 @@ def rebuild_plan(
 
 
 def _draw(identity: str, name: str) -> str:
-    """Return an object's sort key for the draw, a hash: the draw is reproducible, and nobody can steer it."""
+    """Return the hash of a release's hash and an object's name; objects are drawn in the order of these."""
     return hashlib.sha256(f"{identity} {name}".encode()).hexdigest()
 
 

@@ -188,7 +188,7 @@ def _margins(pixels: Float64, size: int) -> tuple[int, int]:
 
 
 def _box(mask: Bools, left: int, top: int) -> Box:
-    """Return BOP's box of a mask: first pixel less (left, top), and distance from it to the last pixel."""
+    """Return BOP's box (x, y, width, height) of a mask whose pixel (left, top) is the origin of x and y."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return (
         int(columns[0]) - left,
