@@ -300,7 +300,7 @@ Detail = tuple[tuple[str, str, str], tuple[str, ...]]
 
 
 def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
-    """Return the table of details: a line of `DETAILS` for each protocol, method and category."""
+    """Return a line for each protocol, method and category, with the figures in `DETAILS` as texts."""
     return tuple(
         (
             (table.method, protocol, category),

@@ -20,7 +20,7 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
     Args:
         of: (nx, ny, nz) bool, the set voxels.
         voxel_size_m: edge of a voxel, metres.
-        within_m: distances beyond it, cut to whole voxels, are infinite; metres.
+        within_m: the limit, metres, rounded down to whole voxels; larger distances are infinite.
 
     Returns:
         (nx, ny, nz) float32, metres.

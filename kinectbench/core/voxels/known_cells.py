@@ -50,7 +50,7 @@ def known_in(fine: KnownGrid, coarse: KnownGrid, grid: Grid) -> NDArray[np.uint8
         grid: the grid of cells, of any orientation; its sides must be multiples of 8.
 
     Returns:
-        (nx, ny, nz / 8) uint8, packed along z.
+        (nx, ny, nz / 8) uint8, packed along z; a set bit is a known cell.
     """
     return np.asarray(
         _known_in(

@@ -166,8 +166,8 @@ def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
 def _beyond(height, up, least):  # type: ignore[no-untyped-def]
     """Return the distance, metres, to the farthest camera outside the grid; negative: there is none.
 
-    The line starts at `height` and leads to the camera, rising by `up` a metre; a camera must be as high as
-    `least`.
+    The line starts at `height`; `up` is the vertical component of the unit vector to the camera, and `least`
+    the least height of a camera, metres.
     """
     if up > _LEVEL:
         return _FAR

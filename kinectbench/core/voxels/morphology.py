@@ -141,7 +141,7 @@ def broad(mask: Bools, cells: int) -> Bools:
 
     Args:
         mask: bool, of any shape.
-        cells: edge of the cube.
+        cells: edge of the cube, cells.
 
     Returns:
         bool, the mask's shape.

@@ -1,4 +1,4 @@
-"""Votes of frames on the voxels of a grid, and the confidence in them."""
+"""What frames measured at the voxels of a grid, and how far to trust it."""
 
 from dataclasses import dataclass
 
@@ -64,13 +64,13 @@ def merge(first: Observation, second: Observation) -> Observation:
 
 
 def _sum(first: NDArray[np.uint16], second: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """The sum of two arrays of one shape, at most 65,535."""
+    """Return the sum of two arrays of one shape, at most 65,535."""
     room = np.iinfo(np.uint16).max - first
     return first + np.minimum(second, room)
 
 
 def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float32:
-    """Undo the lower weight that fusion gives to measurements of a surface in front of a voxel; 1/mm^2.
+    """Return weights without the factor by which fusion lowers them behind a surface, 1/mm^2.
 
     Args:
         tsdf: fused signed distances, metres.
@@ -111,7 +111,7 @@ def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: f
     """Return a ray's width, metres: root of the squares of a pixel's width and of three times the pose error.
 
     Args:
-        camera: of the depth images.
+        camera: camera of the depth images.
         median_pose_sigma_m: median error of the poses, metres; None if no pose was checked.
         distance_m: distance from the cameras, metres.
     """

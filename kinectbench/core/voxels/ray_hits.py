@@ -14,7 +14,7 @@ UNSEEN, OUTSIDE, INSIDE, NEUTRAL = range(4)
 
 @dataclass(frozen=True)
 class RayHits:
-    """Counts of what rays in 26 directions from each UNSEEN voxel hit first; (nx, ny, nz) uint8, else 0.
+    """Counts of what rays in 26 directions from each UNSEEN voxel hit first; uint8, 0 at other voxels.
 
     Attributes:
         inside: number of rays that hit INSIDE.

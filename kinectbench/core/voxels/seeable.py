@@ -345,10 +345,10 @@ def seeable_solid(
     Walls thinner than a voxel, which contain no voxel's centre, occlude like thick ones.
 
     Args:
-        mesh_world: closed, metres.
+        mesh_world: closed mesh, world frame, metres.
         T_world_upright: (4, 4), from the upright frame to the world: z is up, the object stands on z = 0.
         limits: width of lines of sight, and size, least height and least distance of cameras.
-        stands: False: there is no plane, and cameras may be anywhere.
+        stands: whether the object stands on a plane; if not, cameras may be anywhere around it.
 
     Raises:
         ShapeError: the mesh is empty, or lies below the plane.

@@ -34,7 +34,7 @@ def view_cube(points_camera: NDArray[np.floating], T_world_camera: Float64) -> G
 
     Its side is 1.4 times the longest side of the points' bounding box in the view's axes, without the 0.5 %
     of points farthest out on each side. It is centred on the box in x and y; in z it begins 0.1 of its side
-    in front of it.
+    in front of the box.
 
     Args:
         points_camera: (n, 3) the view's points on the object, camera frame, metres.
@@ -75,7 +75,7 @@ def depth_cells(depth_m: Float32, mask: Bools, camera: Camera, T_world_camera: F
         depth_m: (height, width) float32, metres, 0 = none.
         mask: (height, width) bool, pixels of the object.
         camera: intrinsics.
-        T_world_camera: (4, 4).
+        T_world_camera: (4, 4), camera to world.
         grid: any grid in the world.
 
     Returns:

@@ -131,7 +131,7 @@ def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -
 
 
 def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
-    """Return a message for each check that `verify` cannot make on a sound release; arguments as in `verify`.
+    """Return a message for each check that `verify` had to skip on a faultless release; arguments as there.
 
     Raises:
         ReleaseError: benchmark.json or SHA256SUMS cannot be read.

@@ -30,8 +30,8 @@ class BopModel:
 
     Attributes:
         mesh: closed mesh, world frame, metres.
-        T_world_model: (4, 4), metres. The model frame has the floor's axes, z up; its origin is the middle of
-            the mesh's bounding box along these axes.
+        T_world_model: (4, 4), model to world, metres. The model frame has the floor's axes, z up; its origin
+            is the middle of the mesh's bounding box along these axes.
     """
 
     mesh: TriangleMesh

@@ -242,9 +242,9 @@ def counts_table(targets: Sequence[Target]) -> str:
 
 
 def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
-    """Return a Markdown table: each category's range of object sizes, and medians of its figures.
+    """Return a Markdown table: each category's object sizes and median visible, unknown share, estimated IoU.
 
-    Without any figure, the text is empty.
+    The text is empty if none of these is known.
     """
     category_of = {target.recording: target.category for target in targets}
     rows = []
