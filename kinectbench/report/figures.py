@@ -66,7 +66,7 @@ def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None)
 
 
 def quality_figures(quality: QualityFile) -> StageFigures:
-    """Return an object's figures, "good" without warnings, "warn" with, "plain" if they are not known."""
+    """Return an object's figures; tone "good" without warnings, "warn" with, "plain" if not known."""
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
     return StageFigures(
         quality.verdict or "",

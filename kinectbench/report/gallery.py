@@ -202,8 +202,8 @@ class PairTruth:
         up: (3,) unit vector that points up, in the grid's axes.
         partial: (64, 64, 8) uint8, packed.
         full: (64, 64, 8) uint8, packed, the true shape.
-        known: (64, 64, 8) uint8, packed, cells whose middle voxel (of 4^3) is known.
-        unseen: (64, 64, 8) uint8, packed, cells in which at least half of the shape's voxels are not known.
+        known: (64, 64, 8) uint8, packed, cells whose voxel just beyond the middle is known.
+        unseen: (64, 64, 8) uint8, packed, cells of `full` with at least half of the shape's voxels not known.
         picture: the view's depth, and its colour if published, as a `data:` URL; "" without images.
     """
 

@@ -60,7 +60,7 @@ class PaperTable:
     Attributes:
         title: states the scored pairs, such as those of one set of viewing angles.
         categories: categories with pairs: first the paper's in its order, then others by name.
-        pairs: number of pairs that the first method was scored on, as all were, if they have one truth.
+        pairs: number of scored pairs, the same for all methods with one truth; else that of the first method.
         rows: the methods, highest mean IoU over the categories first; then the published methods.
     """
 

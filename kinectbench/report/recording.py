@@ -43,7 +43,7 @@ class Tile:
         frame: number of its frame.
         picture: picture of partial and full shape as a `data:` URL.
         containment: share of the partial inside the full shape.
-        residual: distance of the view's depth from the mesh.
+        residual: median difference between measured and rendered depth.
         unknown: share of the true shape that is not known.
     """
 

@@ -189,7 +189,10 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _license(metadata: ReleaseInfo) -> str:
-    """Return the licence that all recordings (by default the benchmark's) share, else the benchmark's."""
+    """Return the licence that all recordings share, else the benchmark's.
+
+    A recording that states no licence has the benchmark's.
+    """
     infos = {
         name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
         for name, info in metadata.recordings.items()
@@ -231,7 +234,10 @@ def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each recording left out or poor by only one of README.md and benchmark.json."""
+    """Yield a message for each recording on which README.md contradicts benchmark.json.
+
+    Both state whether a recording is left out, published although poor, or to be reviewed, and why.
+    """
     wanted = {name: left_out_line(name, why) for name, why in (metadata.left_out or {}).items()}
     for name, info in metadata.recordings.items():
         if info.poor:
@@ -253,7 +259,7 @@ def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
-    """Yield a message for each line of `wanted` that `text` lacks: `subject` with the line in place of {}."""
+    """Yield a message, `subject` with the line in place of {}, for each line of `wanted` not in `text`."""
     rows = dict.fromkeys(wanted.splitlines())
     present = {line for _, line in _lines(text) if line in rows}
     for row in rows:

@@ -23,7 +23,7 @@ OF_PAIRS = ("framing", "partial_rule")
 def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a message for each fact that benchmark.json states twice with different values.
 
-    A recording with held-back truth must state no quality: it gives a message, too.
+    A recording with held-back truth that states its quality gives a message, too.
     """
     of_pairs = metadata.settings.pairs
     for key in OF_PAIRS:

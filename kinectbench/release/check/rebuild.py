@@ -149,7 +149,7 @@ def rebuild_plan(
 
 
 def _draw(identity: str, name: str) -> str:
-    """Return the hash of a release's hash and an object's name; objects are drawn in the order of these."""
+    """Return an object's sort key for a reproducible draw: a hash of the release's hash and its name."""
     return hashlib.sha256(f"{identity} {name}".encode()).hexdigest()
 
 

@@ -242,7 +242,7 @@ def counts_table(targets: Sequence[Target]) -> str:
 
 
 def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
-    """Return a Markdown table: each category's object sizes and median visible, unknown share, estimated IoU.
+    """Return a Markdown table of categories: object sizes, medians of visible and unknown share and of IoU.
 
     The text is empty if none of these is known.
     """

@@ -253,7 +253,7 @@ def _pairs(
     isolated: Isolated,
     removals: list[Removed],
 ) -> dict[str, Published]:
-    """Write the recordings' files; return {id: published part} of those with a pair; append to `removals`."""
+    """Write the files of each recording that passed; return {id: published part} of those with a pair."""
     made = dict[str, Published]()
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
@@ -286,7 +286,7 @@ def _write_texts(
     removals: list[Removed],
     isolated: Sequence[str],
 ) -> None:
-    """Write datasheet.md, CHANGELOG.md, lineage.json and the given thresholds; append to `removals`."""
+    """Write datasheet.md, CHANGELOG.md, lineage.json, thresholds; append removed facts to `removals`."""
     infos = {name: published.info for name, published in made.items()}
     color = _color(settings, made)
     sheet = datasheet(settings, targets, infos, color, warnings, options.hold_back, isolated)

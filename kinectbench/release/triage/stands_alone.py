@@ -50,7 +50,7 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the least volume share of a part that stands alone, as does the solid without it; None: none.
+    """Return the volume share of the smallest part that could stand alone, as could the other cells; or None.
 
     Args:
         solid: (nx, ny, nz) bool, z up, with at least one cell set.
