@@ -148,7 +148,10 @@ def fetch_release(
 
 
 def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Callable[[int], None]) -> int:
-    """Download those of `names` that are missing; `text` is SHA256SUMS. Return the number of downloads."""
+    """Download the missing files of `names`; return how many.
+
+    `text` is the content of SHA256SUMS; `done` is called with the number of files done.
+    """
     # The list comes first: it identifies a fetch that was stopped; benchmark.json comes last.
     if not _is_here(out / SHA256SUMS, hashlib.sha256(text.encode()).hexdigest()):
         with replaced_file(out / SHA256SUMS) as temporary:

@@ -38,7 +38,7 @@ def remains(folder: Path) -> list[Path]:
 
 
 def unknown_file(folder: Path, known: Set[str]) -> str | None:
-    """Return the first file or link of a folder that is neither in `known` nor `passed_over`; None if there is none.
+    """Return the first file or link of a folder that is neither in `known` nor `passed_over`, or None.
 
     Raises:
         ReleaseError: as in `release_files`.
@@ -52,7 +52,7 @@ def refuse_other_content(out: Path) -> None:
 
     Raises:
         ReleaseError: the folder holds something else, which the message names, or its SHA256SUMS is missing
-            or damaged, so that nobody knows what is of the release.
+            or damaged, so that nobody knows which files are of the release.
     """
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return

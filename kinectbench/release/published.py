@@ -71,10 +71,10 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
 
 
 def listed_files(folder: Path) -> dict[str, str]:
-    """Return {file: SHA-256} of a release's SHA256SUMS, after a check that the folder's files are those.
+    """Return {file: SHA-256} of a release's SHA256SUMS, after checking each file in the folder against it.
 
     Raises:
-        ReleaseError: SHA256SUMS is missing or damaged, or a file is missing or another one.
+        ReleaseError: SHA256SUMS is missing or damaged, or a file is missing or does not have its hash.
     """
     sums = parse_sums(release_text(folder / SHA256SUMS), str(folder / SHA256SUMS))
     for name, sha256 in sums.items():

@@ -45,7 +45,7 @@ class _Place:
         text: text of `SHA256SUMS`; empty if it is missing or not of a release.
         sums: {file: hash} of `SHA256SUMS`.
         info: content of `benchmark.json`; None if it is missing or damaged.
-        stated: text of `benchmark.json`.
+        stated: text of `benchmark.json`; empty if it is missing or not UTF-8.
     """
 
     sizes: Mapping[str, int]
@@ -133,7 +133,7 @@ def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
         store: the store.
         place: the state of the store.
         same: names of files that are there already and stay.
-        begins: whether files will be uploaded.
+        begins: whether an upload follows, for which benchmark.json must go, too.
     """
     kept = same | {BENCHMARK_JSON} | ({SHA256SUMS} if place.text else set())
     unlisted = [name for name in place.sizes if name not in kept and name not in place.sums]

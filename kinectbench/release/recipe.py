@@ -175,7 +175,20 @@ class Recipe:
     ) -> bool:
         """Download a file if missing, check it, and record its hash in sources.lock.
 
-        Return whether it was downloaded now.
+        Args:
+            file: the file's path below each of `bases`, and its name in sources.lock.
+            path: where the file goes.
+            bases: URLs to try.
+            sha256: the hash that sources.yaml states, if any.
+            check: called with the downloaded file's path; raises an error if it is unusable.
+            most_bytes: most bytes that are downloaded.
+            room: as in `fetch`.
+
+        Returns:
+            Whether it was downloaded now.
+
+        Raises:
+            SettingsError: sources.lock and sources.yaml state different hashes.
         """
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
@@ -202,7 +215,7 @@ class Recipe:
         return True
 
     def _lock(self, file: str, path: Path, content: Content) -> None:
-        """Record a file's size and hash in sources.lock, unless they are there already.
+        """Record a file's size and hash (`content`) as `file` in sources.lock, unless it is there already.
 
         Raises:
             StorageError: a fetch to another folder has recorded another file under this name.

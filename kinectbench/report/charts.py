@@ -27,7 +27,7 @@ MOST_DOTS = 500
 
 @dataclass(frozen=True)
 class Bar:
-    """The bar of one method; `length` and `interval` (start, length) are per cent of the chart's width."""
+    """A method's bar: `text` is its IoU, `length` and `interval` (start, length) are in % of the chart."""
 
     method: str
     text: str
@@ -37,7 +37,7 @@ class Bar:
 
 
 def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]]:
-    """Return {category: a bar per method} of mean IoU and its interval.
+    """Return {category: a bar for each method} that show mean IoU and its confidence interval.
 
     If there are several categories, the group `OVERALL` comes first.
     """
@@ -61,7 +61,7 @@ def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]
 
 
 def nice_top(value: float) -> float:
-    """Return the upper end of an axis from 0 to at least `value`, a share: a multiple of 0.1, at most 1."""
+    """Return the upper end of an axis from 0 that shows `value`, a share: a multiple of 0.1, at most 1."""
     return min(1.0, max(0.1, float(np.ceil(round(value * 10, 6)) / 10)))
 
 
@@ -84,9 +84,14 @@ class Axes:
 
 @dataclass(frozen=True)
 class Series:
-    """One method in a chart: its index in the legend, SVG paths of its points and its line, a marked dot.
+    """One method in a chart; positions are in pixels of the chart.
 
-    `words` describes the data in a sentence, for readers who cannot see the chart.
+    Attributes:
+        index: the method's index in the legend.
+        words: a sentence that describes the data, for readers who cannot see the chart.
+        points: SVG path of its points, or "".
+        line: SVG path of its line, or "".
+        dot: position of a marked point, or None.
     """
 
     index: int
@@ -165,8 +170,8 @@ def _curves_of(table: ScoreTable, protocol: str) -> dict[str, list[float]]:
 def visible_shares(table: ScoreTable) -> dict[str, float]:
     """Return {pair: share of the shape's known voxels that the input view saw}.
 
-    The share is 1 - coverage_shape(occluded) / coverage_shape(known). Pairs without scores under both
-    protocols are left out.
+    It is 1 - a / b, where a and b are `coverage_shape` in the pair's scores under the protocols `occluded`
+    and `known`. Pairs without both are left out.
     """
     known = {row.pair: row.coverage_shape for row in table.pairs("known")}
     shares = {}
@@ -180,7 +185,7 @@ def visible_shares(table: ScoreTable) -> dict[str, float]:
 def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
     """Draw pairs' IoU against their `visible_shares` in a chart for each category.
 
-    At most `MOST_DOTS` pairs of a method are drawn, evenly spread. Pairs for which one of both is not known
+    At most `MOST_DOTS` pairs of a method are drawn, evenly spread. Pairs with unknown IoU or visible share
     are left out, and so are categories without a pair.
     """
     shares: dict[str, float] = {}
@@ -235,7 +240,7 @@ def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Cha
 
 
 def _points(rows: Sequence[ScoreRow], shares: Mapping[str, float]) -> Float64:
-    """Return (n, 2), visible share and IoU of each pair for which both are known, sorted by share."""
+    """Return (n, 2): visible share and IoU of each pair that has both, sorted by visible share."""
     points = sorted((shares[row.pair], row.iou) for row in rows if row.pair in shares and row.iou is not None)
     return np.array(points, np.float64).reshape(-1, 2)
 

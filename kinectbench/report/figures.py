@@ -55,7 +55,7 @@ class StageFigures:
 def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None) -> StageFigures:
     """Return a trajectory's figures, coloured by its grade: "good", "warn" if it has warnings, or "bad".
 
-    With `sequence`, the first row is the number of damaged frames.
+    With `sequence`, the recording's camera file, the first row is the number of damaged frames.
     """
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
@@ -66,7 +66,7 @@ def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None)
 
 
 def quality_figures(quality: QualityFile) -> StageFigures:
-    """Return an object's figures, coloured "good" without warnings, "warn" with some, "plain" if unstated."""
+    """Return an object's figures; tone "good" without warnings, "warn" with, "plain" if not known."""
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
     return StageFigures(
         quality.verdict or "",

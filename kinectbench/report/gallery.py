@@ -112,7 +112,7 @@ def loaded_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress | None = None,
 ) -> dict[str, Packed]:
-    """Return the same as `gallery_cells` for predictions that `load` returns; None is an empty grid."""
+    """Do as `gallery_cells` for predictions that `load` returns; None gives an empty grid."""
     chosen = chosen_pairs(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):
@@ -186,7 +186,7 @@ def _figure(row: ScoreRow) -> float | None:
 
 
 def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed:
-    """Return a prediction, cut at a threshold, as packed cells (64, 64, 8); None is an empty grid."""
+    """Return the cells of a prediction above a threshold, packed (64, 64, 8); None: an empty grid."""
     if grid is None:
         return np.zeros(CELLS_SHAPE, np.uint8)
     return reduced_packed(occupied(grid, threshold, upsampling))
@@ -202,8 +202,8 @@ class PairTruth:
         up: (3,) unit vector that points up, in the grid's axes.
         partial: (64, 64, 8) uint8, packed.
         full: (64, 64, 8) uint8, packed, the true shape.
-        known: (64, 64, 8) uint8, packed, cells that are known, sampled at one voxel each.
-        unseen: (64, 64, 8) uint8, packed, cells of `full` in which at least half of the shape is not known.
+        known: (64, 64, 8) uint8, packed, cells whose voxel just beyond the middle is known.
+        unseen: (64, 64, 8) uint8, packed, cells of `full` with at least half of the shape's voxels not known.
         picture: the view's depth, and its colour if published, as a `data:` URL; "" without images.
     """
 
@@ -284,7 +284,7 @@ def _unseen(full: Packed, known: Packed) -> Packed:
 
 
 def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64:
-    """Return the up direction (3,) in grid axes: the floor's normal, or without a floor up in the image."""
+    """Return the up direction (3,) in grid axes: the floor's normal, or, without a floor, the image's up."""
     up = np.zeros(3)
     with contextlib.suppress(ReleaseError):  # it only turns a picture
         floor = release.floor(recording)

@@ -82,9 +82,9 @@ def _beside_the_camera(up_grid: Float64) -> Float64:
 
 @dataclass(frozen=True)
 class FramePicture:
-    """A recorded view: `masked`, its picture with the mask, and `color`, its colour image if not registered.
+    """A recorded view: `masked` is its picture, dimmed outside the mask.
 
-    Pictures are `data:` URLs.
+    `color` is its colour image if that is not registered to the depth, else None. Pictures are `data:` URLs.
     """
 
     view: str

@@ -62,7 +62,7 @@ def recording_row(job: Job, folder: Path) -> tuple[str, ...]:
 
 
 def listing(rows: Sequence[Sequence[str]], shown: Sequence[str]) -> Listing:
-    """Return the table of all recordings; those that the page shows in detail (`shown`) are links to that."""
+    """Return the table of all recordings; ids in `shown` link to the section that shows them in detail."""
     links = {name: f"#r{number}" for number, name in enumerate(shown, start=1)}
     return Listing(COLUMNS, FILTERS, rows, links, "`kinectbench build --status` lists all of them")
 

@@ -60,7 +60,7 @@ class PaperTable:
     Attributes:
         title: states the scored pairs, such as those of one set of viewing angles.
         categories: categories with pairs: first the paper's in its order, then others by name.
-        pairs: number of pairs that the first method was scored on; the same for each, if all have one truth.
+        pairs: number of scored pairs, the same for all methods with one truth; else that of the first method.
         rows: the methods, highest mean IoU over the categories first; then the published methods.
     """
 
@@ -73,8 +73,8 @@ class PaperTable:
 def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
     """Return tables in the paper's form for methods scored on one truth, one for each set of viewing angles.
 
-    If all methods were also scored under the protocol `shell`, its tables follow. Both get the paper's
-    figures of real recordings, because the paper does not say whether its truth is solid or a shell.
+    If all methods were also scored under the protocol `shell`, its tables follow. Both kinds of tables have
+    the paper's figures of real recordings, because it does not say whether their truth is solid or a shell.
 
     Raises:
         SettingsError: a table is not complete, or was not scored under the protocol `paper`.
@@ -87,7 +87,7 @@ def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
 def _tables(
     tables: Sequence[ScoreTable], protocol: str, ending: str, published: Sequence[PublishedTable]
 ) -> list[PaperTable]:
-    """Return the tables of one protocol, with the matching published tables; titles end with `ending`."""
+    """Return the tables of one protocol, with rows of matching `published` tables; titles end in `ending`."""
     of_methods = []
     for name, table in zip(method_names(tables), tables, strict=True):
         rows = table.pairs(protocol)
@@ -129,7 +129,7 @@ def _table(
 
 
 def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
-    """Return {category: mean of a figure over its pairs}; under `paper` every pair has every figure."""
+    """Return {category: mean over its pairs} of `figure`, "iou" or "ce", which every row must have."""
     values: dict[str, list[float]] = {}
     for row in rows:
         values.setdefault(row.category, []).append(getattr(row, figure))
@@ -137,7 +137,7 @@ def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
 
 
 def _present(of: PublishedTable, figures: Sequence[float], categories: Sequence[str]) -> dict[str, float]:
-    """Return {category: its published figure} for those of `categories` that the paper's table has."""
+    """Return {category: figure} for those of `categories` in the table `of`; `figures` are one row of it."""
     return {name: value for name, value in zip(of.categories, figures, strict=True) if name in categories}
 
 

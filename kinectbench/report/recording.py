@@ -36,9 +36,15 @@ File = TypeVar("File", bound=Stored)
 
 @dataclass(frozen=True)
 class Tile:
-    """A pair on the page: view and frame; a picture of partial and full as a `data:` URL; figures as text.
+    """A pair on the page, as texts.
 
-    `unknown` is the share of the true shape that is not known.
+    Attributes:
+        view: name of the view.
+        frame: number of its frame.
+        picture: picture of partial and full shape as a `data:` URL.
+        containment: share of the partial inside the full shape.
+        residual: median difference between measured and rendered depth.
+        unknown: share of the true shape that is not known.
     """
 
     view: str

@@ -99,7 +99,7 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
 def kept_baselines(files: Sequence[ScoreFile]) -> list[ScoreFile]:
     """Read the scores of baselines that `score` has written beside score files; one file per baseline.
 
-    They must have the same release and way of counting. Baselines among `files` are not read again.
+    Only those of the same release, score version and upsampling are returned, without baselines in `files`.
 
     Args:
         files: the page's score files, all of one release.
@@ -290,7 +290,7 @@ def _scores(
 
 
 def _compared_under(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the protocols for comparing methods: scored voxel protocols, then camera-frame headings."""
+    """Return the protocols to compare methods under: those for voxels with scores, then camera-frame ones."""
     scored = {row.heading for table in tables for row in table.rows}
     in_space = [table.rows[0].heading for table in tables if table.rows and table.rows[0].in_space]
     return [name for name in (*COMPARED, *NOT_EVERYWHERE) if name in scored] + [*dict.fromkeys(in_space)]

@@ -45,8 +45,8 @@ class SpaceTable:
     Attributes:
         columns: headings of the figures.
         groups: {heading: lines (method's name, one text per column)}; the method with the lowest Chamfer L1
-            distance is first. The last line may be the ceiling: what the truth's own uncertainty leaves to a
-            perfect prediction.
+            distance is first. The last line may be the ceiling: figures that a perfect prediction would get,
+            because the truth is uncertain.
         notes: lines below the table.
     """
 
@@ -98,7 +98,7 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
 
 
 def _reason(table: ScoreTable) -> str:
-    """Return ": <reason>" if all views of a method failed for the same reason, else ""."""
+    """Return ": <reason>" if every view of a method failed, all for one reason; else ""."""
     reasons = {failure.reason for failure in table.failures}
     return f": {reasons.pop()}" if len(reasons) == 1 and not table.rows else ""
 
@@ -125,7 +125,7 @@ def _far(table: ScoreTable, heading: str) -> float:
 
 
 def _empty(rows: Sequence[ScoreRow]) -> str:
-    """Return " (<n> empty)" if n views have an empty prediction, whose distances dominate a mean, else ""."""
+    """Return " (<n> empty)" if n views have an empty prediction, which dominates a mean distance, else ""."""
     count = sum(row.counts and row.solid is None for row in rows)
     return f" ({count} empty)" if count else ""
 

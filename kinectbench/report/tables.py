@@ -47,7 +47,14 @@ NONE = CategoryAverages()
 
 @dataclass(frozen=True)
 class Cell:
-    """A figure in a table: text, sort key ("" if none), whether it is the column's best, interval or ""."""
+    """A figure in a table.
+
+    Attributes:
+        text: the figure as shown.
+        sort: the exact figure, to sort the column by; "" if not known.
+        best: whether it is the column's best.
+        interval: its confidence interval as text, or "".
+    """
 
     text: str
     sort: str
@@ -65,7 +72,7 @@ class MethodRow:
         iou: the table's first figure in each category: IoU, or F-score under protocols of surfaces.
         ce: the table's second figure in each category: cross-entropy, or Chamfer distance of surfaces.
         marks: caveats of the scores, a few words each.
-        standing: "reported", or "verified" with date and version; "" for published figures.
+        standing: "reported", or "verified" (recomputed) with date and version; "" for published figures.
     """
 
     method: str
@@ -86,11 +93,11 @@ class Table:
         note: one line below the table.
         categories: the columns under each of the figures.
         rows: the methods, best first.
-        base_rate: cross-entropy of predicting the base rate, under each category; empty if not known, or if
-            the baseline `base-rate` has a row.
-        unknown: share of the true shapes that is not known, under each category; empty if not known.
+        base_rate: for each category, the cross-entropy of predicting the share of occupied voxels everywhere;
+            empty if not known, or if the baseline `base-rate` has a row.
+        unknown: for each category, the share of the true shapes that is unknown; empty if not stated.
         left_out: a sentence with the number of pairs left out because no voxel of the shape is known, or "".
-        grouped: whether rows have letters of groups.
+        grouped: whether rows have letters in `group`.
         shared: marks that every row has; they are shown above the table instead of in the rows.
         of_baselines: further marks that every baseline has, also shown above the table.
         figures: headings of the two figures.
@@ -179,7 +186,7 @@ def protocol_table(
 
 
 def _shared(marks: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Return the marks that all rows have; empty for a single row, which shows its marks itself."""
+    """Return the marks (caveats) that all rows have; empty for a single row, which shows its marks itself."""
     first = marks[0] if len(marks) > 1 else ()
     return tuple(words for words in first if all(words in of for of in marks))
 
@@ -242,13 +249,13 @@ def _cell(value: float | None, best: float | None, interval: Sequence[float] | N
 
 
 def _base_rate(averages: Averages) -> str:
-    """Return as text the cross-entropy of predicting the base rate, and the split that gives the rate."""
+    """Return as text the cross-entropy of predicting the base rate, and the split it was computed on."""
     source = averages.base_rate_source if isinstance(averages, CategoryAverages) else None
     return " ".join(filter(None, (shown_figure(averages.base_rate_ce), source)))
 
 
 def _truth_iou(averages: Averages) -> str | None:
-    """Return as text the estimated IoU of the truth, with the mean interval over objects; None if unknown."""
+    """Return as text the truth's estimated IoU and interval, both means over objects; None if unknown."""
     low, high = averages.truth_estimated_iou_low, averages.truth_estimated_iou_high
     return with_interval(averages.truth_estimated_iou, low, high, DECIMALS)
 
@@ -293,7 +300,7 @@ Detail = tuple[tuple[str, str, str], tuple[str, ...]]
 
 
 def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
-    """Return the table of details: a line of `DETAILS` for each protocol, method and category."""
+    """Return a line for each protocol, method and category, with the figures in `DETAILS` as texts."""
     return tuple(
         (
             (table.method, protocol, category),
@@ -315,8 +322,8 @@ ObjectTruth = tuple[str, str, int, str, int]
 def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
     """Return a row on the truth of each object, that with the largest unknown share first.
 
-    A row is (object, category, number of pairs, unknown share as text, number of pairs left out). All tables
-    have the same truth.
+    A row is (object, category, number of pairs, unknown share as text, number of pairs that do not count in
+    scores). All tables must have the same truth.
     """
     most: dict[str, tuple[ScoreTable, list[ScoreRow]]] = {}
     for table in tables:
@@ -336,7 +343,7 @@ def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[Objec
 
 
 def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
-    """Return {object: its rows}."""
+    """Group the rows of pairs by object: return {object: its rows}."""
     groups: dict[str, list[ScoreRow]] = {}
     for row in rows:
         groups.setdefault(row.object, []).append(row)

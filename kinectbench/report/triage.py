@@ -82,7 +82,7 @@ def _card(row: TriageRow, folder: Path) -> Card:
 
 
 def _figures(row: TriageRow, quality: QualityFile | None) -> str:
-    """Return one line: the estimated IoUs, without one that a reason states; underside, and who said it."""
+    """Return a line: estimated IoUs, except one in the row's reasons; the underside, and who stated it."""
     high = quality.estimated_iou_high if quality else None
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []

@@ -67,7 +67,7 @@ def object_pictures(
 
 
 def arrows_to(frontiers: Sequence[FrontierPart], length_m: float) -> list[Float64]:
-    """Return an arrow into each frontier: (2, 3), tail and tip (its centre), floor frame, metres."""
+    """Return an arrow into each frontier (unobserved opening): (2, 3), tail and tip, floor frame, metres."""
     centers = [np.array(frontier.center_m) for frontier in frontiers]
     return [
         np.stack([center + length_m * np.array(frontier.look_from), center])
@@ -86,7 +86,7 @@ def _look_deg(frontier: FrontierPart) -> tuple[float, float]:
 def draw_arrow(picture: Rgb, viewpoint: pictures.Viewpoint, arrow: Float64, number: str) -> None:
     """Draw into `picture` an arrow (2, 3), tail and tip, with its number at the tail.
 
-    An arrow nearly along the line of sight is drawn as a ring; nothing is drawn of one to the far side.
+    An arrow nearly along the line of sight is drawn as a ring; one that points to the viewer is not drawn.
     """
     import cv2
 

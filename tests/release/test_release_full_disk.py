@@ -3,6 +3,8 @@
 The disk is a small tmpfs in a mount namespace of its own, so neither the machine nor other tests notice.
 """
 
+import hashlib
+import json
 import subprocess
 import sys
 import tarfile
@@ -54,7 +56,8 @@ def on_small_disk(tmp_path: Path, before: Path, room_kb: int, *command: str) -> 
 @pytest.mark.parametrize("layout", ["recgan", "bop", "webdataset"])
 def test_export(analytic: Path, tmp_path: Path, layout: str) -> None:
     (tmp_path / "before" / "out").mkdir(parents=True)
-    (tmp_path / "before" / "out" / "export.json").write_text("an earlier export")
+    earlier = {"files_sha256": hashlib.sha256(b"").hexdigest()}
+    (tmp_path / "before" / "out" / "export.json").write_text(json.dumps(earlier))
     release = str(analytic / "benchmark")
     arguments = (*KINECTBENCH, "export", "out", "--layout", layout, "--benchmark", release)
     out, err = on_small_disk(tmp_path, tmp_path / "before", 100, *arguments)

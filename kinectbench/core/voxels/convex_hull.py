@@ -35,7 +35,7 @@ def filled_hull(occupied: Bools) -> Bools:
 
 
 def _column_ends(occupied: Bools) -> NDArray[np.float64]:
-    """First and last set cell of every column along z, (m, 3), which include all vertices of the hull."""
+    """Return the first and the last set cell of every column along z, (m, 3): also all hull vertices."""
     x, y = np.nonzero(occupied.any(axis=2))
     columns = occupied[x, y]
     first, last = columns.argmax(axis=1), columns.shape[1] - 1 - columns[:, ::-1].argmax(axis=1)
@@ -48,7 +48,7 @@ def _column_ends(occupied: Bools) -> NDArray[np.float64]:
 def _intervals(
     facets: NDArray[np.int64], planes: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-    """First and last cell along z, (nx, ny) each, between the lower and the upper facets of a hull.
+    """Return the first and the last cell along z, (nx, ny) each, between a hull's lower and upper facets.
 
     They are valid for columns that cross the hull. Such a column meets one upper and one lower facet, which
     are its tightest bounds, so each plane is only applied to the columns in its facet's bounding rectangle.
@@ -56,7 +56,7 @@ def _intervals(
     Args:
         facets: (f, 3, 3) corners of the triangles, cells.
         planes: (f, 4) their outward unit normals a, b, c and offsets d; inside is a x + b y + c z + d <= 0.
-        shape: of the grid.
+        shape: number of cells of the grid along each axis.
     """
     low, high = np.zeros(shape[:2]), np.full(shape[:2], shape[2] - 1.0)
     starts, stops = facets[..., :2].min(axis=1), facets[..., :2].max(axis=1) + 1

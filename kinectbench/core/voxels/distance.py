@@ -9,7 +9,7 @@ from kinectbench.core.types import Bools, Float32
 
 
 def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float32:
-    """Distance of each voxel to the nearest set one: exact, and infinite beyond a limit.
+    """Return the distance of each voxel to the nearest set one: exact, and infinite beyond a limit.
 
     Squared distances are separable: along each axis in turn, each voxel takes the minimum, over its
     neighbours, of their value plus the squared distance to them (Felzenszwalb, Huttenlocher: Distance
@@ -20,7 +20,7 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
     Args:
         of: (nx, ny, nz) bool, the set voxels.
         voxel_size_m: edge of a voxel, metres.
-        within_m: distances beyond it, cut to whole voxels, are infinite; metres.
+        within_m: the limit, metres, rounded down to whole voxels; larger distances are infinite.
 
     Returns:
         (nx, ny, nz) float32, metres.
@@ -38,7 +38,7 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _along_last(cells, reach, squared):  # type: ignore[no-untyped-def]
-    """Set squared distances, in voxels, to the nearest set voxel of the row; reach^2 + 1 beyond the reach."""
+    """Set in `squared` the squared distances, voxels, to set cells along the last axis; far: reach^2 + 1."""
     nx, ny, nz = cells.shape
     beyond = reach * reach + 1
     for i in range(nx):
@@ -56,7 +56,7 @@ def _along_last(cells, reach, squared):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
-    """One pass of the separable squared distance transform, along axis 0 or 1; squared voxels.
+    """Return squared distances, in voxels, after one more pass along axis 0 or 1.
 
     Each voxel gets the minimum of value plus squared offset over the voxels within `reach` along the axis.
     """
@@ -80,7 +80,7 @@ def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _looked_up(squared, roots_m):  # type: ignore[no-untyped-def]
-    """Square roots of squared voxel distances, in metres, clamped at the last entry."""
+    """Look up squared distances, in voxels, in a table of metres; all larger ones give its last entry."""
     distance_m = np.empty(squared.shape, np.float32)
     flat, into = squared.reshape(-1), distance_m.reshape(-1)
     last = len(roots_m) - 1

@@ -1,4 +1,4 @@
-"""Known cells of a rotated grid, by the nearest voxel of one or two label grids."""
+"""Which cells of a grid are known, looked up in one or two other grids of any orientation."""
 
 from dataclasses import dataclass
 
@@ -22,9 +22,10 @@ class KnownGrid:
     """The known voxels of one grid.
 
     Attributes:
-        grid: of any orientation.
+        grid: where the voxels lie; of any orientation.
         known: (nx, ny, nz) uint8, 1 = known.
-        tiles: (ceil(nx / 4), ...) uint8: whether none, all or some of each 4^3 voxels are known.
+        tiles: (ceil(nx / 4), ceil(ny / 4), ceil(nz / 4)) uint8, a value for each block of 4^3 voxels: NONE,
+            ALL or MIXED, as none, all or some of its voxels are known.
     """
 
     grid: Grid
@@ -33,23 +34,23 @@ class KnownGrid:
 
 
 def known_grid(grid: Grid, known: Bools) -> KnownGrid:
-    """A `KnownGrid` of known voxels (nx, ny, nz) bool."""
+    """Make a `KnownGrid` from a grid and the mask (nx, ny, nz) of its known voxels."""
     return KnownGrid(grid, known.view(np.uint8), _tiles(np.ascontiguousarray(known)))
 
 
 def known_in(fine: KnownGrid, coarse: KnownGrid, grid: Grid) -> NDArray[np.uint8]:
-    """Return the cells of a grid whose centre lies in a known voxel.
+    """Return which cells of a grid have their centre in a known voxel.
 
-    The fine grid decides, outside it the coarse one; outside both nothing is known. Blocks of 8^3 cells that
-    fall into tiles of one state are set at once; the result is the same as cell by cell.
+    Outside both grids of voxels nothing is known. Blocks of 8^3 cells whose voxels are all known, or all
+    unknown, are set at once; the result is the same as cell by cell.
 
     Args:
-        fine: the grid that decides where it reaches.
-        coarse: the grid that decides outside the fine one.
-        grid: of any orientation, its sides multiples of 8.
+        fine: the voxels that decide where they reach.
+        coarse: the voxels that decide elsewhere.
+        grid: the grid of cells, of any orientation; its sides must be multiples of 8.
 
     Returns:
-        (nx, ny, nz / 8) uint8, packed along z.
+        (nx, ny, nz / 8) uint8, packed along z; a set bit is a known cell.
     """
     return np.asarray(
         _known_in(
@@ -61,7 +62,7 @@ def known_in(fine: KnownGrid, coarse: KnownGrid, grid: Grid) -> NDArray[np.uint8
 
 
 def _index_map(to: Grid, grid: Grid) -> Float64:
-    """(3, 4) affine map from cell centres (i + 0.5, ...) of `grid` to coordinates in cells of `to`."""
+    """Return the affine map (3, 4) from positions in `grid` to positions in `to`, each in its own cells."""
     T = to.T_grid_world @ grid.T_world_grid
     scale = grid.voxel_size_m / to.voxel_size_m
     return np.concatenate([T[:3, :3] * scale, T[:3, 3:] / to.voxel_size_m], axis=1)
@@ -112,7 +113,11 @@ def _known_in(fine, coarse, nx, ny, nz):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _block_state(level, i, j, k):  # type: ignore[no-untyped-def]
-    """The common state, else MIXED, of the tiles that hold the centres of 8^3 cells; and if all exist."""
+    """Return (state, whether the block lies inside the grid) of the block of 8^3 cells from (i, j, k) on.
+
+    The state is that of the tiles that hold the cells' centres, MIXED if they differ, or BEYOND if none does.
+    `level` is (voxels, tiles, map from cells to voxels) of a `KnownGrid`.
+    """
     known, tiles, M = level
     x0, x1, in_x = _reach(M[0], i, j, k, known.shape[0])
     y0, y1, in_y = _reach(M[1], i, j, k, known.shape[1])
@@ -131,7 +136,11 @@ def _block_state(level, i, j, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(row, i, j, k, count):  # type: ignore[no-untyped-def]
-    """Along one axis: first and last tile of a block (none: last < first), and if the block is inside."""
+    """Return first and last tile that a block touches along one axis, and whether it lies inside the grid.
+
+    No tile: last < first. `row` maps cells to voxels along the axis, (i, j, k) is the block's first cell, and
+    `count` the number of voxels.
+    """
     half = BLOCK / 2
     middle = row[0] * (i + half) + row[1] * (j + half) + row[2] * (k + half) + row[3]
     reach = (BLOCK - 1) / 2 * (abs(row[0]) + abs(row[1]) + abs(row[2])) + SLACK
@@ -144,7 +153,10 @@ def _reach(row, i, j, k, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
-    """Set the bytes (8, 8), each 8 cells along z, of a block whose centres all lie in one grid."""
+    """Set the bytes (8, 8), each 8 cells along z, of a block whose centres all lie in the grid of `level`.
+
+    `level` is (voxels, tiles, map from cells to voxels); (i, j, k) is the block's first cell.
+    """
     known, _, M = level
     for a in range(BLOCK):
         for b in range(BLOCK):
@@ -160,7 +172,7 @@ def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
-    """Set the bytes (8, 8), each 8 cells along z, of a block that crosses the border of a grid."""
+    """Set the bytes (8, 8), each 8 cells along z, of a block that crosses a grid's border."""
     for a in range(BLOCK):
         for b in range(BLOCK):
             at_fine, at_coarse = _centre(fine[2], i + a, j + b, k), _centre(coarse[2], i + a, j + b, k)
@@ -175,7 +187,10 @@ def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _voxel(level, start, n):  # type: ignore[no-untyped-def]
-    """1 or 0: whether the voxel of the n-th cell after `start` is known; -1 beyond the grid."""
+    """Return 1 if the n-th cell along z after `start` lies in a known voxel, 0 if not, -1 beyond the grid.
+
+    `start` is a cell's centre in voxels of `level`, which is (voxels, tiles, map from cells to voxels).
+    """
     known, _, M = level
     x, y, z = start[0] + n * M[0, 2], start[1] + n * M[1, 2], start[2] + n * M[2, 2]
     if x < 0 or y < 0 or z < 0 or x >= known.shape[0] or y >= known.shape[1] or z >= known.shape[2]:
@@ -185,7 +200,7 @@ def _voxel(level, start, n):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _centre(M, i, j, k):  # type: ignore[no-untyped-def]
-    """A cell's centre (x, y, z) in voxels of a label grid."""
+    """Map the centre of the cell (i, j, k) by the affine map M (3, 4) to a position (x, y, z) in voxels."""
     u, v, w = i + 0.5, j + 0.5, k + 0.5
     return (
         M[0, 0] * u + M[0, 1] * v + M[0, 2] * w + M[0, 3],

@@ -41,10 +41,10 @@ class Space:
         state: (nx, ny, nz) uint8, its last axis up: PASSABLE, PLACE (passable, and a camera can be there) or
             BLOCKED.
         heights_m: (nz,) float32, heights of the layers' middles above the floor, metres; infinite without
-            one.
+            a floor.
         voxel_size_m: edge of a voxel, metres.
-        near_m: the camera's minimum range, metres.
-        least_height_m: least height of a camera beyond the grid above the floor, metres.
+        near_m: least distance from a camera at which it sees, metres.
+        least_height_m: least height above the floor of a camera outside the grid, metres.
     """
 
     state: NDArray[np.uint8]
@@ -55,17 +55,17 @@ class Space:
 
     @property
     def lengths_m(self) -> tuple[np.float32, np.float32, np.float32]:
-        """Voxel size, minimum range and least height of a camera, metres, as float32 for the kernels."""
+        """`voxel_size_m`, `near_m` and `least_height_m` as float32 for the kernels."""
         return np.float32(self.voxel_size_m), np.float32(self.near_m), np.float32(self.least_height_m)
 
 
 def directions(count: int) -> Float64:
-    """Unit vectors (n, 3), from a point to a camera: a Fibonacci lattice, and level and upright ones.
+    """Return unit vectors (n, 3) from a point to cameras: a Fibonacci lattice, level ones, up and down.
 
-    Level and upright directions are added because the narrow gaps of objects on a floor run along them.
+    Level and vertical directions are added because the narrow gaps of objects on a floor run along them.
 
     Args:
-        count: number of directions of the lattice; level ones have the same spacing.
+        count: number of directions of the lattice; the added level ones have the same spacing.
     """
     at = np.arange(count) + 0.5
     z = 1 - 2 * at / count
@@ -77,17 +77,18 @@ def directions(count: int) -> Float64:
 
 
 def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
-    """Visibility of each voxel along these directions, from cameras in a PLACE or beyond the grid.
+    """Find the voxels that cameras see along some directions, from a PLACE or from outside the grid.
 
-    Beyond the grid nothing hides a camera, and it can be anywhere that is high enough. Lines are followed
-    from voxel to voxel, at each step by one slice of the grid along their main axis.
+    Outside the grid nothing blocks a line, and a camera can be anywhere from `least_height_m` on. Lines are
+    followed slice by slice along the axis of their largest component.
 
     Args:
         space: the voxels.
         to_camera: (n, 3) unit vectors, from a point to a camera.
 
     Returns:
-        (nx, ny, nz) uint8: FROM_ABOVE, FROM_BELOW, both (3) or 0.
+        (nx, ny, nz) uint8: FROM_ABOVE (by a camera as high as the voxel or higher), FROM_BELOW, both (3), or
+        0 if not seen.
     """
     seen = np.zeros(space.state.shape, np.uint8)
     for turned in _turned_along(space, to_camera):
@@ -98,15 +99,15 @@ def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
 
 
 def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The number of visible voxels of each piece, per direction.
+    """Count the voxels of each labelled piece that are seen along each direction.
 
     Args:
         space: the voxels.
         to_camera: (n, 3) unit vectors, from a point to a camera.
-        pieces: (nx, ny, nz), the number of each voxel's piece, from 1 to k; 0: of none.
+        pieces: (nx, ny, nz), each voxel's label, from 1 to k; 0: part of no piece.
 
     Returns:
-        (n, k + 1), by direction and number of piece; column 0 is 0.
+        (n, k + 1): [i, p] is the number of seen voxels of piece p along direction i; column 0 is 0.
     """
     count = int(pieces.max()) + 1
     seen = np.zeros((len(to_camera), count), np.int64)
@@ -123,7 +124,14 @@ def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> N
 
 @dataclass(frozen=True)
 class _Turned:
-    """A space with one of its axes first, and the indices of the directions whose main axis that is."""
+    """A space with one axis moved to the front, for the directions along which that axis dominates.
+
+    Attributes:
+        space: the space, its axes in the usual order.
+        state: its `state`, transposed.
+        order: the axes of `space` in the order of `state`.
+        ways: indices of the directions whose largest component is along the first of these axes.
+    """
 
     space: Space
     state: NDArray[np.uint8]
@@ -131,7 +139,7 @@ class _Turned:
     ways: NDArray[np.int64]
 
     def seen_along(self, to_camera: Float64) -> NDArray[np.uint8]:
-        """`seen_along` for directions (n, 3) with this main axis; the result has the axes of `state`."""
+        """Do as `seen_along` for directions (n, 3) among `ways`; the result has the axes of `state`."""
         seen = np.zeros(self.state.shape, np.uint8)
         flat, up_axis = (self.state.reshape(-1), seen.reshape(-1), seen.shape), self.order.index(2)
         n0, n1, n2 = self.state.shape
@@ -145,7 +153,7 @@ class _Turned:
 
 
 def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
-    """Yield the space, turned, for each axis that is the main axis of some of the directions (n, 3)."""
+    """Yield the space, turned, for each axis that has the largest component of some directions (n, 3)."""
     main = np.argmax(np.abs(to_camera), axis=1)
     for axis in np.unique(main).tolist():
         # So that a slice lies in one piece, with the axis that varies fastest at its end.
@@ -156,7 +164,11 @@ def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _beyond(height, up, least):  # type: ignore[no-untyped-def]
-    """Distance of the farthest camera beyond the grid for a voxel of this height, metres; negative: none."""
+    """Return the distance, metres, to the farthest camera outside the grid; negative: there is none.
+
+    The line starts at `height`; `up` is the vertical component of the unit vector to the camera, and `least`
+    the least height of a camera, metres.
+    """
     if up > _LEVEL:
         return _FAR
     if up > -_LEVEL:
@@ -167,10 +179,20 @@ def _beyond(height, up, least):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Mark the voxels seen along directions (n, 3) whose main axis comes first; `state` and `seen` are flat.
+    """Mark in `seen` the voxels seen along the directions `ways` (n, 3), largest along the first axis.
 
-    `lines` (n, room) has a counter for each line of each direction: 0 without a camera behind it, 2 at a
-    camera, and one more with each step, until it is enough for the camera's minimum range.
+    Args:
+        state: flat, the state of each voxel.
+        seen: flat, receives FROM_ABOVE and FROM_BELOW.
+        shape: number of voxels along each axis.
+        ways: (n, 3) unit vectors, from a point to a camera.
+        up_axis: the axis that is vertical.
+        heights_m: heights of the layers along `up_axis`, metres.
+        lines: (n, room), overwritten: a counter for each line of each direction. It is 0 if no camera sees
+            along the line, 2 at a camera, and grows by 1 a voxel until the camera is `near_m` away.
+        voxel_m: edge of a voxel, metres.
+        near_m: least distance from a camera at which it sees, metres.
+        least_m: least height of a camera outside the grid, metres.
     """
     n0, n1, n2 = shape
     entering, enough = np.empty((len(ways), len(heights_m)), lines.dtype), np.empty(len(ways), lines.dtype)
@@ -206,7 +228,11 @@ def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m,
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Set, by layer, the counters of lines one step before they enter; returns the one that is enough."""
+    """Set in `entering` the counter of a line one step before it enters the grid, for each layer.
+
+    Return the counter at which a camera is `near_m` away. `up` is the direction's vertical component,
+    `step_m` the length of a step, and `slices` the most steps; cameras are at least `least_m` high.
+    """
     enough = 2 + _steps(np.float32(0), step_m, near_m, slices)
     for layer in range(len(heights_m)):
         far_m = _beyond(heights_m[layer], up, least_m)
@@ -217,7 +243,7 @@ def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _steps(far_m, step_m, near_m, most):  # type: ignore[no-untyped-def]
-    """The number of steps after which a camera is far enough, at most `most`."""
+    """Return after how many steps a camera, at first `far_m` away, is `near_m` away; at most `most`."""
     steps = 0
     while far_m < near_m and steps < most:
         far_m += step_m
@@ -228,7 +254,18 @@ def _steps(far_m, step_m, near_m, most):  # type: ignore[no-untyped-def]
 # Runs on 32 voxels at once, if indices cannot be negative and no number is wider than in `lines`.
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no-untyped-def]
-    """Advance the lines of a slice by one step: update their counters, and mark the visible voxels."""
+    """Advance the lines of a slice by one step: update their counters, and mark the visible voxels.
+
+    Args:
+        state: flat, the state of each voxel.
+        seen: flat, gets `bit` at visible voxels.
+        begin: index of the slice's first voxel.
+        lines: the lines' counters.
+        to: index in `lines` of the line through the first voxel.
+        count: number of voxels.
+        enough: the counter from which on a voxel is visible.
+        bit: FROM_ABOVE or FROM_BELOW.
+    """
     own, first, kind = np.uintp(begin), np.uintp(to), lines.dtype.type
     for n in range(count):
         at, line = own + np.uintp(n), first + np.uintp(n)
@@ -241,18 +278,18 @@ def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no
 
 
 def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
-    """Refine visibility along further directions, only at the edge of the visible region.
+    """Find further visible voxels along more directions, only from the edge of the visible region on.
 
     Few directions pass a narrow gap. If a voxel is seen, so are all points between it and the camera; newly
-    seen voxels are therefore next to seen ones. Voxels are tested one by one, from that edge on.
+    seen voxels are therefore next to seen ones.
 
     Args:
         space: the voxels.
         seen: result of `seen_along`.
-        to_camera: (n, 3) unit vectors, from a point to a camera: the further directions.
+        to_camera: (n, 3) unit vectors, from a point to a camera: the additional directions.
 
     Returns:
-        As `seen_along`.
+        `seen` with more bits set.
     """
     state = space.state
     more = seen.copy()
@@ -297,7 +334,11 @@ def _grow(seen, state, bits, ways, stack, heights_m, voxel_m, near_m, least_m): 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ignore[no-untyped-def]
-    """Push unseen, untested neighbours (6) onto the stack; returns its new length."""
+    """Push the 6 neighbours of (i, j, k) that must be tested onto the stack; return its new length.
+
+    These are not blocked, have none of the bits `enough` in `seen`, and are not yet marked in `asked`.
+    `count` is the stack's length before.
+    """
     nx, ny, nz = state.shape
     for side in range(6):
         step = 1 if side % 2 else -1
@@ -315,7 +356,10 @@ def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ig
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _sees(state, i, j, k, way, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Whether some camera sees a voxel (i, j, k) along a direction."""
+    """Return whether some camera sees the voxel (i, j, k); `way` (3,) is the direction from it to the camera.
+
+    The camera is in a PLACE at least `near_m` away, or outside the grid and at least `least_m` high.
+    """
     nx, ny, nz = state.shape
     along = max(abs(way[0]), abs(way[1]), abs(way[2]))
     dx, dy, dz = way[0] / along, way[1] / along, way[2] / along

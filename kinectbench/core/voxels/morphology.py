@@ -12,13 +12,13 @@ from kinectbench.core.voxels.pair_file import BLOCK, Packed, unpack
 
 
 def blocks_touched(full: Packed) -> Bools:
-    """Blocks of 4^3 cells that hold a set cell, or lie next to one (26 neighbours).
+    """Return the blocks of 4^3 cells that hold a set cell, or lie next to one (26 neighbours).
 
     Args:
         full: (n, n, n / 8) uint8, packed.
 
     Returns:
-        (n / 4,) * 3 bool.
+        (n / 4, n / 4, n / 4) bool.
     """
     result: NDArray[Any] = full
     for axis in range(3):
@@ -33,7 +33,7 @@ def blocks_touched(full: Packed) -> Bools:
 
 
 def cell_numbers(cells: Int64 | Int32) -> Int64:
-    """One integer for each cell, in the same order as the cells have as rows.
+    """Return one integer for each cell; integers sort as the cells do by first, then second ... coordinate.
 
     Integers are sorted 17 times as fast as rows, and sorting a million rows keeps signals waiting for 2 s.
 
@@ -53,14 +53,14 @@ def cell_numbers(cells: Int64 | Int32) -> Int64:
 
 
 def containment_of_cells(cells: Int64, full: Packed) -> float:
-    """Share of a partial view's cells inside the full shape, dilated by one cell.
+    """Return the share of a partial view's cells that touch the full shape, as in `blocks_touched`.
 
     Args:
-        cells: (n, 3) int64, blocks of 4^3 cells of `full`; they may repeat, and lie out of bounds.
+        cells: (n, 3) int64, indices of blocks of 4^3 cells of `full`; repeated ones count once.
         full: (m, m, m / 8) uint8, packed, over the same box.
 
     Returns:
-        In [0, 1]; 1 without any cells. Cells out of bounds are outside.
+        In [0, 1]; 1 without any cells. Cells outside the grid do not touch.
     """
     if len(cells) == 0:
         return 1.0
@@ -70,14 +70,14 @@ def containment_of_cells(cells: Int64, full: Packed) -> float:
 
 
 def containment(partial: Packed, full: Packed) -> float:
-    """`containment_of_cells` of packed grids over the same box, such as (64, 64, 8) and (256, 256, 32)."""
+    """Return `containment_of_cells` of a packed partial, with a quarter of the cells a side of `full`."""
     cells = unpack(partial)
     count = np.count_nonzero(cells)
     return np.count_nonzero(cells & blocks_touched(full)) / count if count else 1.0
 
 
 def packed_shell(full: Packed) -> Packed:
-    """Occupied cells with an empty 6-neighbour; outside the grid is empty.
+    """Return the occupied cells with an empty 6-neighbour; outside the grid is empty.
 
     Args:
         full: (nx, ny, nz / 8) uint8, a solid packed along z, most significant bit first.
@@ -115,14 +115,14 @@ def _shell(full):  # type: ignore[no-untyped-def]
 
 
 def opened(mask: Bools, size: Sequence[int]) -> Bools:
-    """Binary opening by a box: the cells that lie in some box of set cells.
+    """Return the binary opening by a box: the cells that lie in some box of this size of only set cells.
 
     The result is that of `scipy.ndimage.binary_opening` with a structure of ones, several times as fast: a
     box is a run along each axis, and a long run is two shorter ones.
 
     Args:
-        mask: bool; outside of it nothing is set.
-        size: cells of the box along each axis, at least 1.
+        mask: bool of any shape; outside of it nothing is set.
+        size: number of cells of the box along each axis of the mask, at least 1.
     """
     if any(length > n for length, n in zip(size, mask.shape, strict=True)):
         return np.zeros_like(mask)
@@ -137,11 +137,11 @@ def opened(mask: Bools, size: Sequence[int]) -> Bools:
 
 
 def broad(mask: Bools, cells: int) -> Bools:
-    """The parts of a mask at least `cells` thick: its opening by a cube, with the corners that this cuts off.
+    """Return the parts of a mask at least `cells` thick: its opening by a cube, and corners cut off by it.
 
     Args:
         mask: bool, of any shape.
-        cells: edge of the cube.
+        cells: edge of the cube, cells.
 
     Returns:
         bool, the mask's shape.
@@ -154,7 +154,7 @@ def broad(mask: Bools, cells: int) -> Bools:
 
 
 def from_beyond(cells: Bools) -> Bools:
-    """The set cells (nx, ny, nz) that are connected (6 neighbours) to the space beyond the grid."""
+    """Return the set cells (nx, ny, nz) that are connected (6 neighbours) to one at the grid's border."""
     from scipy import ndimage
 
     pieces, count = ndimage.label(cells)
@@ -168,7 +168,7 @@ def from_beyond(cells: Bools) -> Bools:
 
 
 def _runs(mask: Bools, axis: int, length: int) -> Bools:
-    """Cells at which a run of `length` set cells along an axis begins."""
+    """Return the cells that begin a run of at least `length` set cells along an axis."""
     runs, done = np.moveaxis(mask, axis, 0), 1
     while done < length:
         step = min(done, length - done)

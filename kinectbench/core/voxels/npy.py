@@ -35,9 +35,9 @@ class NpyHeader:
 
     Attributes:
         dtype: a plain dtype without objects or fields; byte order as in the file.
-        shape: as claimed.
-        fortran_order: the first index runs fastest.
-        data_offset: bytes before the data.
+        shape: shape that the file claims.
+        fortran_order: whether the first index runs fastest.
+        data_offset: number of bytes before the data.
     """
 
     dtype: np.dtype[np.generic]
@@ -47,7 +47,7 @@ class NpyHeader:
 
     @property
     def data_bytes(self) -> int:
-        """Bytes of the data, as claimed."""
+        """Number of bytes of data that `shape` and `dtype` claim."""
         return math.prod(self.shape) * self.dtype.itemsize
 
 
@@ -57,8 +57,8 @@ def read_npy(
     """Read an npy stream whose length must match its header.
 
     Args:
-        file: at its start; a zip's entry, for example.
-        size: number of bytes in it, which its header must claim; no more is allocated.
+        file: the stream, at its start; a zip's entry, for example.
+        size: number of bytes in the stream, header included; the header must claim as many.
         check: checks the header before allocation; its exceptions pass through.
 
     Returns:
@@ -99,7 +99,7 @@ def _copied(file: IO[bytes], header: NpyHeader) -> NDArray[np.generic]:
 
 
 def _in_place(file: io.BytesIO, header: NpyHeader) -> NDArray[np.generic]:
-    """A flat view of data in memory.
+    """Return a flat view of the data, which is in memory already.
 
     Copying the grids of a pair would take as long as inflating them: 3 ms, most of it for fresh pages.
     """
@@ -149,7 +149,7 @@ def read_npy_header(file: IO[bytes]) -> NpyHeader:
 
 
 def _parse(text: bytes, data_offset: int) -> NpyHeader:
-    """Parse the header's dictionary."""
+    """Parse the header's text, a Python dictionary; `data_offset` is the number of bytes before the data."""
     malformed = NpyError("a malformed npy header")
     try:
         claims = ast.literal_eval(text.decode("latin-1").strip())
@@ -166,7 +166,7 @@ def _parse(text: bytes, data_offset: int) -> NpyHeader:
 
 
 def _dtype(descr: object) -> np.dtype[np.generic]:
-    """The dtype of a plain type string."""
+    """Return the dtype that the header's `descr` names, such as "<f4"; refuse objects and fields."""
     if not isinstance(descr, str):
         raise NpyError("a structured array, not a plain one")
     if not PLAIN_TYPE.fullmatch(descr):

@@ -1,6 +1,6 @@
 """Deterministic npz files, and readers that report faults in one line.
 
-Files of bit-packed grids have a faster writer: they are long runs of equal bytes, often nothing else.
+Bit-packed grids have a faster writer, because they are mostly long runs of equal bytes.
 """
 
 import io
@@ -62,13 +62,13 @@ def npz_bytes(arrays: Mapping[str, NDArray[np.generic]], level: int = 6) -> byte
 def open_npz(file: IO[bytes], most_bytes: int, most_arrays: int = MOST_ARRAYS) -> zipfile.ZipFile:
     """Open an untrusted npz; all entries are checked before unpacking.
 
-    Entries are plain `<name>.npy`, stored or deflated, not encrypted, none twice, and together within bounds.
-    `read_npy` reads an entry, with its `file_size`.
+    Entries must be plain `<name>.npy`, stored or deflated, not encrypted, and none twice. To read one, pass
+    its stream and its `file_size` to `read_npy`.
 
     Args:
         file: open to read; it stays open.
         most_bytes: the most bytes that its arrays may claim together, unpacked.
-        most_arrays: the most arrays that it may hold; their number is known from the archive's last bytes.
+        most_arrays: the most arrays that it may hold.
 
     Raises:
         NpyError: an entry breaks one of these rules; the message says which.
@@ -152,7 +152,7 @@ def _reuse_memory() -> None:
 
 
 def _read(file: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[np.generic]:
-    """The array of an entry that `open_npz` accepted."""
+    """Return the array of an entry that `open_npz` accepted; `file` is the archive's file."""
     large = max(entry.file_size, entry.compress_size) > AT_ONCE_BYTES
     if large or entry.compress_type != zipfile.ZIP_DEFLATED:
         with archive.open(entry) as stream:
@@ -161,7 +161,7 @@ def _read(file: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> 
 
 
 def _inflated(file: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> io.BytesIO:
-    """The content of a small deflated entry, inflated at once by zlib-ng.
+    """Return the content of a small deflated entry, inflated in one call by zlib-ng.
 
     zipfile takes 2.5 times as long for the three grids that training reads (median of real pairs: 12 ms, and
     5 ms), nearly all of it in zlib.
@@ -203,9 +203,9 @@ _MADE_BY, _ATTRIBUTES = struct.pack("<H", 3 << 8 | 20), struct.pack("<3HI", 0, 0
 
 
 def packed_npz_bytes(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
-    """`npz_bytes` for packed grids: deflate looks for runs of equal bytes only (zlib's Z_RLE).
+    """Do as `npz_bytes`, for packed grids: deflate looks for runs of equal bytes only (zlib's Z_RLE).
 
-    On packed solids it takes two thirds of the time of level 3 for the same size. The layout is that of
+    On packed solids it takes two thirds of the time of deflate's level 3 for the same size. The layout is of
     PKWARE's APPNOTE, sections 4.3.7 (local header), 4.3.12 (directory) and 4.3.16 (its end).
 
     Args:
@@ -226,7 +226,7 @@ def packed_npz_bytes(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
 
 
 def _entry(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
-    """An array's checksum and sizes as a zip file states them, and its compressed npy file."""
+    """Return an array's checksum and sizes as bytes of a zip's header, and its compressed npy file."""
     if array.dtype == np.uint8 and array.size:
         values = array.reshape(-1)
         some = values[::1021]  # they tell most grids apart at once
@@ -237,7 +237,7 @@ def _entry(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
 
 @lru_cache(maxsize=8)
 def _constant_entry(shape: tuple[int, ...], value: int) -> tuple[bytes, bytes]:
-    """The entry of a constant array, cached: `known` of most synthetic pairs is one."""
+    """Return `_entry` of an array with one value, cached: `known` of most synthetic pairs is one."""
     return _deflated(np.full(shape, value, np.uint8))
 
 
@@ -253,7 +253,7 @@ def _deflated(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
 
 @cache
 def _zlib() -> ModuleType:
-    """zlib-ng, three times as fast, or else zlib; both find the same runs, so the bytes are the same."""
+    """Return zlib-ng if installed (three times as fast), else zlib; with Z_RLE both give the same bytes."""
     try:
         return import_module("zlib_ng.zlib_ng")
     except ImportError:

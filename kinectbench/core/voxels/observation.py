@@ -1,4 +1,4 @@
-"""Votes of frames on the voxels of a grid, and the confidence in them."""
+"""What frames measured at the voxels of a grid, and how far to trust it."""
 
 from dataclasses import dataclass
 
@@ -30,15 +30,16 @@ HALF_DIAGONAL, FADING_VOXELS, HIDDEN_SHARE = 0.87, 0.5, 0.001
 
 @dataclass(frozen=True)
 class Observation:
-    """The votes of frames on every voxel of a dense grid; arrays have the grid's shape.
+    """What frames measured at every voxel of a dense grid; arrays have the grid's shape.
 
     Attributes:
         grid: the voxels.
         tsdf: float32, metres, positive in front of the surface; 0 where weight is 0.
-        weight: float32, 1/mm^2, without the decay behind surfaces (`evident_weight`); 0 = never observed.
-        free: uint16, frames that saw through; 65,535 stands for as many or more.
-        surface: uint16, frames that measured a surface at the voxel, or in front of it by less than the
-            truncation; 65,535 as for `free`.
+        weight: float32, 1/mm^2, the frames' weights in `tsdf`, but not lowered behind surfaces (see
+            `evident_weight`); 0 = never observed.
+        free: uint16, number of frames that saw through the voxel; 65,535: as many or more.
+        surface: uint16, number of frames that measured a surface at the voxel, or in front of it by less than
+            the truncation distance; 65,535: as many or more.
     """
 
     grid: Grid
@@ -49,9 +50,9 @@ class Observation:
 
 
 def merge(first: Observation, second: Observation) -> Observation:
-    """Merge observations from two disjoint sets of frames: weighted mean of the TSDFs, sums of the votes.
+    """Merge observations of one grid from two disjoint sets of frames.
 
-    A sum of votes is at most 65,535.
+    The TSDF is the weighted mean; `free` and `surface` are sums, at most 65,535.
     """
     voxel_m = first.grid.voxel_size_m
     parts = [seen.weight * _heard_share(seen.tsdf, voxel_m) for seen in (first, second)]
@@ -63,42 +64,42 @@ def merge(first: Observation, second: Observation) -> Observation:
 
 
 def _sum(first: NDArray[np.uint16], second: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """The sum of two arrays of one shape, at most 65,535."""
+    """Return the sum of two arrays of one shape, at most 65,535."""
     room = np.iinfo(np.uint16).max - first
     return first + np.minimum(second, room)
 
 
 def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float32:
-    """Evidence of each voxel, 1/mm^2: its weight without the decay behind surfaces.
+    """Return weights without the factor by which fusion lowers them behind a surface, 1/mm^2.
 
     Args:
         tsdf: fused signed distances, metres.
-        weight: of the same shape, the weights that they were averaged with, 1/mm^2.
+        weight: of the same shape, the summed weights of these distances, 1/mm^2.
         voxel_size_m: edge of a voxel, metres.
     """
     return np.asarray(weight / _heard_share(tsdf, voxel_size_m), np.float32)
 
 
 def _heard_share(tsdf: Float32, voxel_size_m: float) -> Float32:
-    """Weight factor of frames at these signed distances, as in fusion, without noise."""
+    """Return the factor, at most 1, by which fusion lowers a weight at these distances (behind: < 0)."""
     behind_voxels = -tsdf / np.float32(voxel_size_m) - np.float32(HALF_DIAGONAL)
     faded = np.float32(1) - np.maximum(behind_voxels, np.float32(0)) / np.float32(FADING_VOXELS)
     return np.asarray(np.maximum(faded, np.float32(HIDDEN_SHARE)), np.float32)
 
 
 def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) -> Float32:
-    """The share of a voxel's votes that are free; 0 without votes.
+    """Return free / (free + surface) of each voxel; 0 if both are 0.
 
     Args:
-        free: votes for `free`.
-        surface: votes for `surface`, of the same shape: measured there, or just before it.
+        free: number of frames that saw through the voxel.
+        surface: number of frames that measured a surface there or just in front; of the same shape.
     """
     through = free.astype(np.float32)
     return np.asarray(through / np.maximum(through + surface, np.float32(1)), np.float32)
 
 
 def pose_reach_m(median_pose_sigma_m: float | None) -> float:
-    """Three times the median pose error, metres; 0 if no pose was checked (None).
+    """Return three times the median pose error, metres; 0 if no pose was checked (None).
 
     Assuming the largest plausible error instead of 0 would widen the truncation so much that thin parts
     vanish even where the poses are right: with 75 mm, F at 5 mm of a simulated chair falls from 0.99 to 0.28.
@@ -107,10 +108,10 @@ def pose_reach_m(median_pose_sigma_m: float | None) -> float:
 
 
 def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: float) -> float:
-    """Width of the frames' rays at a distance, metres: a pixel and three sigmas of the pose.
+    """Return a ray's width, metres: root of the squares of a pixel's width and of three times the pose error.
 
     Args:
-        camera: of the depth images.
+        camera: camera of the depth images.
         median_pose_sigma_m: median error of the poses, metres; None if no pose was checked.
         distance_m: distance from the cameras, metres.
     """
@@ -118,7 +119,7 @@ def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: f
 
 
 def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:
-    """Confidence in votes for `free`, in [0, 1]: it falls with the width of the rays."""
+    """Return how far to trust `Observation.free`, 0 to 1: less, the more voxels wide the rays are."""
     return float(np.interp(ray_width_m / voxel_size_m, RAY_WIDTHS_VOXELS, TRUST_IN_VOTES))
 
 
@@ -129,7 +130,7 @@ def without_fringe(
     voxel_size_m: float,
     trust: float = 1.0,
 ) -> Float32:
-    """The TSDF without edge artefacts: raised where frames saw through voxels behind the mean surface.
+    """Return the TSDF without artefacts at edges: raised where more frames than usual saw through a voxel.
 
     Where hardly any frame measures a surface, as at an underside seen at a grazing angle, the frames in which
     the voxel is hidden outweigh those few, although their weight decays. Frames that see through the voxel
@@ -137,10 +138,10 @@ def without_fringe(
 
     Args:
         tsdf: signed distances, metres, positive in front of the surface.
-        free: votes for `free`, of the same shape.
-        surface: votes for `surface`, of the same shape.
+        free: number of frames that saw through each voxel.
+        surface: number of frames that measured a surface there or just in front.
         voxel_size_m: edge of a voxel, metres.
-        trust: share of the votes that counts, from `trust_in_votes`.
+        trust: factor of the correction, 0 to 1, from `trust_in_votes`.
     """
     share = seen_through_share(free, surface)
     behind = np.maximum(tsdf / np.float32(voxel_size_m) + np.float32(UNDECIDED_VOXELS), np.float32(0))

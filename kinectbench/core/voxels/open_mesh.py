@@ -10,7 +10,7 @@ from kinectbench.core.voxels.solid import SUBCELL, crossings, snapped_cells
 
 
 def voxelize_open(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:
-    """Cells of a mesh: on its surface, or enclosed along all axes.
+    """Return the cells on a mesh's surface, or enclosed by it along all axes.
 
     A cell is occupied if an edge of its cube crosses a face, or if the rays from its centre along +x, -x,
     +y, -y, +z and -z all hit one. Faces may lie anywhere, be open, doubled or turned inside out. Edges and
@@ -41,7 +41,7 @@ def voxelize_open(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[
 
 
 def voxelize_surface(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:
-    """Cells whose edges cross a face of the mesh; arguments and result are those of `voxelize_open`."""
+    """Return the cells whose edges cross a face of the mesh; arguments and result as in `voxelize_open`."""
     fixed = snapped_cells(vertices_world, grid)
     triangles = np.ascontiguousarray(faces, dtype=np.int32)
     packed = np.zeros((grid.shape[0], grid.shape[1], grid.shape[2] // 8), np.uint8)
@@ -52,7 +52,7 @@ def voxelize_surface(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArr
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _mark_edges(fixed, faces, axes, shape, packed):  # type: ignore[no-untyped-def]
-    """Set the four cells around every cell edge along w that crosses a face."""
+    """Set the four cells around every cell edge along w that crosses a face; arguments as in `crossings`."""
     u, v, w = axes
     nu, nv, nw = shape[u], shape[v], shape[w]
     lines, heights, _ = crossings(fixed, faces, axes, 0, (nu + 1, nv + 1), True)
@@ -69,10 +69,12 @@ def _mark_edges(fixed, faces, axes, shape, packed):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
-    """For each row of cells along w, the first and the last cell centre between its outermost crossings.
+    """Find in each row of cells along w those with their centre between two crossings of the mesh.
+
+    Arguments as in `crossings`.
 
     Returns:
-        first, last: (nu, nv) int16; first > last where there is none.
+        first, last: (nu, nv) int16, indices of the first and the last such cell; first > last: none.
     """
     u, v, w = axes
     nu, nv, nw = shape[u], shape[v], shape[w]
@@ -88,7 +90,7 @@ def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _mark_enclosed(x_first, x_last, y_first, y_last, z_first, z_last, packed):  # type: ignore[no-untyped-def]
-    """Set cells that lie between crossings in all three of their rows."""
+    """Set the cells that lie between `first` and `last`, as `_between` returns them, along all three axes."""
     nx, ny = z_first.shape
     for i in range(nx):
         for j in range(ny):

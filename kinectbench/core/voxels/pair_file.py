@@ -107,22 +107,22 @@ class Pair:
 
     @property
     def grid(self) -> Grid:
-        """The 256-grid in the world."""
+        """The grid of 256 cells a side, placed in the world."""
         return Grid((FULL_CELLS,) * 3, self.voxel_size_m, self.T_world_grid)
 
     @cached_property
     def unknown_share(self) -> float:
-        """Share of the cells of `full` that are not `known`; 0 of an empty shape."""
+        """Share of the cells of `full` that are not `known`; 0 if `full` is empty."""
         return unknown_share(self.full, self.known)
 
     @property
     def visible_share(self) -> float:
-        """Share of the cells of `shell`, the true surface, that the view saw; 1 of an empty shape."""
+        """Share of the cells of `shell`, the true surface, that the view saw; 1 if `shell` is empty."""
         return 1.0 - unknown_share(self.shell, self.seen)
 
     @property
     def stated_unknown_share(self) -> float:
-        """`unknown_share`, rounded as files state it."""
+        """`unknown_share`, rounded as targets.csv and other files state it."""
         return round(self.unknown_share, SHARE_DECIMALS)
 
 
@@ -142,7 +142,7 @@ class PairInput:
 
     @property
     def grid(self) -> Grid:
-        """The 256-grid in the world."""
+        """The grid of 256 cells a side, placed in the world."""
         return Grid((FULL_CELLS,) * 3, self.voxel_size_m, self.T_world_grid)
 
 
@@ -154,13 +154,13 @@ AnyPair = TypeVar("AnyPair", Pair, PairInput)
 
 
 def unknown_share(full: Packed, known: Packed) -> float:
-    """Share of the cells of a packed shape that are not known; 0 of an empty one."""
+    """Return the share of the cells of a packed shape that are not known; 0 if the shape is empty."""
     cells = packed_count(full)
     return (cells - packed_count(full & known)) / cells if cells else 0.0
 
 
 def packed_count(packed: Packed) -> int:
-    """The number of bits set in a contiguous packed grid of a multiple of 8 bytes."""
+    """Count the set bits of a packed grid, which must be contiguous, its bytes a multiple of 8."""
     return int(np.bitwise_count(packed.reshape(-1).view(np.uint64)).sum())
 
 
@@ -204,7 +204,7 @@ def _read(kind: type[AnyPair], path: Path) -> AnyPair:
 
 
 def pair_content(path: Path) -> bytes:
-    """The bytes of a pair file, unchecked.
+    """Return the bytes of a pair file, unchecked.
 
     Raises:
         PairError: it is missing, too large, or cannot be read.
@@ -216,10 +216,10 @@ def pair_content(path: Path) -> bytes:
 
 
 def pair_values(content: bytes, where: str) -> Arrays:
-    """The arrays of an untrusted pair file by key, unchecked.
+    """Return {key: array} of an untrusted pair file; keys, shapes and dtypes are not checked.
 
     Raises:
-        PairError: damaged, or claiming to hold more than a pair; the message begins with `where`.
+        PairError: the file is damaged, or claims to hold more than a pair; the message begins with `where`.
     """
     try:
         return arrays_of(io.BytesIO(content), MAX_BYTES)
@@ -228,7 +228,7 @@ def pair_values(content: bytes, where: str) -> Arrays:
 
 
 def pair_parts(content: bytes, names: Collection[str]) -> list[FileArray]:
-    """Some arrays of a pair file's bytes, checked, in the order of `names`; the others are not unpacked.
+    """Return some arrays of a pair file, checked, in the order of `names`; the others are not unpacked.
 
     A key that files of earlier versions lack has its default.
 
@@ -243,10 +243,10 @@ def pair_parts(content: bytes, names: Collection[str]) -> list[FileArray]:
 
 
 def checked_parts(values: Arrays, names: Collection[str]) -> Arrays:
-    """Check the arrays of a pair that `names` lists, and return all of them.
+    """Check the shapes and dtypes of the arrays that `names` lists; return `values`.
 
     Raises:
-        ValueError: one of them is wrong.
+        ValueError: one of these arrays is wrong.
     """
     if fault := _fault_in(values, names):
         raise ValueError(fault)
@@ -254,7 +254,7 @@ def checked_parts(values: Arrays, names: Collection[str]) -> Arrays:
 
 
 def pair_keys(content: bytes) -> tuple[str, ...]:
-    """The keys of a pair file's bytes; nothing is unpacked.
+    """Return the keys of a pair file, given its bytes; nothing is unpacked.
 
     Raises:
         UNREADABLE: one of these exceptions, if it is damaged.
@@ -264,7 +264,7 @@ def pair_keys(content: bytes) -> tuple[str, ...]:
 
 
 def keys_there(names: Sequence[str], content: bytes) -> list[str]:
-    """The given keys, without optional ones that this file lacks.
+    """Return `names` without those optional keys that the pair file (`content`) lacks.
 
     Raises:
         UNREADABLE: one of these exceptions, if it is damaged.
@@ -293,13 +293,13 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[np.generic]],
 
 
 def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
-    """Defaults, by key, of the keys that older files of this format version may lack; none for `OPTIONAL`."""
+    """Return {key: default} of the keys that older files may lack, except the keys in `OPTIONAL`."""
     defaults = {f.name: f.default for f in fields(kind) if f.name not in OPTIONAL}
     return {name: np.asarray(value) for name, value in defaults.items() if value is not MISSING}
 
 
 def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
-    """What is wrong with a pair file's format version, in words; None if nothing is."""
+    """Return what is wrong with a pair file's format version, in words; None if nothing is."""
     version = values.get(VERSION_KEY, np.asarray(0))
     if version.shape != () or version.dtype.kind not in "iu" or version.item() != FORMAT_VERSION:
         return f"written in another format version; this package reads {FORMAT_VERSION}"
@@ -307,7 +307,7 @@ def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
 
 
 def _fault_in(values: Mapping[str, NDArray[np.generic]], names: Collection[str]) -> str | None:
-    """What is wrong with the first bad value among `names`, in words; None if all are right."""
+    """Return what is wrong with the first bad array among `names`, in words; None if all are right."""
     for name, shape in PACKED_SHAPES.items():
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"

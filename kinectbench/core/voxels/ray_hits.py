@@ -14,13 +14,13 @@ UNSEEN, OUTSIDE, INSIDE, NEUTRAL = range(4)
 
 @dataclass(frozen=True)
 class RayHits:
-    """Counts of what rays in 26 directions from each UNSEEN voxel hit first; uint8, zeros elsewhere.
+    """Counts of what rays in 26 directions from each UNSEEN voxel hit first; uint8, 0 at other voxels.
 
     Attributes:
-        inside: directions that meet INSIDE.
-        outside: directions that meet OUTSIDE, or leave the grid.
-        level_outside: the same as `outside`, for the 8 level directions alone.
-        sky: 1 where the ray straight up meets OUTSIDE, or leaves the grid.
+        inside: number of rays that hit INSIDE.
+        outside: number of rays that hit OUTSIDE, or leave the grid.
+        level_outside: the same as `outside`, of the 8 level rays only.
+        sky: 1 where the ray straight up hits OUTSIDE, or leaves the grid.
     """
 
     inside: NDArray[np.uint8]
@@ -30,12 +30,12 @@ class RayHits:
 
     @property
     def enclosed(self) -> Float32:
-        """INSIDE hits as a share of INSIDE and OUTSIDE hits; 0 without hits."""
+        """The share inside / (inside + outside) of each voxel; 0 if both are 0."""
         return enclosed_shares()[self.inside, self.outside]
 
 
 def enclosed_shares() -> Float32:
-    """Table (27, 27) float32 of INSIDE / (INSIDE + OUTSIDE) by both numbers of hits; 0 without hits."""
+    """Return a table (27, 27) float32 with i / (i + j) at [i, j], 0 at [0, 0]: i hits inside, j outside."""
     inside, outside = np.indices((27, 27), np.float32)
     return np.asarray(inside / np.maximum(inside + outside, np.float32(1)), np.float32)
 
@@ -46,7 +46,7 @@ def cast_26_rays(state: NDArray[np.uint8]) -> RayHits:
     It takes 26 sweeps over the grid, and is linear in voxels.
 
     Args:
-        state: (nx, ny, nz) uint8 of UNSEEN, OUTSIDE (seen empty, neighbours), INSIDE (of the object) and
+        state: (nx, ny, nz) uint8: UNSEEN, OUTSIDE (seen empty, or another object), INSIDE (of the object) or
             NEUTRAL (below the floor).
     """
     return RayHits(*_cast_26_rays(np.pad(state, 1, constant_values=OUTSIDE)))
@@ -54,7 +54,7 @@ def cast_26_rays(state: NDArray[np.uint8]) -> RayHits:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cast_26_rays(state):  # type: ignore[no-untyped-def]
-    """See `cast_26_rays`; the state has a border of one voxel."""
+    """Return the arrays of `RayHits`; `state` has an extra border of one OUTSIDE voxel on each side."""
     nx, ny, nz = state.shape[0] - 2, state.shape[1] - 2, state.shape[2] - 2
     inside, outside, level_outside, sky = (
         np.zeros((nx, ny, nz), np.uint8),
@@ -96,7 +96,7 @@ def _count_hits(own, hits, code, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _walk_column(own, hits, dz):  # type: ignore[no-untyped-def]
-    """Set the first hits of a column of voxels straight up or down, one voxel after the other."""
+    """Set in `hits` what each voxel of a column hits first upwards (dz = 1) or downwards (dz = -1)."""
     n = len(own)
     for c in range(1, n - 1):
         k = n - 1 - c if dz > 0 else c

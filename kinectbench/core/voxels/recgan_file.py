@@ -18,7 +18,7 @@ MAX_BYTES = MAX_CELLS**3 + (64 << 10)
 
 
 def recgan_file_bytes(cells: Bools) -> bytes:
-    """Convert a grid (nx, ny, nz) bool in our axes to the bytes of the authors' file.
+    """Convert a grid (nx, ny, nz) bool (x right, y down, z forward) to the bytes of the authors' file.
 
     The file has the key `arr_0`: int8, (x, y, z, 1), x to the left, y up. Their back-projection is x = -(u -
     w/2) z / f, y = -(v - h/2) z / f, so theirs is ours with x and y reversed.
@@ -28,7 +28,7 @@ def recgan_file_bytes(cells: Bools) -> bytes:
 
 
 def read_recgan_file(path: Path) -> Bools:
-    """Read the authors' file as a grid (256, 256, 256) bool in our axes.
+    """Read the authors' file as a grid (256, 256, 256) bool: x right, y down, z forward.
 
     Other sizes are centred as their readers do it: pad in front (256 - d) // 2, or crop (d - 256) // 2.
 
@@ -51,12 +51,12 @@ def read_recgan_file(path: Path) -> Bools:
 
 
 def _is_binary(cells: NDArray[np.generic]) -> bool:
-    """Whether a grid holds only 0 and 1; checked slab by slab to save memory."""
+    """Return whether a grid holds only 0 and 1; it is checked slab by slab to save memory."""
     return all(bool(((slab == 0) | (slab == 1)).all()) for slab in cells)
 
 
 def _centring(count: int) -> tuple[slice, slice]:
-    """Slices that crop or pad `count` cells to 256 about the centre."""
+    """Return (source, target) slices along an axis that centre `count` cells in 256: they crop or pad."""
     crop, pad = max(0, (count - FULL_CELLS) // 2), max(0, (FULL_CELLS - count) // 2)
     kept = min(count, FULL_CELLS)
     return slice(crop, crop + kept), slice(pad, pad + kept)

@@ -1,4 +1,4 @@
-"""Resampling of cubes: predictions up to the 256-grid, occupancy down to the 64-grid."""
+"""Resampling of cubes: predictions to 256 cells a side, occupancy to a quarter of its cells a side."""
 
 from collections.abc import Iterator
 
@@ -21,10 +21,10 @@ def upsampled_planes(
 ) -> Iterator[Float64]:
     """Resample a cube trilinearly; yield it plane by plane along x.
 
-    "half-pixel": cell centres to cell centres, edges clamped. The same as `scipy.ndimage.zoom(order=1,
-    grid_mode=True, mode="nearest")` where the cube grows; a cube that shrinks is sampled by the same formula,
-    without smoothing. "corner-aligned": the centres of the outermost cells onto each other, the default of
-    `scipy.ndimage.zoom(order=1)`, for comparison with figures that were computed so.
+    Convention "half-pixel" maps the cubes' faces onto each other, edges clamped, as does
+    `scipy.ndimage.zoom(order=1, grid_mode=True, mode="nearest")` if the cube grows; a cube that shrinks is
+    sampled by the same formula, without smoothing. "corner-aligned" maps the centres of the outermost cells
+    onto each other, as `scipy.ndimage.zoom(order=1)` does, for comparison with figures computed so.
 
     Args:
         values: (n, n, n), n at most 512, any real dtype or bool; converted to float64 first.
@@ -63,7 +63,7 @@ def upsampled_planes(
 
 
 def _taps(n: int, side: int, convention: str) -> tuple[Int64, Int64, Float64]:
-    """For each output cell: its two input cells, and the weight of the second."""
+    """Return for each of `side` output cells its two input cells of `n`, and the weight of the second."""
     if convention == CORNER_ALIGNED:
         position = np.arange(side) * ((n - 1) / max(side - 1, 1))
     else:

@@ -12,12 +12,12 @@ def expand_rows(plane: Float64, lower: Int64, upper: Int64, weight: Float64) -> 
 
     Args:
         plane: (n, m) values.
-        lower: (side,) the first of the two columns that each new one lies between.
-        upper: (side,) the second.
-        weight: (side,) of the second, in [0, 1].
+        lower: (side,) index of the input column at or before each output column.
+        upper: (side,) index of the input column after it.
+        weight: (side,) weight of the `upper` column, in [0, 1]; that of `lower` is 1 - weight.
 
     Returns:
-        (n, side).
+        (n, side) values.
     """
     n, side = plane.shape[0], len(lower)
     rows = np.empty((n, side))
@@ -32,15 +32,15 @@ def expand_rows(plane: Float64, lower: Int64, upper: Int64, weight: Float64) -> 
 def plane_between(
     first: Float64, second: Float64, share: float, lower: Int64, upper: Int64, weight: Float64, out: Float64
 ) -> None:
-    """Interpolate between two planes of rows, and then between the rows.
+    """Interpolate between two planes of a cube, and within the resulting plane between its rows.
 
     Args:
-        first: (n, side), as `expand_rows` makes them.
-        second: likewise, of the next plane.
-        share: of the second plane, in [0, 1].
-        lower: (side,) of the rows, as for `expand_rows`.
-        upper: likewise.
-        weight: likewise.
+        first: (n, side), a plane that `expand_rows` has made `side` wide.
+        second: the next plane, the same way.
+        share: weight of `second`, in [0, 1].
+        lower: (side,) index of the input row at or before each output row.
+        upper: (side,) index of the input row after it.
+        weight: (side,) weight of the `upper` row, in [0, 1].
         out: (side, side), receives the result.
     """
     rows = np.empty(first.shape)

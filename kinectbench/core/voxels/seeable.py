@@ -52,25 +52,25 @@ def seen_from_outside(
     limits: SensorLimits,
     seen: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
-    """Voxels that some admissible line of sight reaches, and whether its camera is above or below.
+    """Find the voxels that a camera outside an obstacle could see, and whether from above or from below.
 
-    The axis of a line keeps half its width from the obstacle and from the plane; the reached space is then
-    dilated by as much, but never into the obstacle. Cameras can be where a ball of their size gets from
-    beyond the grid.
+    A line of sight has a width: its axis keeps half of it from the obstacle and from the plane, and the space
+    that axes reach is then dilated by half, but not into the obstacle. A camera can be where a ball of its
+    size can be moved to from outside the grid.
 
     Args:
         obstacle: bool (nx, ny, nz), what lines and cameras do not cross; its last axis points up.
-        heights_m: (nz,) float32, heights of the layers' middles above the plane that it stands on, metres;
-            None: no plane.
+        heights_m: (nz,) float32, heights of the layers' middles above the plane that the obstacle stands on,
+            metres; None: no plane.
         voxel_size_m: edge of a voxel, metres.
-        limits: of the sensor.
+        limits: width of lines of sight, and size, least height and least distance of cameras.
         seen: the result for wider lines, if known: narrower lines reach those voxels, too.
 
-    The result is exact to a voxel: a slot up to one voxel wider than a line may count as closed.
+    The result is exact to a voxel: a gap up to one voxel wider than a line may count as closed.
 
     Returns:
-        uint8 of the same shape: FROM_ABOVE (by a camera as high or higher), FROM_BELOW, both, or 0; 0 in the
-        obstacle. A voxel seen FROM_ABOVE may lack the bit FROM_BELOW.
+        uint8 of the same shape: FROM_ABOVE (by a camera as high or higher), FROM_BELOW, both, or 0 if not
+        seen; 0 in the obstacle. A voxel seen FROM_ABOVE may lack the bit FROM_BELOW.
     """
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     if seen is None:
@@ -84,14 +84,13 @@ def seen_from_outside(
 
 @dataclass(frozen=True)
 class Sight:
-    """How some admissible line of sight reaches each voxel.
+    """From where cameras could see each voxel.
 
     Attributes:
-        any_way: uint8 of `core.voxels.lines_of_sight`, 0 if none does.
-        from_above: bool, by a level line or one that looks down, from a camera that did not rise through
-            unseen space below an object.
+        any_way: (nx, ny, nz) uint8: FROM_ABOVE, FROM_BELOW, both, or 0 if no camera could see the voxel.
+        from_above: (nx, ny, nz) bool, seen level or from above by a camera in a position of `lower`.
         space: where lines pass and cameras can be.
-        lower: `space` without the cameras that rose through unseen space.
+        lower: `space` without the camera positions reached only by rising into an object from below.
     """
 
     any_way: NDArray[np.uint8]
@@ -101,7 +100,7 @@ class Sight:
 
     @property
     def only_from_below(self) -> Bools:
-        """Voxels reached only by lines that look up, or by cameras that rose through unseen space."""
+        """Mask of voxels seen only from below, or only from camera positions that `lower` excludes."""
         below: Bools = (self.any_way > 0) & ~self.from_above
         return below
 
@@ -114,14 +113,14 @@ def swept_from_outside(
     limits: SensorLimits,
     to_camera: Float64,
 ) -> Sight:
-    """Like `seen_from_outside`, but only along the given directions, so that narrow gaps cost no more time.
+    """Do as `seen_from_outside`, but only along some directions: fast, but may miss narrow gaps.
 
     Args:
         obstacle: bool (nx, ny, nz), as for `seen_from_outside`.
-        empty: bool (nx, ny, nz), seen to be empty; the rest counts as unseen.
+        empty: bool (nx, ny, nz), voxels that the recording saw to be empty; all others count as unseen.
         heights_m: as for `seen_from_outside`.
         voxel_size_m: edge of a voxel, metres.
-        limits: of the sensor.
+        limits: as for `seen_from_outside`.
         to_camera: (n, 3) unit vectors, from a point to a camera.
     """
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
@@ -134,14 +133,14 @@ def swept_from_outside(
 
 
 def without_rising(space: Space, empty: Bools) -> Space:
-    """The same space without the camera positions that are reached only by rising into an object from below.
+    """Return the space without camera positions that are reached only by rising into an object from below.
 
-    A camera below an object on legs could otherwise rise through its unseen underside. Where walls stand
-    around the camera, it came in through a side, and may rise: a cabinet is higher than its door.
+    A camera below an object on legs could otherwise rise through its unseen underside. Where walls surround
+    a camera, it came in through a side, and may rise: a cabinet is higher than its door.
 
     Args:
         space: where lines pass and cameras can be.
-        empty: bool of the same shape, seen to be empty; the rest counts as unseen.
+        empty: bool of the same shape, voxels that were seen to be empty; all others count as unseen.
     """
     from scipy import ndimage
 
@@ -161,10 +160,10 @@ def without_rising(space: Space, empty: Bools) -> Space:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
-    """Camera positions reached from beyond the grid by steps to 6 neighbours, upwards only if `may_enter`.
+    """Return the camera positions, of `place`, that a camera reaches from outside the grid voxel by voxel.
 
-    Cameras enter through the grid's lowest layer only where `may_enter` is set, and through its other sides
-    anywhere.
+    It moves to any of 6 neighbours, but upwards only into voxels where `may_enter` is set. It enters
+    the grid through the lowest layer only at such voxels, and through the other sides anywhere.
     """
     nx, ny, nz = place.shape
     reached = np.zeros(place.shape, np.bool_)
@@ -196,7 +195,7 @@ def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
-    """How many of eight level rays, along axes and diagonals, meet no obstacle: uint8; 0 if not `asked`."""
+    """Count the level rays of each `asked` voxel, 8 along axes and diagonals, that no BLOCKED voxel stops."""
     nx, ny, nz = state.shape
     ways = np.zeros(state.shape, np.uint8)
     for i in range(nx):
@@ -217,7 +216,11 @@ def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _open_below(state, ways):  # type: ignore[no-untyped-def]
-    """Whether at or straight below a voxel, with no obstacle between, most level rays lead out."""
+    """Return a mask of voxels that are open below.
+
+    Such a voxel has at or straight below it, with no BLOCKED voxel between, one with at least `OPEN_WAYS` in
+    `ways`, which is the result of `_level_ways_out`.
+    """
     nx, ny, nz = state.shape
     below = np.zeros(state.shape, np.bool_)
     for i in range(nx):
@@ -232,7 +235,7 @@ def _open_below(state, ways):  # type: ignore[no-untyped-def]
 def line_space(
     obstacle: Bools, heights_m: Float32 | None, voxel_size_m: float, limits: SensorLimits
 ) -> Space:
-    """The space where axes of lines of sight pass and cameras can be; arguments as in `seen_from_outside`."""
+    """Find where axes of lines of sight pass and cameras can be; arguments as in `seen_from_outside`."""
     heights = np.full(obstacle.shape[2], np.inf, np.float32) if heights_m is None else heights_m
     half_m = limits.line_width_m / 2
     farthest_m = max(half_m, limits.camera_size_m / 2) + voxel_size_m
@@ -246,14 +249,14 @@ def line_space(
 def _grown(
     reached: NDArray[np.uint8], obstacle: Bools, voxel_size_m: float, limits: SensorLimits
 ) -> NDArray[np.uint8]:
-    """The space reached by axes of lines, dilated by half their width."""
+    """Dilate `reached`, voxels on axes of lines of sight, by half a line's width, not into the obstacle."""
     # Half a voxel more, or layers right at the obstacle would be missed by rounding.
     return np.asarray(_grown_back(reached, obstacle, limits.line_width_m / 2 / voxel_size_m + 0.5))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
-    """`reached`, dilated by a ball around each voxel, but not into the obstacle."""
+    """Dilate `reached` (bits) by a ball of `radius` voxels, but not into the obstacle."""
     nx, ny, nz = reached.shape
     most = int(radius)
     grown = reached.copy()
@@ -275,16 +278,16 @@ def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class SeeableSolid:
-    """An exact solid and what is object around it by definition, on an upright grid; arrays have its shape.
+    """A mesh's solid, and the space that counts as object because no camera could see it; (nx, ny, nz) masks.
 
     Attributes:
-        limits: by which it was found.
-        grid: upright; its lowest layer stands on the plane, if there is one.
-        exact_m3: volume of the exact solid.
-        solid: bool, the voxel's centre lies in the exact solid.
-        closed: bool, it does not, but no camera could see the voxel: object by definition.
-        slit: bool, closed, but not scored: lines of half the width reach it, or it is a wall thinner than a
-            voxel.
+        limits: line width and camera limits that decide what a camera could see.
+        grid: the masks' grid, z up; it begins at the plane that the object stands on, if there is one.
+        exact_m3: volume inside the mesh, cubic metres.
+        solid: voxels whose centre lies inside the mesh.
+        closed: voxels whose centre lies outside the mesh, but that no camera could see.
+        slit: the `closed` voxels that are not scored: lines of sight of half the width reach them, or they
+            are on a wall thinner than a voxel.
     """
 
     limits: SensorLimits
@@ -296,19 +299,19 @@ class SeeableSolid:
 
     @property
     def closed_share(self) -> float:
-        """Volume that is object only by definition and is scored, relative to the exact solid."""
+        """Volume of the `closed` voxels that are scored, relative to `exact_m3`."""
         return self._over_exact(self.closed & ~self.slit)
 
     @property
     def slit_share(self) -> float:
-        """Volume that is not scored, relative to the exact solid."""
+        """Volume of the `slit` voxels, relative to `exact_m3`."""
         return self._over_exact(self.slit)
 
     def _over_exact(self, voxels: Bools) -> float:
         return float(voxels.sum()) * self.grid.voxel_size_m**3 / self.exact_m3
 
     def on(self, grid: Grid, which: Bools) -> Bools:
-        """One of its arrays resampled to another grid by the nearest voxel; False beyond."""
+        """Resample `which`, one of the masks, to another grid by the nearest voxel; False outside."""
         if not which.any():
             return np.zeros(grid.shape, bool)
         T = self.grid.T_grid_world @ grid.T_world_grid
@@ -319,7 +322,7 @@ class SeeableSolid:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(which, T_cells, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """The nearest value for each cell of another grid; (3, 4) maps its cells to those of `which`."""
+    """Return the nearest value of `which` for each cell of a grid; `T_cells` (3, 4) maps to its voxels."""
     result = np.zeros((nx, ny, nz), np.bool_)
     mx, my, mz = which.shape
     for i in range(nx):
@@ -337,15 +340,15 @@ def _nearest(which, T_cells, nx, ny, nz):  # type: ignore[no-untyped-def]
 def seeable_solid(
     mesh_world: TriangleMesh, T_world_upright: Float64, limits: SensorLimits, *, stands: bool = True
 ) -> SeeableSolid:
-    """Find the space in and around a closed mesh that is object under the definition.
+    """Find the solid inside a closed mesh, and the space around it that no camera could see.
 
     Walls thinner than a voxel, which contain no voxel's centre, occlude like thick ones.
 
     Args:
-        mesh_world: closed, metres.
-        T_world_upright: (4, 4), a frame with z up whose plane z = 0 the object stands on.
-        limits: of the sensor.
-        stands: False: there is no plane, and cameras may be anywhere.
+        mesh_world: closed mesh, world frame, metres.
+        T_world_upright: (4, 4), from the upright frame to the world: z is up, the object stands on z = 0.
+        limits: width of lines of sight, and size, least height and least distance of cameras.
+        stands: whether the object stands on a plane; if not, cameras may be anywhere around it.
 
     Raises:
         ShapeError: the mesh is empty, or lies below the plane.
@@ -382,7 +385,7 @@ def seeable_solid(
 
 
 def _thin(surface: Bools, solid: Bools) -> Bools:
-    """Voxels on the surface of walls so thin that none of the voxels around (26) is solid."""
+    """Return the surface voxels that neither are solid nor have a solid neighbour (26): very thin walls."""
     from scipy import ndimage
 
     thin: Bools = surface & ~ndimage.binary_dilation(solid, np.ones((3, 3, 3)))

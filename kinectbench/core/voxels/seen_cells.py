@@ -22,7 +22,7 @@ NONE, ALL, SOME = 0, 1, 2
 def seen_cells(
     depth_m: Float32, camera: Camera, T_world_camera: Float64, grid: Grid, *, noisy: bool = True
 ) -> NDArray[np.uint8]:
-    """Cells in the view's frustum with a valid depth d and z <= d + 2 sigma(d) + one voxel.
+    """Return the cells that a view sees, up to just behind its depth d: z <= d + 2 sigma(d) + one cell.
 
     The whole image counts, unmasked; a pixel without depth sees nothing, and cells outside the image are not
     seen.
@@ -30,9 +30,9 @@ def seen_cells(
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         camera: intrinsics.
-        T_world_camera: (4, 4); must have the grid's orientation.
+        T_world_camera: (4, 4), camera to world; must have the grid's orientation.
         grid: a grid in the view's optical axes; its sides must be multiples of 8.
-        noisy: the depth has a sensor's noise; else sigma is 0.
+        noisy: whether the depth has a sensor's noise; else its standard deviation sigma is 0.
 
     Returns:
         (nx, ny, nz / 8) uint8, packed along z.
@@ -50,14 +50,18 @@ def seen_cells(
 
 
 def _pixels(exact: Float64, count: int) -> NDArray[np.uint32]:
-    """The pixels that coordinates fall on; `count` outside the image and behind the camera (NaN)."""
+    """Round coordinates, pixels, to the nearest of `count` pixels; `count` outside the image, or if NaN."""
     nearest = np.rint(exact)
     return np.where((nearest >= 0) & (nearest < count), nearest, count).astype(np.uint32)
 
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
-    """How many layers of cells each pixel sees; an extra row and column stand for outside the image."""
+    """Return for each pixel how many layers of cells along z it sees, from the first layer on.
+
+    `z` has the layers' middles; `depth`, `sigma`, `voxel` and `z` are in metres. An extra row and column of 0
+    stand for pixels outside the image.
+    """
     reach = np.zeros((depth.shape[0] + 1, depth.shape[1] + 1), np.uint16)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
@@ -76,7 +80,7 @@ def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _tiles(reach):  # type: ignore[no-untyped-def]
-    """The least and the greatest `reach` in each tile of pixels."""
+    """Return the least and the greatest `reach` (layers that a pixel sees) in each tile of 4 x 4 pixels."""
     height, width = reach.shape
     least = np.full(((height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1), 65535, np.uint16)
     greatest = np.zeros_like(least)
@@ -90,7 +94,15 @@ def _tiles(reach):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
-    """The seen cells, packed, block by block: mostly the tiles of pixels decide for a whole block."""
+    """Return the seen cells, packed; mostly the tiles of pixels decide for a whole block of 8^3 cells.
+
+    Args:
+        reach: result of `_reach`, layers that each pixel sees.
+        tiles: result of `_tiles`.
+        columns: (nx, nz), the pixel column into which cells at x and z project.
+        rows: (ny, nz), the pixel row into which cells at y and z project.
+        nz: number of layers.
+    """
     nx, ny = len(columns), len(rows)
     packed = np.zeros((nx, ny, nz // BLOCK), np.uint8)
     lefts, rights = _ranges(columns)
@@ -113,7 +125,7 @@ def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _ranges(pixels):  # type: ignore[no-untyped-def]
-    """The least and the greatest pixel coordinate of each 8 x 8 cells, outside the image included."""
+    """Return the least and the greatest pixel coordinate of each block of 8 x 8 cells."""
     first = np.empty((pixels.shape[0] // BLOCK, pixels.shape[1] // BLOCK), np.int64)
     last = np.empty_like(first)
     for i in range(first.shape[0]):
@@ -125,7 +137,11 @@ def _ranges(pixels):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
-    """Whether all or none of a block's cells, in eight layers, are seen; SOME: test each cell."""
+    """Return ALL or NONE if all or none of a block's cells are seen; SOME: each cell must be tested.
+
+    `span` is the block's first and last pixel column and row, `shape` that of the array of pixels with its
+    extra row and column, and `first` the first of the block's eight layers.
+    """
     left, right, top, bottom = span
     if left == shape[1] - 1 or top == shape[0] - 1:
         return NONE
@@ -143,7 +159,11 @@ def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _set_cells(block, reach, columns, rows, first):  # type: ignore[no-untyped-def]
-    """Set the bytes (8, 8) of a block, testing each of 8 cells along z."""
+    """Set the bytes (8, 8) of a block, testing each of 8 cells along z.
+
+    A cell is seen if its layer, counted from `first` for the block, is less than `reach` at its pixel, which
+    `rows` (8, 8) and `columns` (8, 8) give.
+    """
     for a in range(BLOCK):
         for b in range(BLOCK):
             bits = 0

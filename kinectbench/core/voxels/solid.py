@@ -20,7 +20,7 @@ MAX_IN_A_COLUMN = 4096
 
 
 def snapped_cells(vertices_world: Float64, grid: Grid) -> Int64:
-    """Vertices (n, 3), metres, as int64 multiples of 2^-16 cell from the grid's corner."""
+    """Return vertices (n, 3), metres, as int64 multiples of 2^-16 cell from the grid's corner."""
     subcells = grid.T_grid_world[:3] * (SUBCELL / grid.voxel_size_m)
     return np.asarray(_snap(np.ascontiguousarray(vertices_world, dtype=np.float64), subcells))
 
@@ -39,23 +39,23 @@ def _snap(vertices, affine):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def crossings(fixed, faces, axes, start, shape, touching):  # type: ignore[no-untyped-def]
-    """Every crossing of a mesh with the lines along one axis through a square lattice.
+    """Find all crossings of a mesh with parallel lines, which form a square lattice.
 
     A face that is seen edge-on along the lines crosses none.
 
     Args:
-        fixed: (n, 3) int64, snapped vertices.
+        fixed: (n, 3) int64, vertices from `snapped_cells`.
         faces: (m, 3) int32.
-        axes: (u, v, w): the lines run along w.
+        axes: (u, v, w), a permutation of (0, 1, 2): the lines run along w.
         start: where line (0, 0) passes, in both u and v, int in multiples of 2^-16 cell; lines are one cell
             apart.
-        shape: (nu, nv): number of lines.
+        shape: (nu, nv), number of lines along u and v.
         touching: whether a face also crosses lines through its border. If not, it owns its left and top
             edges only, so that a line through an edge crosses one of the two faces that share it.
 
     Returns:
-        lines (k,) int64, i nv + j; heights (k,) float64 along w, in cells; signs (k,) int8, 1 where the
-        face looks down w (a solid begins), -1 where it looks up (it ends).
+        lines (k,) int64, i nv + j for line (i, j); heights (k,) float64 along w, in cells; signs (k,) int8,
+        1 where the face looks down w (a solid begins), -1 where it looks up (it ends).
     """
     nu, nv = shape
     count, capacity = 0, 4096
@@ -80,7 +80,10 @@ def crossings(fixed, faces, axes, start, shape, touching):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
-    """The first and the last of `count` lines that may cross a triangle, along one axis."""
+    """Return the first and the last of `count` lines side by side along u that may cross a triangle.
+
+    `a`, `b`, `c` are its vertices' indices in `fixed`; line 0 passes at `start`.
+    """
     low = min(fixed[a, u], fixed[b, u], fixed[c, u]) - start
     high = max(fixed[a, u], fixed[b, u], fixed[c, u]) - start
     # Shifts, because a signed division is ten times as slow; both round down.
@@ -89,7 +92,11 @@ def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
-    """A triangle's corners (x, y, z) along u, v, w, oriented to face w; twice its area; its sign."""
+    """Return a triangle's nine coordinates along u, v, w, twice its area across w, its sign in `crossings`.
+
+    The corners are ordered counter-clockwise seen from w; u and v are counted from `start`. `a`, `b`, `c` are
+    indices in `fixed`.
+    """
     u, v, w = axes
     ax, ay, az = fixed[a, u] - start, fixed[a, v] - start, fixed[a, w]
     bx, by, bz = fixed[b, u] - start, fixed[b, v] - start, fixed[b, w]
@@ -103,7 +110,11 @@ def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
 # Inlined, because a call counts references to its arrays, which takes longer than the work.
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _cross(corners, i0, i1, j0, j1, nv, touching, count, lines, heights, signs):  # type: ignore[no-untyped-def]
-    """Add one triangle's crossings with the lines [i0, i1] x [j0, j1]; returns the new count."""
+    """Write one triangle's crossings with the lines i0..i1 along u, j0..j1 along v; return the new count.
+
+    `corners` is the result of `_upward`; the crossings go to `lines`, `heights` and `signs` from index
+    `count` on. `nv` and `touching` are as in `crossings`.
+    """
     ax, ay, az, bx, by, bz, cx, cy, cz, area, sign = corners
     if area == 0:
         return count
@@ -137,14 +148,14 @@ def _longer(values, count, capacity):  # type: ignore[no-untyped-def]
 
 
 def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]) -> bool:
-    """Whether an untrusted mesh may cross more lines of a grid than any mesh of a real object does.
+    """Return whether an untrusted mesh may cross more lines of a grid than any mesh of a real object does.
 
-    The columns that each face can cross are bounded by its rectangle; faces outside cross none.
+    A face is counted at all lines through its bounding rectangle.
 
     Args:
-        vertices_cells: (n, 2) float64, finite, across the lines, in cells from the grid's corner.
+        vertices_cells: (n, 2) float64, finite, along the two axes across the lines, in cells from the corner.
         faces: (m, 3) int32.
-        shape: number of lines along both.
+        shape: number of lines along each of these axes.
     """
     total, most = _crossable(np.ascontiguousarray(vertices_cells), faces, shape)
     return bool(total > MAX_CROSSINGS or most > MAX_IN_A_COLUMN)
@@ -152,7 +163,7 @@ def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]
 
 @numba.njit(cache=True, nogil=True)
 def _crossable(vertices, faces, shape):  # type: ignore[no-untyped-def]
-    """How many columns all faces can cross together, and how many faces can cross the same column."""
+    """Return how many pairs of a face and a line may cross, and at most how many faces one line."""
     nu, nv = shape
     # How many more rectangles cover a column than the one before, along both sides.
     steps = np.zeros((nu + 3, nv + 3), np.int64)
@@ -181,13 +192,13 @@ def _crossable(vertices, faces, shape):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _columns(a, b, c, most):  # type: ignore[no-untyped-def]
-    """The first and the last cell of three coordinates along one side, from -1 to `most`."""
+    """Return the least and the greatest of three coordinates as cells, at least -1 and at most `most`."""
     low, high = np.floor(min(a, b, c)), np.floor(max(a, b, c))
     return np.int64(min(max(low, -1.0), most)), np.int64(min(max(high, -1.0), most))
 
 
 def voxelize_solid(vertices_world: Float64, faces: Int32, grid: Grid) -> NDArray[np.uint8]:
-    """Cells of a grid with their centre inside a closed mesh.
+    """Return the cells of a grid that have their centre inside a closed mesh.
 
     Every column of cells along z is crossed by the triangles above and below it; a cell is inside
     where the signed crossings below its centre do not cancel (non-zero winding number). Defined here;

@@ -14,7 +14,7 @@ JUDGED_FACES = 20_000
 
 
 def spacing_m(mesh: TriangleMesh) -> float:
-    """The distance between a mesh's neighbouring vertices, metres: 95 % of its edges are shorter.
+    """Return the spacing of a mesh's vertices, metres: 95 % of its edges are shorter.
 
     With smaller cells, neighbouring vertices of a continuous surface might not lie in touching cells. A
     mesh without faces has spacing 0.
@@ -30,9 +30,9 @@ class SurfacePoints:
 
     Attributes:
         points: (n, 3) float64, metres: mean of the mesh vertices in the cell.
-        normals: (n, 3) float64, unit: their mean normal.
-        cells: (n, 3) int64, the cell each lies in.
-        owner: (v,) int64, the index of the point that each vertex of the mesh belongs to.
+        normals: (n, 3) float64, unit vectors: mean normal of these vertices.
+        cells: (n, 3) int64, index of each point's cell along x, y and z.
+        owner: (v,) int64, for each vertex of the mesh the index of its cell's point.
     """
 
     points: Float64
@@ -42,7 +42,7 @@ class SurfacePoints:
 
 
 def surface_points(mesh: TriangleMesh, cell_m: float) -> SurfacePoints:
-    """The vertices of a mesh, `thinned`, with normals weighted by the area of the faces around them."""
+    """Thin a mesh's vertices to one point a cell (`thinned`); normals are weighted by the faces' area."""
     corners = mesh.vertices[mesh.faces]
     face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.zeros_like(mesh.vertices)
@@ -55,9 +55,9 @@ def surface_points(mesh: TriangleMesh, cell_m: float) -> SurfacePoints:
 
 
 def thinned(points_world: Float64, normals_world: Float64, cell_m: float) -> SurfacePoints:
-    """Thin points (n, 3) out to one per cell, so that their number measures area, not density.
+    """Replace the points (n, 3) in each cubic cell of edge `cell_m` by their mean, so that they lie evenly.
 
-    The length of each of the normals (n, 3) is its weight.
+    Each normal, of (n, 3), counts in the cell's mean by its length.
     """
     of_points = np.floor(points_world / cell_m).astype(np.int64)
     _, first, owner, counts = np.unique(
@@ -79,9 +79,9 @@ def sample_surface(
 
     Args:
         vertices: (v, 3), metres.
-        faces: (f, 3).
+        faces: (f, 3), vertex indices.
         count: number of points.
-        rng: draws the points.
+        rng: random numbers for the points.
 
     Returns:
         Points (count, 3) and their faces' unit normals (count, 3), in the mesh's frame.

@@ -16,11 +16,11 @@ def connected(points: Float64, cell_m: float, through_faces: bool = False) -> In
 
     Args:
         points: (n, 3), metres, n > 0.
-        cell_m: cells of this edge that touch are connected.
-        through_faces: they must share a face; else a corner suffices.
+        cell_m: edge of the cubic cells, metres; touching cells with points in them are connected.
+        through_faces: whether touching cells must share a face; else a corner suffices.
 
     Returns:
-        (n,) int32, from 1, in the order of each piece's first cell (by x, then y, then z).
+        (n,) int32, the piece's number, from 1; pieces are in the order of their first cell by x, then y, z.
     """
     which, pairs = touching_cells(points, cell_m, through_faces)
     labels: Int32 = pieces_of_cells(pairs, int(which.max()) + 1) + np.int32(1)
@@ -28,15 +28,16 @@ def connected(points: Float64, cell_m: float, through_faces: bool = False) -> In
 
 
 def touching_cells(points: Float64, cell_m: float, through_faces: bool = False) -> tuple[Int64, Int64]:
-    """The cell of each point, and the pairs of cells that touch.
+    """Return the cell of each point, and the pairs of cells with points that touch.
 
     Args:
         points: (n, 3), metres, n > 0; their bounding box holds fewer than 2^63 cells.
-        cell_m: edge of the cells.
-        through_faces: cells touch by a face only; else also by an edge or a corner.
+        cell_m: edge of the cells, metres.
+        through_faces: whether cells must share a face to touch; else an edge or a corner suffices.
 
     Returns:
-        (n,) number of each point's cell, counted by x, then y, then z; and (k, 2) numbers of touching cells.
+        (n,) index of each point's cell among the cells with points, sorted by x, then y, then z; and (k, 2)
+        indices of touching cells.
     """
     cells = np.floor(points / cell_m).astype(np.int64)
     cells -= cells.min(axis=0)
@@ -56,10 +57,10 @@ def touching_cells(points: Float64, cell_m: float, through_faces: bool = False) 
 
 
 def pieces_of_cells(pairs: Int64, count: int) -> Int32:
-    """The number (count,), from 0, of the piece that each cell belongs to, in the order of first cells.
+    """Label each cell with its connected piece: (count,), from 0, in the order of the pieces' first cells.
 
     Args:
-        pairs: (k, 2) numbers of cells that touch.
+        pairs: (k, 2) indices of cells that touch.
         count: number of cells.
     """
     from scipy.sparse import coo_array
@@ -70,6 +71,6 @@ def pieces_of_cells(pairs: Int64, count: int) -> Int32:
 
 
 def far_apart(points: Float64, most_m: float) -> Bools:
-    """Which points (n, 3), n > 0, are not in the largest group; groups are more than `most_m` apart."""
+    """Return a mask of the points (n, 3), n > 0, not in the largest group; gaps are over `most_m` wide."""
     label = connected(points, most_m)
     return np.asarray(label != np.argmax(np.bincount(label)))

@@ -17,28 +17,28 @@ MAX_CUT_SHARE = 0.05
 
 
 def object_cube(vertices_world: Float64, T_world_camera: Float64) -> Grid:
-    """Framing `object` (the paper's): a cube centred on the full shape's box in the view's axes.
+    """Return the cube of framing `object` (the paper's), centred on the full shape's box in the view's axes.
 
     Its side is the box's longest extent x 256/252.
 
     Args:
-        vertices_world: (n, 3) of the full shape, metres.
-        T_world_camera: (4, 4), the view.
+        vertices_world: (n, 3) vertices of the full shape, metres.
+        T_world_camera: (4, 4), camera to world; the cube gets the camera's axes.
     """
     low, high = _extent(np.ascontiguousarray(vertices_world), T_world_camera)
     return _cube((low + high) / 2, float((high - low).max()) * OBJECT_SCALE, T_world_camera)
 
 
 def view_cube(points_camera: NDArray[np.floating], T_world_camera: Float64) -> Grid:
-    """Framing `view`: a cube from the partial view alone, which reveals nothing of the hidden part.
+    """Return the cube of framing `view`, which depends on the visible points only, not on the hidden part.
 
-    It is placed by the box of the view's points in the view's axes (0.5 % left out on every side). Its side
-    is 1.4 times the box's longest extent. It is centred on the box in x and y, and begins 0.1 side in front
-    of it in z.
+    Its side is 1.4 times the longest side of the points' bounding box in the view's axes, without the 0.5 %
+    of points farthest out on each side. It is centred on the box in x and y; in z it begins 0.1 of its side
+    in front of the box.
 
     Args:
         points_camera: (n, 3) the view's points on the object, camera frame, metres.
-        T_world_camera: (4, 4), the view.
+        T_world_camera: (4, 4), camera to world; the cube gets the camera's axes.
     """
     # Axis by axis: half the memory, the same values.
     low, high = np.array([np.quantile(along, [0.005, 0.995]) for along in points_camera.T]).T
@@ -50,7 +50,7 @@ def view_cube(points_camera: NDArray[np.floating], T_world_camera: Float64) -> G
 
 
 def _cube(centre_rotated: Float64, side_m: float, T_world_camera: Float64) -> Grid:
-    """A 256-cube in the view's axes; its centre is given along these axes, from the world's origin."""
+    """Return the grid of 256 cells a side in the view's axes; `centre_rotated` is along these."""
     rotation = T_world_camera[:3, :3]
     corner_world = rotation @ (centre_rotated - side_m / 2)
     return Grid((FULL_CELLS,) * 3, side_m / FULL_CELLS, rigid(rotation, corner_world))
@@ -58,7 +58,7 @@ def _cube(centre_rotated: Float64, side_m: float, T_world_camera: Float64) -> Gr
 
 @numba.njit(cache=True, nogil=True)
 def _extent(points_world, T_world_camera):  # type: ignore[no-untyped-def]
-    """The least and the largest coordinates (3,) of points (n, 3), turned into the view's axes."""
+    """Return the least and the largest coordinates (3,) of points (n, 3), rotated into the view's axes."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for n in range(len(points_world)):
         x, y, z = points_world[n, 0], points_world[n, 1], points_world[n, 2]
@@ -69,13 +69,13 @@ def _extent(points_world, T_world_camera):  # type: ignore[no-untyped-def]
 
 
 def depth_cells(depth_m: Float32, mask: Bools, camera: Camera, T_world_camera: Float64, grid: Grid) -> Int64:
-    """The cell, even beyond the grid's bounds, that each pixel of a view's masked depth falls into.
+    """Return the cell that each pixel of a view's masked depth falls into, also outside the grid.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         mask: (height, width) bool, pixels of the object.
         camera: intrinsics.
-        T_world_camera: (4, 4).
+        T_world_camera: (4, 4), camera to world.
         grid: any grid in the world.
 
     Returns:
@@ -90,13 +90,13 @@ def depth_cells(depth_m: Float32, mask: Bools, camera: Camera, T_world_camera: F
 def partial_grids(
     depth_m: Float32, camera: Camera, T_world_camera: Float64, grid: Grid
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """The cells that back-projected depth falls into, at full resolution and by blocks of 4^3 ("any").
+    """Return the cells that back-projected depth falls into, and the blocks of 4^3 cells with any such cell.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none; of the object alone.
         camera: intrinsics.
-        T_world_camera: (4, 4); has the grid's orientation, so that only a shift lies between the frames.
-        grid: in the view's optical axes, sides multiples of 32.
+        T_world_camera: (4, 4), camera to world; must have the grid's orientation.
+        grid: a grid in the view's optical axes; its sides must be multiples of 32.
 
     Returns:
         (nx, ny, nz / 8) and (nx / 4, ny / 4, nz / 32) uint8, packed along z.
@@ -128,6 +128,6 @@ def _mark(depth, K, corner, voxel, fine, coarse):  # type: ignore[no-untyped-def
 
 
 def corner_in_camera(grid: Grid, T_world_camera: Float64) -> Float64:
-    """The corner (3,) of a grid in the view's axes, camera frame, metres."""
+    """Return the corner (3,) of a grid that has the view's axes, in the camera frame, metres."""
     corner: Float64 = (grid.T_world_grid[:3, 3] - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
     return corner

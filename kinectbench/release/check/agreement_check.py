@@ -189,7 +189,10 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _license(metadata: ReleaseInfo) -> str:
-    """Return the licence that all recordings share, else the benchmark's; it also replaces missing ones."""
+    """Return the licence that all recordings share, else the benchmark's.
+
+    A recording that states no licence has the benchmark's.
+    """
     infos = {
         name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
         for name, info in metadata.recordings.items()
@@ -218,7 +221,7 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each key of benchmark.json about held-back truth that the card does not repeat."""
+    """Yield a message for each key of benchmark.json about held-back truth that README.md does not repeat."""
     if not metadata.held_back:
         return
     sentences = {
@@ -231,7 +234,10 @@ def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each recording whose left-out or poor state differs in card and benchmark.json."""
+    """Yield a message for each recording on which README.md contradicts benchmark.json.
+
+    Both state whether a recording is left out, published although poor, or to be reviewed, and why.
+    """
     wanted = {name: left_out_line(name, why) for name, why in (metadata.left_out or {}).items()}
     for name, info in metadata.recordings.items():
         if info.poor:
@@ -253,7 +259,7 @@ def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
-    """Yield a message for each line of `wanted` that `text` lacks; `subject` is the message's format."""
+    """Yield a message, `subject` with the line in place of {}, for each line of `wanted` not in `text`."""
     rows = dict.fromkeys(wanted.splitlines())
     present = {line for _, line in _lines(text) if line in rows}
     for row in rows:
@@ -346,9 +352,10 @@ def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
-    """Yield a message if views.json has other views than targets.csv, or more than may be published.
+    """Yield messages on a recording's views.json, whose content is `text`.
 
-    Another message is on a number of refused frames and views that is not that of benchmark.json.
+    Faults are other views than in targets.csv, keys that reveal held-back truth, and another number of
+    refused frames and views than in benchmark.json.
     """
     views = ViewsFile.parse(text, ViewsFile.FILE)
     rows = views.views

@@ -1,6 +1,6 @@
 """Check benchmark.json for contradictions: in itself, with quality.json, views.json and lineage.json.
 
-Releases without `benchmark_sha256_version` in benchmark.json are not checked: they used other words.
+Early releases, without `benchmark_sha256_version` in benchmark.json, are not checked: their words differ.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,7 +23,7 @@ OF_PAIRS = ("framing", "partial_rule")
 def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a message for each fact that benchmark.json states twice with different values.
 
-    The quality of a recording whose truth is held back gives a message, too.
+    A recording with held-back truth that states its quality gives a message, too.
     """
     of_pairs = metadata.settings.pairs
     for key in OF_PAIRS:
@@ -47,7 +47,7 @@ def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
 def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a message for each recording that benchmark.json wrongly states as poor, accepted or left out.
 
-    Another message is on wrong counts in `flow`.
+    Wrong counts in its key `flow` give a message, too.
 
     The expected state is computed from the recording's quality and `settings.publish.gate`. Limits on
     trajectory grades and camera warnings are not checked, because a release does not contain these.
@@ -111,7 +111,7 @@ def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
 
 
 def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield the keys in which a recording's settings `row` differs from `info`; null is the default value."""
+    """Yield the keys whose values differ in a recording's settings `row` (null: default) and in `info`."""
     defaults = {
         "object": row["id"],
         "license": metadata.license,
@@ -173,5 +173,5 @@ def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _given(value: object) -> object:
-    """Return a setting without its null keys: lineage.json lacks newer keys that have their default."""
+    """Return a setting without keys that are null, the default of newer keys that lineage.json may lack."""
     return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value

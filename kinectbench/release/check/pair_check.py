@@ -35,8 +35,8 @@ def pair_problems(
     Args:
         pair: a pair whose keys, shapes and dtypes are checked already.
         min_containment: least share of the partial inside the full shape, from the benchmark's settings.
-        framing: the benchmark's framing.
-        partial_rule: the benchmark's partial rule.
+        framing: what benchmark.json says that cubes are fitted to: "object" or "view".
+        partial_rule: the rule for partials in benchmark.json, "any" or "majority".
         unknown_shares: {file: unknown share of the true shape, as that file states it}; early releases have
             fewer or none.
         surface_sigma_m: the surface's standard deviation as benchmark.json states it; None if it does not.

@@ -149,7 +149,7 @@ def rebuild_plan(
 
 
 def _draw(identity: str, name: str) -> str:
-    """Return an object's sort key for the draw, a hash: the draw is reproducible, and nobody can steer it."""
+    """Return an object's sort key for a reproducible draw: a hash of the release's hash and its name."""
     return hashlib.sha256(f"{identity} {name}".encode()).hexdigest()
 
 

@@ -211,7 +211,10 @@ def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
 
 
 def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterator[str]:
-    """Yield a message if `full` is not the mesh filled by `occupancy_rule`, or if that rule is wrong."""
+    """Yield a message if `full` is not the mesh filled by `occupancy_rule`, or if that rule is wrong.
+
+    `recorded`: whether the object has a published volume; then the rule must be "winding".
+    """
     rule = pair.occupancy_rule
     if rule not in ACROSS or (recorded and rule != "winding"):
         yield f"occupancy_rule is '{printable(rule)}', which is not that of such an object"
@@ -229,7 +232,7 @@ def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterato
 
 
 def _beyond(pair: Pair, mesh: TriangleMesh) -> int:
-    """Return the number of cells of `full` outside the mesh's bounding box (grid axes, one cell of slack)."""
+    """Return the number of cells of `full` clearly outside the mesh's bounding box along the grid's axes."""
     corners = transform_points(pair.grid.T_grid_world, mesh.vertices) / pair.voxel_size_m
     first = np.ceil(corners.min(axis=0) - 0.5) - MOST_BEYOND_CELLS
     end = np.floor(corners.max(axis=0) + 0.5) + MOST_BEYOND_CELLS

@@ -131,7 +131,7 @@ def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -
 
 
 def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
-    """Return a message for each check that `verify` cannot make on a sound release; arguments as in `verify`.
+    """Return a message for each check that `verify` had to skip on a faultless release; arguments as there.
 
     Raises:
         ReleaseError: benchmark.json or SHA256SUMS cannot be read.
@@ -201,7 +201,7 @@ def _object_lines(
 
 @dataclass
 class _OfPair:
-    """What other files state about a pair.
+    """What targets.csv and views.json state about a pair.
 
     Attributes:
         unknown_shares: {file: unknown share of the true shape}, for the files that state it.
@@ -215,7 +215,7 @@ class _OfPair:
 def _stated(
     contents: Contents, metadata: ReleaseInfo | None, targets: Sequence[Target]
 ) -> dict[str, _OfPair]:
-    """Return {pair file: what other files state about the pair}."""
+    """Return {pair file: what targets.csv and views.json state about the pair}."""
     stated = {target.file: _OfPair() for target in targets}
     for target in targets:
         if target.unknown_share is not None:
@@ -252,7 +252,7 @@ def _pair_lines(
     stated: _OfPair,
     objects: TruthCheck,
 ) -> list[str]:
-    """Read and check one pair file; return a message for each fault."""
+    """Read and check the pair file `name`; `objects` checks its truth. Return a message for each fault."""
     rules = {"framing": metadata.framing, "partial_rule": metadata.partial_rule}
     try:
         values = pair_values(contents.read(name), name)
@@ -296,10 +296,10 @@ def _is_placed(pair: Pair | PairInput) -> bool:
 def _identity(
     contents: Contents, sums_text: str, damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, list[str]]:
-    """Return benchmark.json (None if unreadable), and a message if it is unreadable or does not match.
+    """Return benchmark.json (None if unreadable), and a message if it is unreadable or states a wrong hash.
 
-    It matches if its benchmark_sha256 is that of SHA256SUMS and of itself. If it is in `damaged`, there is no
-    message.
+    Its `benchmark_sha256` must be the hash computed from SHA256SUMS and from its own content. If it is in
+    `damaged`, {file: message} of files that are not the published ones, there is no message.
     """
     try:
         stated = contents.text(BENCHMARK_JSON)

@@ -149,7 +149,8 @@ def _reach(depth, mask, K, corner, voxel, partial, reached):  # type: ignore[no-
     """Set in `reached` all cells that masked pixels may lie in, given the rounding of depth.
 
     Return the number of pixels inside the cube that can lie in no cell of `partial`; -1 if the pixels reach
-    more than `MOST_REACHED` cells.
+    more than `MOST_REACHED` cells. `corner` is the grid's corner in the camera frame, `voxel` the edge of a
+    cell, metres; `partial` and `reached` are packed.
     """
     lost, visited = 0, 0
     for v in range(depth.shape[0]):
@@ -180,7 +181,7 @@ def _reach(depth, mask, K, corner, voxel, partial, reached):  # type: ignore[no-
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cells(one, other, corner, voxel):  # type: ignore[no-untyped-def]
-    """Return first and last cell that an interval may touch along an axis: -1 or FULL_CELLS if outside."""
+    """Return first and last cell between two coordinates along an axis: -1 or FULL_CELLS if outside."""
     first = (min(one, other) - corner) / voxel - SLACK_CELLS
     last = (max(one, other) - corner) / voxel + SLACK_CELLS
     return _cell(first), _cell(last)
@@ -212,7 +213,7 @@ def _seen_problems(
 
 
 def _cube_problems(pair: Pair | PairInput, object_mm: NDArray[np.uint16], camera: Camera) -> Iterator[str]:
-    """Yield a message if the pair's cube is not the one that framing `view` gives for the masked depth."""
+    """Yield a message if the pair's cube is not that of `view_cube` for the object's depth `object_mm`."""
     v, u = np.nonzero(object_mm)
     if not len(v):
         return  # all cells of the partial are reported

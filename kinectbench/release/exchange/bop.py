@@ -107,7 +107,18 @@ def _write_dataset_files(
     infos: dict[str, object],
     camera: Camera | None,
 ) -> None:
-    """Write the files about all scenes, such as camera.json, models_info.json and export.json."""
+    """Write the files about all scenes, such as camera.json, models_info.json and export.json.
+
+    Args:
+        release: the opened release.
+        folder: the export's folder.
+        scenes: for each scene its row of export.json.
+        infos: {id of an object: its row of models_info.json}.
+        camera: camera of the first scene; None if the release has no pair.
+
+    Raises:
+        ReleaseError: the release has no pair.
+    """
     if camera is None:
         raise ReleaseError(
             f"{shown(release.folder)}: no pair, so there is no image to export", what="no-pairs"
@@ -191,7 +202,7 @@ def write_scene(
 
 
 def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
-    """Return a rigid transform T (4, 4), metres, in BOP's form: rotation by rows, translation in mm."""
+    """Return a transform T (4, 4), metres, as {cam_R_<frames>: rotation by rows, cam_t_<frames>: mm}."""
     return {
         f"cam_R_{frames}": T[:3, :3].ravel().tolist(),
         f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist(),

@@ -30,8 +30,8 @@ class BopModel:
 
     Attributes:
         mesh: closed mesh, world frame, metres.
-        T_world_model: (4, 4), metres. The model frame has the floor's axes, z up; its origin is the middle of
-            the mesh's bounding box along these axes.
+        T_world_model: (4, 4), model to world, metres. The model frame has the floor's axes, z up; its origin
+            is the middle of the mesh's bounding box along these axes.
     """
 
     mesh: TriangleMesh
@@ -188,7 +188,7 @@ def _margins(pixels: Float64, size: int) -> tuple[int, int]:
 
 
 def _box(mask: Bools, left: int, top: int) -> Box:
-    """Return BOP's box of a mask: first pixel less (left, top), and distance from it to the last pixel."""
+    """Return BOP's box (x, y, width, height) of a mask whose pixel (left, top) is the origin of x and y."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return (
         int(columns[0]) - left,

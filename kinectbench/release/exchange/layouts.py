@@ -54,10 +54,9 @@ def names_sha256(folder: Path, but: str = EXPORT_JSON) -> str:
 
     The file `but` is left out, and what file managers, locks and unfinished downloads leave.
     """
-    names = (
-        path.relative_to(folder).as_posix() for path in release_files(folder) if not passed_over(path.name)
-    )
-    return sha256_text("\n".join(map(ascii, sorted(set(names) - {but}))))
+    files = (path for path in release_files(folder) if not passed_over(path.name))
+    names = {path.relative_to(folder).as_posix() for path in files}
+    return sha256_text("\n".join(map(ascii, sorted(names - {but}))))
 
 
 @contextmanager

@@ -106,7 +106,14 @@ class Exported(Stored):
 
 @dataclass(frozen=True)
 class FoundPair:
-    """A found pair of files, the target that it becomes, and its facts that are not grids."""
+    """A pair of files to import.
+
+    Attributes:
+        target: the pair that it becomes in the release.
+        file_25d: file of the visible part.
+        file_3d: file of the full shape.
+        values: known fields of `Pair` that are not grids, such as transforms.
+    """
 
     target: Target
     file_25d: Path

@@ -197,7 +197,7 @@ def export_rgbd(
 def _write(
     release: Release, view: RgbdView, folder: Path, method: str | None, write: WriteView | None
 ) -> ViewCamera:
-    """Write the files of one view and its camera.json; return the content of camera.json."""
+    """Write a view's files by `write` (None: `write_plain`), and camera.json, whose content is returned."""
     shown_view, more = (write or write_plain)(release, view, folder)
     given: dict[str, Any] = {} if method is None else {"method": method, **more}
     stated = ViewCamera(
@@ -232,7 +232,7 @@ def write_color(view: RgbdView, folder: Path, name: str = "rgb.png") -> None:
 
 
 def _color_lines(without: Sequence[str], count: int) -> list[str]:
-    """Return a line on the number of views without colour; an empty list if all views have it."""
+    """Return a line on the views `without` colour, of `count` views; an empty list if all have it."""
     if not without:
         return []
     return [
@@ -242,7 +242,7 @@ def _color_lines(without: Sequence[str], count: int) -> list[str]:
 
 
 def _cut_lines(stated: Sequence[ViewCamera]) -> list[str]:
-    """Return a line on objects that the method's input volume cuts off; an empty list if it cuts none."""
+    """Return a line on objects cut off by the method's input volume, as camera.json states; [] if none is."""
     shares = [one.cut_share for one in stated if one.cut_share is not None]
     if not any(shares):
         return []

@@ -66,7 +66,7 @@ def write_archive(release: Path, out: Path) -> Path:
         out: the folder for the archive, which is made if missing.
 
     Raises:
-        ReleaseError: there is no release, it must not be distributed, or a file is missing or another one.
+        ReleaseError: there is no release, it must not be distributed, or a file is missing or lacks its hash.
         StorageError: the disk is full or read-only.
     """
     info = ReleaseInfo.read(release)

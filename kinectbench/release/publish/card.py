@@ -82,7 +82,7 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
 
 
 def reference_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: figure} on a reference mesh; empty if it does not fit, or is the truth itself."""
+    """Return {label: figure} on a reference mesh's agreement; empty if it does not fit, or is the truth."""
     if info.reference is None or info.reference.refused is not None or info.reference.itself:
         return {}
     figures = {label: getattr(info.reference, key) for key, label in REFERENCE.items()}
@@ -242,9 +242,9 @@ def counts_table(targets: Sequence[Target]) -> str:
 
 
 def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
-    """Return a Markdown table: each category's range of object sizes, and medians of its figures.
+    """Return a Markdown table of categories: object sizes, medians of visible and unknown share and of IoU.
 
-    Without any figure, the text is empty.
+    The text is empty if none of these is known.
     """
     category_of = {target.recording: target.category for target in targets}
     rows = []
@@ -347,7 +347,7 @@ def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:
 
 
 def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table."""
+    """Return a Markdown table of these headings and rows of cells; the cells are not escaped."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 

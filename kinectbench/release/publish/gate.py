@@ -25,7 +25,7 @@ OF_ONE_OBJECT = "with --isolate one view of its object is published, or it has n
 
 
 def first_lines(lines: Sequence[str]) -> str:
-    """Return the first few lines joined by semicolons, and the number of the rest."""
+    """Return the first few lines joined by semicolons, and the number of further lines."""
     more = [f"and {len(lines) - SHOWN_REASONS} more"] if len(lines) > SHOWN_REASONS else []
     return "; ".join([*lines[:SHOWN_REASONS], *more])
 
@@ -130,7 +130,7 @@ class Gate:
         return replace(self, without_pair=without, poor=poor, look=look)
 
     def first_reasons(self) -> str:
-        """Return in one line why recordings are left out: first reasons, number of the rest, advice."""
+        """Return in one line the first reasons why recordings are left out, and how many more there are."""
         lines = [left_out_line(name, why) for name, why in self.left_out.items()]
         return first_lines(lines) + (ADVICE if self.refused else "")
 
@@ -140,7 +140,7 @@ class Gate:
             yield f"{left_out_line(name, why)}{ADVICE if name in self.refused else ''}"
 
     def lines(self) -> Iterator[str]:
-        """Yield the card's lines on recordings that are left out, poor, to be reviewed, or twice there."""
+        """Yield the card's lines on recordings that are left out, poor, to review, or published twice."""
         if count := len(self.left_out):
             yield f"{count} recording{' is' if count == 1 else 's are'} left out of this release"
         yield from self.reasons()

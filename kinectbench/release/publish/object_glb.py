@@ -106,9 +106,9 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors
 
 
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
-    """Return {"mean", "max"} of the distances of one mesh's vertices from another's surface, millimetres.
+    """Return {"mean", "max"} of the distances of the vertices of `of` from the surface of `to`, millimetres.
 
-    Vertices evenly spaced by index are measured, from `MEASURED` to twice as many; all, if there are fewer.
+    `MEASURED` to twice as many vertices are used, evenly spaced by index; all, if there are fewer.
     """
     if of is to:
         return {"mean": 0.0, "max": 0.0}

@@ -55,7 +55,15 @@ def write_preview(
 ) -> None:
     """Write index.html of a release whose pairs and views are written; no isolated recording is pictured.
 
-    If colour is published, objects get the colours of the scene in `build`.
+    Args:
+        folder: the release's folder.
+        settings: the benchmark's settings.
+        targets: every pair.
+        infos: {recording: its entry in benchmark.json}.
+        warnings: the release's warnings, one line each.
+        held_back: splits of which only inputs are published.
+        build: folder with scene meshes, which give objects their colours if colour is published.
+        isolated: recordings of which a single view is published.
 
     Raises:
         PairError: a pair is damaged.
@@ -119,7 +127,17 @@ def _part(
     held_back: bool,
     views: int,
 ) -> dict[str, object]:
-    """Return the values for a recording's section of the page: `views` of its pairs, evenly spread."""
+    """Return the values for a recording's section of the page.
+
+    Args:
+        folder: the release's folder.
+        scenes: folder with scene meshes that give objects their colours, or None.
+        name: id of the recording.
+        info: the recording's entry in benchmark.json.
+        here: the recording's pairs.
+        held_back: whether the recording's truth is held back.
+        views: number of pairs to show, evenly spread.
+    """
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,

@@ -182,7 +182,7 @@ def _last_part(path: re.Match[str]) -> str:
 
 
 def _declared(model: object) -> Mapping[str, object]:
-    """Return {JSON key: its value} of the keys that a model declares; empty for other values."""
+    """Return {JSON key: model's value} of the keys that a model declares; empty for other values."""
     if isinstance(model, BaseModel):
         fields = type(model).model_fields.items()
         return {field.serialization_alias or name: _below(getattr(model, name)) for name, field in fields}
@@ -191,13 +191,13 @@ def _declared(model: object) -> Mapping[str, object]:
 
 @dataclass(frozen=True)
 class _Entries:
-    """A mapping inside a model; its keys are data, such as names of categories, and are kept."""
+    """The `entries` of a mapping in a model; its keys are data, such as names of categories, and are kept."""
 
     entries: Mapping[str, object]
 
 
 def _below(value: object) -> object:
-    """Return a model's value as a `model` for `_scrubbed`: a mapping's own keys will count as declared."""
+    """Return a field's value as `model` for `_scrubbed`; a mapping is wrapped, so that its keys are kept."""
     return _Entries(value) if isinstance(value, Mapping) else value
 
 

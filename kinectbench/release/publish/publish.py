@@ -190,7 +190,7 @@ def _write(
     options: PublishOptions,
     isolated: Isolated,
 ) -> PublishSummary:
-    """Write one release, complete, public or private, into an empty folder; return its summary."""
+    """Write the recordings that `passed` the gate as one release into an empty folder; return its summary."""
     removals = list[Removed]()
     passed = passed.said(lambda line: scrubbed({"left_out": line}, BENCHMARK_JSON, removals)["left_out"])
     made = _pairs(settings, build, folder, passed, options, isolated, removals)
@@ -253,7 +253,7 @@ def _pairs(
     isolated: Isolated,
     removals: list[Removed],
 ) -> dict[str, Published]:
-    """Write the files of each recording; return {id: published part} of the recordings with a pair."""
+    """Write the files of each recording that passed; return {id: published part} of those with a pair."""
     made = dict[str, Published]()
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
@@ -267,7 +267,7 @@ def _pairs(
 
 
 def _with_warnings(published: Published, passed: Gate, name: str) -> Published:
-    """Return a published recording to whose entry the violated limits and reasons for a review are added."""
+    """Return a published recording whose entry also has its violated limits and its reasons for a review."""
     changes = dict[str, object]()
     if name in passed.poor:
         changes["poor"], changes["accepted"] = passed.poor[name]
@@ -286,7 +286,7 @@ def _write_texts(
     removals: list[Removed],
     isolated: Sequence[str],
 ) -> None:
-    """Write datasheet, changelog, lineage and thresholds."""
+    """Write datasheet.md, CHANGELOG.md, lineage.json, thresholds; append removed facts to `removals`."""
     infos = {name: published.info for name, published in made.items()}
     color = _color(settings, made)
     sheet = datasheet(settings, targets, infos, color, warnings, options.hold_back, isolated)
@@ -311,7 +311,7 @@ def _gives_away(
     infos: Mapping[str, RecordingInfo],
     isolated: Isolated,
 ) -> list[str]:
-    """Return warnings on published facts that may have to stay hidden: people, parts of held-back shapes."""
+    """Return warnings on what a release may reveal: people in colour images, held-back shapes."""
     warnings = []
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
@@ -335,7 +335,7 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
 
 
 def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """Return a line for each recording with quality warnings: the first one, and the number of the rest."""
+    """Return a line for each recording with quality warnings: the first, and the number of further ones."""
     lines = []
     for name, info in infos.items():
         warnings = info.quality.warnings
@@ -365,10 +365,11 @@ def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorP
 def _public_settings(
     settings: BenchmarkSettings, hold_back: Sequence[str], removals: list[Removed], isolate: bool = False
 ) -> dict[str, Any]:
-    """Return the settings for benchmark.json: without this machine's paths and private facts.
+    """Return the settings for benchmark.json, without this machine's paths and private facts.
 
-    Keys that reveal held-back truth are left out, too. Each recording states its underside, because the
-    defaults of its category are not published.
+    Recordings of the splits `hold_back` lack the keys that reveal their truth; with `isolate` they have only
+    `SETTINGS_KEYS`. Each recording states its underside (closed or open), because the defaults of its
+    category are not published. Removed private facts are appended to `removals`.
     """
     public = settings.model_dump(mode="json", exclude={"name", "license", "publish", "categories"})
     for recording, own in zip(public["recordings"], settings.recordings, strict=True):

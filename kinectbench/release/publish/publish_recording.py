@@ -261,7 +261,7 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
 
 def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> ViewsFile:
-    """Return views.json; each row also states intrinsics, image size, if it has a pair, its unknown share."""
+    """Return views.json; rows also state K, image size, whether there is a pair, and its unknown share."""
     more: dict[str, object] = {"K": camera.K, "width": camera.width, "height": camera.height}
     shares = {target.view: target.unknown_share for target in targets}
     rows = []

@@ -112,7 +112,7 @@ def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> R
 
 
 def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:
-    """Return the IoU with the truth of each of the three `solids` that the views give in a pair's cube."""
+    """Return the IoU with a pair's truth of each of the three `solids` of the views, in the pair's cube."""
     return [sampled_known_iou(solid, pair) for solid in solids(pair.grid, views)]
 
 
@@ -135,7 +135,7 @@ def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]
     """Return three solids from some views: carved, convex hull of the points, intersection of both.
 
     A view sees through a cell that projects outside its mask, or lies in front of its depth. Carving empties
-    a cell if more than one view in eight sees through it. Views have no say on cells outside their image.
+    a cell if more than one view in eight sees through it. A view never sees through cells outside its image.
 
     Args:
         grid: the grid of a pair, 256 cells a side.

@@ -120,7 +120,7 @@ def failure(folder: Path) -> str:
 def _beyond(
     limits: GateSettings, quality: QualityFile, health: TrajectoryHealth | None, head: CameraFile | None
 ) -> Iterator[str]:
-    """Yield a line for each limit of `publish.gate` that the figures violate."""
+    """Yield a line for each limit of `publish.gate` that the object, trajectory or frames violate."""
     grade = None if health is None else health.grade
     # The estimate may be wrong if poses are: unless the trajectory is good, take its lower end.
     value, low, where = quality.trusted_iou
@@ -145,7 +145,7 @@ def _beyond(
 
 
 def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
-    """Yield reasons to review the trajectory."""
+    """Yield reasons to review the trajectory: its grade, or many frames without a pose."""
     if health is None:
         return
     if health.grade == "not good":
@@ -155,7 +155,7 @@ def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
 
 
 def _of_object(quality: QualityFile) -> Iterator[str]:
-    """Yield reasons to review the object."""
+    """Yield reasons to review the object: warnings, a low estimated IoU, movement, depth out of range."""
     yield from (line.split(END_OF_WARNING, 1)[0] for line in quality.measurement_warnings)
     known = quality.estimated_known_iou
     if known is not None and known < LEAST_KNOWN:

@@ -77,7 +77,8 @@ def shape_agreement(a: Shape, b: Shape) -> float:
     """Register two shapes by a turn about the vertical and a shift; return their agreement, 0 to 1.
 
     Returns:
-        The share of a shape's measured points that lie near the other's surface: of both shapes the smaller.
+        The share of one shape's measured points that lie near the other's surface; the smaller of the shares
+        for either shape.
     """
     diagonals_m = [float(np.linalg.norm(np.ptp(shape.surface, axis=0))) for shape in (a, b)]
     near_m = max(NEAR_SHARE * max(diagonals_m), NEAR_M)
@@ -97,7 +98,8 @@ def shape_agreement(a: Shape, b: Shape) -> float:
 def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tuple[Float64, Float64]:
     """Register points (n, 3) to those of a k-d tree by ICP, starting from the rotation R and no shift.
 
-    Return R (3, 3), a rotation about z, and t (3,), metres: R p + t lies near the tree's points.
+    `near_m` is the distance, metres, at which points count as near each other. Return R (3, 3), a rotation
+    about z, and t (3,), metres: R p + t of a point p lies near the tree's points.
     """
     t = np.zeros(3)
     for step in range(STEPS):

@@ -50,7 +50,7 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the volume share of the smallest part that stands alone if the rest does, too; else None.
+    """Return the volume share of the smallest part that could stand alone, as could the other cells; or None.
 
     Args:
         solid: (nx, ny, nz) bool, z up, with at least one cell set.
@@ -83,9 +83,13 @@ def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
 
 
 def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
-    """Return whether a part stands on the floor beside the rest, and both would stand without each other.
+    """Return whether a part stands on the floor, and both it and the other cells would stand alone.
 
-    `low` is the number of layers that count as the floor, from the padding below the solid on.
+    Args:
+        cells: (nx, ny, nz) mask of the solid, with an empty layer below.
+        core: mask of the part's cells deep inside.
+        part: mask of the part.
+        low: number of the lowest layers, with the empty one, in which cells count as on the floor.
     """
     columns = core.any(axis=2)
     low_columns = np.asarray(cells[:, :, :low].any(axis=2))
@@ -111,7 +115,7 @@ def _tops(cells: Bools) -> NDArray[np.int64]:
 
 
 def _balances(cells: Bools, low: int) -> bool:
-    """Return whether the centroid of the cells lies above the convex hull of those in the lowest layers."""
+    """Return whether the cells' centroid lies above the convex hull of those in the `low` lowest layers."""
     feet = np.argwhere(cells[:, :, :low].any(axis=2)).astype(np.float64)
     try:
         hull = ConvexHull(feet)

@@ -94,7 +94,7 @@ def adapt(
     if not output.is_dir():
         raise PredictionError(f"{output}: no such folder", what="no-folder")
     earlier = MethodFile.read_if_there(out) if out.is_dir() else None
-    refuse_others(out, (earlier and earlier.settings or {}).get(FILES), MethodFile.FILE)
+    refuse_others(out, ((earlier and earlier.settings) or {}).get(FILES), MethodFile.FILE)
     problems, volumes, written = list[str](), dict[str, Float64](), 0
     with replaced_folder(out) as folder:
         for done, target in enumerate(release.targets, start=1):

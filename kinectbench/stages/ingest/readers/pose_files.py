@@ -144,7 +144,7 @@ def _matrix(row: str, where: str) -> Float64:
 
 
 def starts_like_a_log(file: Path) -> bool:
-    """Whether a file starts as `read_log` expects it: the first row but for comments is a frame and numbers."""
+    """Whether a file starts as `read_log` expects it, but for comments: a frame's number, and numbers."""
     rows = read_head(file).decode("utf-8-sig", "replace").splitlines() if file.is_file() else []
     first = next((words for row in rows if (words := row.partition("#")[0].split())), [])
     return 0 < len(first) <= 3 and bool(FRAME_NUMBER.fullmatch(first[0])) and all(map(_is_number, first))
