@@ -40,9 +40,9 @@ HELD = "width, height, fx, fy, cx, cy"
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Known values of a depth camera, pixels, and depth_scale, native units per metre; None = unknown.
+    """A depth camera's image size and intrinsics, pixels, and native depth units per metre; None = unknown.
 
-    `notes` are warnings on how the values were read, such as a converted unit.
+    Also whether colour lies on depth's pixels, and warnings (`notes`), such as on a converted unit.
     """
 
     width: int | None = None
@@ -122,7 +122,7 @@ def gives_intrinsics(settings: CameraSettings) -> bool:
 
 
 def said_warnings(path: Path, recorded: Intrinsics, settings: CameraSettings) -> list[str]:
-    """The warnings on how the recording's intrinsics were read, and those of `scale_warnings`."""
+    """The recording's warnings on its intrinsics, and one if the settings state another depth scale."""
     return [*recorded.notes, *scale_warnings(path, recorded.depth_scale, settings)]
 
 
@@ -142,7 +142,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered.
     Instead of fx ... cy a matrix: `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K` or `k`: three rows, or
-    nine numbers by columns (as Open3D writes them) or by rows, which its zeros show; or an object with these
+    nine numbers by columns (as Open3D writes them) or by rows (the zeros show which); or an object with these
     as `data`. A depth_scale below 100 beside `cam_K` is BOP's, mm per unit; another one below 1 is in metres
     per unit, as in librealsense, because no unit of depth images is longer.
 
@@ -253,7 +253,7 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
 
 
 def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: Path) -> None:
-    """Refuse a field of view that no camera has (own bounds: wider than 136 or narrower than 6 degrees).
+    """Refuse an implausible field of view: wider than 136 or narrower than 6 degrees (our own bounds).
 
     Args:
         intrinsics: intrinsics from the file.
@@ -319,10 +319,10 @@ def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dic
 
 
 def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, object] | None:
-    """Read `keys` of one frame's camera from a JSON file, and its path as "file"; None if it does not exist.
+    """Read the values of `keys` from a frame's JSON file, and its path as "file"; None if it does not exist.
 
-    A list becomes an array of numbers, empty if it has others; so does an object. As nested Python lists, the
-    values of all frames would take many times the memory of their text.
+    A list becomes an array, empty if it has other values than numbers; an object becomes an empty array. As
+    nested Python lists, the values of all frames would take many times the memory of their text.
 
     Raises:
         RecordingError: the file is too large, not valid JSON, or no object.

@@ -70,7 +70,7 @@ def pair_images(
 
 
 def _lone(partners: Sequence[int | None], colors: int, how: str, where: str) -> tuple[str, ...]:
-    """A warning with the number of depth frames without a partner; empty if that is 0, or without colour."""
+    """A warning with the number of depth frames without colour; empty if it is 0, or `colors` (all) is."""
     alone = sum(partner is None for partner in partners)
     line = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
     return (line,) if colors and alone else ()

@@ -49,7 +49,7 @@ class SequenceWriter:
     Attributes:
         folder: folder of the sequence.
         checks: checks of the frames taken so far.
-        rows: rows of the frames written so far.
+        rows: rows of frames.json, one for each frame written so far.
         taken: number of frames taken from the recording, damaged ones included.
     """
 
@@ -89,7 +89,7 @@ class SequenceWriter:
 
 
 def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
-    """Make a function that registers a frame's colour to depth; None if it is registered or uncalibrated."""
+    """Make a function that registers a frame's colour to depth; None if that is done, or not calibrated."""
     if recording.color_calibration is None or recording.color_registered:
         return None
     register = ColorRegistration(recording.camera, recording.color_calibration)

@@ -67,7 +67,7 @@ class Rosbag2Recording(RosRecording):
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth` (4, 4), from the extrinsics in a bag by librealsense, else from tf; or None."""
+        """Depth to colour camera (4, 4), by the extrinsics in a bag by librealsense, else by tf; or None."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, color.name, depth.name)
         return super().color_place(bag, tree, depth, color)
@@ -76,7 +76,7 @@ class Rosbag2Recording(RosRecording):
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu` (4, 4), from the extrinsics in a bag by librealsense, else from tf; or None."""
+        """Accelerometer to depth camera (4, 4), by the extrinsics of librealsense, else by tf; or None."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, depth.name, imu.name)
         return super().imu_place(bag, tree, depth, imu, frame_id)

@@ -72,7 +72,7 @@ class NerfstudioRecording(PhoneRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has a transforms.json that names depth images; or any, but no depth/."""
+        """Whether there is a transforms.json, and it names depth images or the folder has no depth/."""
         if not (path / FILE).is_file():
             return False
         head = read_head(path / FILE)  # contains the first frame
@@ -130,9 +130,9 @@ class NerfstudioRecording(PhoneRecording):
 
 
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
-    """Read the values that hold for all frames; (name of depth, frame) of those with depth; and warnings.
+    """Read transforms.json: values common to all frames; pairs (name of depth image, frame); and warnings.
 
-    The frames are in numeric order of these names.
+    The pairs are in numeric order of the names; frames without depth are left out.
     """
     file = path / FILE
     content = read_json_object(file, "frames")

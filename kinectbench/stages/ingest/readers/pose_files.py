@@ -142,7 +142,7 @@ def _matrix(row: str, where: str) -> Float64:
 
 
 def starts_like_a_log(file: Path) -> bool:
-    """Whether a file starts as `read_log` expects it, by its first row but for comments: `i j k`."""
+    """Whether a file starts like a Redwood log: its first row, after comments, is three whole numbers."""
     rows = read_head(file).decode("utf-8", "replace").splitlines() if file.is_file() else []
     first = next((words for row in rows if (words := row.partition("#")[0].split())), [])
     return len(first) == 3 and all(map(FRAME_NUMBER.fullmatch, first))
@@ -152,7 +152,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
     """Read a Redwood log: `i j k`, then a 4x4 camera to world; each frame's matrix, NaN if it has none.
 
     Args:
-        file: blocks of five rows; of the first row only the frame's number is used.
+        file: blocks of five rows; of `i j k` only i is used, the frame's index from 0.
         frames: number of frames.
 
     Raises:
@@ -212,7 +212,7 @@ def read_pose_folder(
 def finite_trajectory(
     stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Like `trajectory_from_matrices`, but (None, no warnings) if no frame has a finite matrix."""
+    """Trajectory from matrices (4, 4), camera to world, and warnings; neither if no matrix is finite."""
     if not any(matrix is not None and np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     return trajectory_from_matrices(stamps_ns, matrices, name)

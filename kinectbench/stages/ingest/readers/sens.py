@@ -40,7 +40,7 @@ LATEST_NS = 2**53 * NS_PER_US
 
 
 class SensHead(NamedTuple):
-    """The header of the file."""
+    """The header of a .sens file; extrinsics: camera to rig, metres; depth_shift: depth units per metre."""
 
     color_intrinsic: Float64
     color_extrinsic: Float64
