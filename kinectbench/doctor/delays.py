@@ -203,9 +203,9 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
-    """Return colour's delay, changed if fewer than 80 % of the colour images would then have a depth partner.
+    """Return colour's delay, corrected if with it under 80 % of the colour images have a depth partner.
 
-    To it is then added the median of the times by which colour images are later than the nearest depth image.
+    The correction: add the median time by which colour images, shifted by it, follow the nearest depth image.
     """
     depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):
@@ -244,7 +244,7 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
 def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
     """Return the overlap of depth discontinuities of frame i with colour edges of frame j: [i, j] of (n, n).
 
-    Row and column means are removed.
+    The mean of each row and of each column is subtracted.
     """
     jumps = np.stack([depth_jumps(frame.depth_m, EDGE_SIZE).astype(np.float32).ravel() for frame in run])
     edges = np.stack([_edges_of(frame).astype(np.float32).ravel() for frame in run])

@@ -157,11 +157,11 @@ def _by_own_pixels(probe: Probe) -> Finding:
 def _examined(
     probe: Probe, ground: Ground, findings: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
 ) -> tuple[dict[str, object], list[Finding]]:
-    """Run the checks that need valid depth; return further facts, and all findings.
+    """Run the checks that need valid depth; return their facts for the diagnosis, and all findings.
 
-    The findings so far (`findings`) are among them. Findings that well-fitting poses exclude, or that another
-    finding explains, are left out. If depth has another scale or encoding (`check_codes`), the other checks
-    are not run, and there are no further facts.
+    Those so far (`findings`) are among them. Findings that well-fitting poses exclude or another explains are
+    left out, with `own_pixels` also those on the floor and a static camera. If depth has another scale or
+    encoding (`check_codes`), the other checks are not run, and there are no facts.
     """
     # Poses of a static camera fit equally well in every convention, so they prove nothing.
     still, edges, poses = [*check_still(probe)], fit_edges(probe), fit_trajectory(probe)

@@ -54,10 +54,10 @@ class PoseConvention:
 
     Attributes:
         inverse: whether the poses map the world to the camera.
-        axes: the camera's axes, a key of AXES.
+        axes: the camera's axes, a key of AXES: "optical", "opengl" or "robot".
         wxyz: whether quaternions are stored as w, x, y, z instead of x, y, z, w.
-        images: whether the images are mirrored left to right, a key of IMAGES.
-        unit_m: the poses' unit of length, in units of the depth (metres).
+        images: a key of IMAGES: "upright", or "mirrored" left to right.
+        unit_m: the poses' unit of length in metres: 0.001 for millimetres.
     """
 
     inverse: bool = False
@@ -144,9 +144,9 @@ class FramePair:
 def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
     """Choose pairs of frames that have poses, evenly over the recording, some near and some distant.
 
-    The second frame comes 1 to 40 places after the first, or before it near the end. If the poses are in no
-    order of time, it is one of those with the smallest angle between the views instead, which is the same in
-    every convention.
+    The second frame comes 1 to 40 frames after the first, or near the end before it. If the poses are in no
+    order of time, it is one of those whose orientation is nearest to the first's instead: the angle between
+    two orientations is the same in every convention.
 
     Args:
         probe: the probe of the recording.
@@ -173,7 +173,7 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Return the indices 1, 4, 12 and 40 after `first`, each as far before it if not below `count`.
+    """Return the indices 1, 4, 12 and 40 after `first`; those not below `count` are as far before it instead.
 
     An index may be negative: there is no such frame.
     """

@@ -204,7 +204,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
     Args:
         noise_m: scatter of all frames' points about the floor, metres.
-        depths_m: (m,) depths of the points near the floor in their cameras, metres; if empty, nothing.
+        depths_m: (m,) depths of the points near the floor in their cameras, metres; if empty, no warning.
     """
     if not len(depths_m):
         return
