@@ -142,7 +142,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered.
     Instead of fx ... cy a matrix: `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K` or `k`: three rows, or
-    nine numbers by columns (as Open3D writes them) or by rows (the zeros show which); or an object with these
+    nine numbers, column-major (as by Open3D) or row-major (the zeros show which); or an object with these
     as `data`. A depth_scale below 100 beside `cam_K` is BOP's, mm per unit; another one below 1 is in metres
     per unit, as in librealsense, because no unit of depth images is longer.
 
@@ -234,7 +234,7 @@ def json_numbers(value: object) -> Float64:
 
 
 def read_intrinsics_matrix(path: Path) -> Intrinsics:
-    """Read a text file with a pinhole matrix by rows (3x3, 3x4 or 4x4), or with fx, fy, cx, cy.
+    """Read a text file with a row-major pinhole matrix (3x3, 3x4 or 4x4), or with fx, fy, cx, cy.
 
     Raises:
         RecordingError: another number of values, or no pinhole matrix.
@@ -293,7 +293,7 @@ def rig_calibration(
 
 
 def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:
-    """Read a JSON object with a pinhole matrix (by columns or rows), and the size of its images in pixels.
+    """Read a JSON object with a pinhole matrix (column- or row-major), and the size of its images in pixels.
 
     Raises:
         RecordingError: not JSON, or a value is missing or invalid.
@@ -366,7 +366,7 @@ def number_of(value: object, where: str) -> float:
 
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
-    """A JSON matrix (3, 3): three rows; or nine numbers by columns (by rows if the 7th and 8th are 0)."""
+    """A JSON matrix (3, 3): three rows, or nine numbers, column-major (row-major if 7th and 8th are 0)."""
     numbers = json_numbers(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):
         return numbers

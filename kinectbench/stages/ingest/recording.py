@@ -119,7 +119,7 @@ class Recording(ABC):
         suffixes: suffixes of such files; the id of a recording is its name without them.
         uses: names of the settings that this reader applies, among those in `OF_SOME_FORMATS`, which not all
             readers apply.
-        evidence: the best kind of data that the reader was tested on.
+        evidence: the best data that the reader was tested on: real, a licensed copy, or written here.
         verified: a description of that data, such as files of other programs; "" if it is only our own files.
         up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
             None: unknown.

@@ -174,7 +174,7 @@ def _matrix_of_text(message: Message) -> Float64 | None:
 
 
 def _rigid_by_columns(rotation: ArrayLike, translation_m: ArrayLike) -> Float64 | None:
-    """The rigid transform (4, 4) from a rotation by columns, as librealsense stores it; None if invalid."""
+    """The rigid transform (4, 4) from a column-major rotation, as librealsense has it; None if invalid."""
     R, t_m = np.asarray(rotation, np.float64).reshape(3, 3).T, np.asarray(translation_m, np.float64)
     if not np.abs(R).max() <= 2 or abs(np.linalg.det(R) - 1) > 0.01:  # true for NaN, too
         return None

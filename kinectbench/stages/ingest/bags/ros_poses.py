@@ -108,7 +108,7 @@ def read_transforms(bag: RosBag) -> TransformTree:
 
 
 def _by_stamp(stamps_ns: "array[int]", rows: "array[float]") -> tuple[Int64, Float64]:
-    """Sort by stamp: stamps (n,), and matrices (n, 4, 4); of several with the same stamp the last counts."""
+    """Sort transforms (seven numbers each) by stamp: stamps (n,), matrices (n, 4, 4); repeats: the last."""
     # In reverse, because unique takes the first of equal stamps.
     stamps, first = np.unique(np.array(stamps_ns, np.int64)[::-1], return_index=True)
     return stamps, _matrices(np.array(rows).reshape(-1, 7)[::-1][first])
@@ -141,9 +141,9 @@ def _moves(transforms: Float64) -> bool:
 
 
 def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
-    """Interpolate transforms of the stamps `own` at other stamps: (n, 4, 4), along the shortest rotation.
+    """Interpolate transforms, whose stamps are `own`, at `stamps`: (n, 4, 4), along the shortest rotation.
 
-    Before the first and after the last of `own`, that transform holds.
+    Before `own` the first transform holds, after it the last.
     """
     after = np.clip(np.searchsorted(own, stamps), 0, len(own) - 1)
     before = np.maximum(after - 1, 0)

@@ -177,7 +177,7 @@ def is_named_registered(depth: ImageTopic) -> bool:
 
 
 def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> ImageTopic:
-    """The image topic with this name among `topics`; an error if there is none."""
+    """The topic called `named` among `topics`; without it an error that names the setting `key`."""
     for topic in topics:
         if topic.name == named:
             return topic

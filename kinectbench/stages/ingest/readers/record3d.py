@@ -1,9 +1,9 @@
 """Record3D's .r3d files: zip archives of `metadata` (JSON), and rgbd/N.jpg, N.depth and N.conf per frame.
 
-By the app's author (in answers at github.com/marek-simonik/record3d): depth is float32 metres and confidence
-uint8, both by rows and packed by LZFSE; K is by columns, for colour of w x h pixels; poses are quaternions x
-y z w and positions, camera to world in OpenGL's axes. The poses of recordings by the face camera are all the
-same.
+By the app's author (in answers at github.com/marek-simonik/record3d): depth is float32 metres, confidence is
+uint8, both row-major and packed by LZFSE; K is column-major, for colour of w x h pixels; a pose is quaternion
+x y z w and position, camera to world in OpenGL's axes. The poses of recordings by the face camera are all
+the same.
 """
 
 import re

@@ -215,7 +215,7 @@ def is_info(file: Path) -> bool:
 
 
 def read_info(file: Path, color_px: tuple[int, int]) -> ScannetRig:
-    """Read info.txt: rows of `name = numbers`, matrices as 16 numbers by rows.
+    """Read info.txt: rows of `name = numbers`, matrices as 16 row-major numbers.
 
     Args:
         file: `info.txt` or `_info.txt`.
