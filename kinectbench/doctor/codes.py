@@ -48,9 +48,9 @@ class Code:
 def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     """Report another scale or encoding of depth with which the given poses fit.
 
-    Nothing is tried without given poses, or if `depth_code` is set. If the poses fit already, or if the files
-    have float depth, whose values the probe no longer has, only distance along the ray is tried; and poses
-    that fit already must then fit clearly better. In bags, only other scales are tried.
+    Nothing is tried without given poses, or if `depth_code` is set. If the poses fit already, depth is tried
+    only as the distance along the ray, and must then fit clearly better. If the files have float depth, whose
+    values the probe no longer has, only this is tried, too. Unless each image has a file, only scales are.
 
     Args:
         probe: the probe of the recording.

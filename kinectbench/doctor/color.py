@@ -146,7 +146,7 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
 
 def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the gradient magnitude of a grey image resized to `size` (width, height), 1 = its mean, <= 4."""
+    """Return the gradient magnitude of a grey image resized to `size` (width, height), / its mean, <= 4."""
     import cv2
 
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
@@ -157,7 +157,7 @@ def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.fl
 
 
 def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the correlation of jumps and edges at every cyclic shift (down, right) of colour; mean 0."""
+    """Return the correlation of depth jumps and colour edges at each cyclic shift (down, right) of colour."""
     spectrum = np.conj(np.fft.rfft2(jumps)) * np.fft.rfft2(edges - edges.mean())
     return np.asarray(np.fft.irfft2(spectrum, jumps.shape))
 

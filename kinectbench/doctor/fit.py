@@ -50,7 +50,7 @@ FITTING_NOISES, MOST_FITTING_M = 3.0, 0.05
 
 @dataclass(frozen=True)
 class PoseConvention:
-    """A convention in which given poses may be stored; the defaults are the stated convention.
+    """A convention in which given poses may be stored; the defaults are the one that poses should have.
 
     Attributes:
         inverse: whether the poses map the world to the camera.
@@ -68,11 +68,11 @@ class PoseConvention:
 
     @property
     def changes(self) -> int:
-        """The number of attributes that differ from the stated convention, the default."""
+        """The number of attributes that differ from their defaults."""
         return sum(getattr(self, field.name) != field.default for field in fields(self))
 
     def text(self) -> str:
-        """The differences from the stated convention, in words."""
+        """The differences from the default convention, in words."""
         parts = [
             "world to camera (inverse)" if self.inverse else "",
             AXES_IN_WORDS[self.axes],
@@ -83,7 +83,7 @@ class PoseConvention:
         return ", ".join(part for part in parts if part) or "as given"
 
     def apply(self, poses: Float64) -> Float64:
-        """Convert poses (n, 4, 4), read as in the stated convention, to T_world_camera; NaN stays NaN.
+        """Convert poses (n, 4, 4), read as in the default convention, to T_world_camera; NaN stays NaN.
 
         The result has optical axes and is in metres.
         """
@@ -103,7 +103,7 @@ class PoseConvention:
 
 
 def likely_conventions() -> Iterator[PoseConvention]:
-    """Yield the conventions to try first, beginning with the stated one."""
+    """Yield the conventions to try first, beginning with the default."""
     yield from _of_unit(1.0)
     yield from (PoseConvention(unit_m=unit_m) for unit_m in OTHER_UNITS)
     yield from (PoseConvention(inverse, images="mirrored") for inverse in (False, True))

@@ -198,7 +198,7 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
 
 
 def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> int:
-    """Return the index of the convention to use, by costs (n,): 0, as stated, unless one fits much better.
+    """Return the index of the convention to use, by costs (n,): 0, the default, if none fits much better.
 
     Then it is the simplest of those whose cost is within 3 % of the lowest.
     """
