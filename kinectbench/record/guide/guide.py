@@ -255,7 +255,7 @@ def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph
 
 
 def mesh_bytes(mesh: TriangleMesh) -> bytes:
-    """Encode a mesh for the page: two uint32 counts, vertices (n, 3) float32, metres, faces (m, 3) uint32."""
+    """Encode a mesh for the page: uint32 n and m, vertices (n, 3) float32, metres, faces (m, 3) uint32."""
     counts: NDArray[np.uint32] = np.array([len(mesh.vertices), len(mesh.faces)], np.uint32)
     vertices, faces = mesh.vertices.astype("<f4"), mesh.faces.astype("<u4")
     return counts.astype("<u4").tobytes() + vertices.tobytes() + faces.tobytes()

@@ -194,7 +194,7 @@ class _Shown:
     def pick(self, body: bytes) -> str:
         """Handle a click on the object: JSON `{"picture": number, "x": ..., "y": ...}`.
 
-        x and y are shares of the picture's width and height, 0 to 1; the pixel of depth at the same shares is
+        x and y are fractions of the picture's width and height; the pixel of depth at the same fractions is
         picked.
 
         Returns:
