@@ -180,7 +180,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 
 
 def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, object]:
-    """Convert a file's depth scale to units per metre: fields of `Intrinsics`, with a note if converted."""
+    """A file's depth scale in units per metre, as fields of `Intrinsics`; converted if BOP's or below 1."""
     if of_bop and stated < MOST_MM_A_UNIT:
         scale, how = MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
     elif stated < 1:
@@ -279,8 +279,8 @@ def rig_calibration(
 ) -> ColorCalibration | None:
     """Calibration of colour relative to depth, from ScanNet's poses of both cameras in their rig.
 
-    Both poses are (4, 4), camera to rig, metres. None if one of them is not rigid, there is no colour (its
-    size is 0), or colour's intrinsics do not fit the size of its images.
+    The poses `color_to_rig` and `depth_to_rig` are (4, 4), metres. None if one is not rigid, there is no
+    colour (its size is 0), or colour's intrinsics do not fit the size of its images.
     """
     T_rig_color, T_rig_depth = rigid_or_none(color_to_rig), rigid_or_none(depth_to_rig)
     if T_rig_color is None or T_rig_depth is None or not all(color_px):
@@ -293,7 +293,7 @@ def rig_calibration(
 
 
 def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:
-    """Read a JSON object with a pinhole matrix (column- or row-major), and the size of its images in pixels.
+    """Read JSON with a pinhole matrix under `key` (column- or row-major) and its images' width and height.
 
     Raises:
         RecordingError: not JSON, or a value is missing or invalid.

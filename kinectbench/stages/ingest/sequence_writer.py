@@ -69,7 +69,7 @@ class SequenceWriter:
         self._register = onto_depth(recording)
 
     def take(self, count: int, progress: Progress | None = None, watch: Watch | None = None) -> None:
-        """Write the next frames, until `count` frames of the recording are taken.
+        """Write the next frames, until `count` frames of the recording are taken; `watch` sees each.
 
         Raises:
             RecordingError: a frame is unusable; damaged frames are left out instead.
@@ -139,7 +139,7 @@ class _Checked:
 def _checked_frames(
     checks: FrameChecks, indices: Iterable[int], progress: Progress | None
 ) -> Iterator[_Checked | _Damaged]:
-    """Yield each frame in order after its checks, or its damage."""
+    """Read and check the frames of these indices; yield each in order, or its damage."""
     recording = checks.recording
     for index in indices:
         try:
@@ -172,7 +172,7 @@ def _packed(
 
 
 def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
-    """Write the files of one frame; return its row of frames.json."""
+    """Write a frame's files under the number `index`; return its row of frames.json."""
     frame = checked.written
     depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
     color = None if frame.color is None else f"color/{index:06d}{checked.color_suffix}"

@@ -204,7 +204,7 @@ def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
 
 @dataclass
 class FoundMessages:
-    """Collects where the messages of the wanted types are in a bag's file, by their connection number."""
+    """Collects where the messages of the wanted `types` are in a bag's file: {connection number: places}."""
 
     types: frozenset[str]
     connections: dict[int, BagTopic] = field(default_factory=dict)

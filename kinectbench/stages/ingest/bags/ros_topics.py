@@ -279,7 +279,7 @@ def _is_beside(info: str, image: ImageTopic) -> bool:
 
 
 def _differ(first: NamedInfo, second: NamedInfo, image: ImageTopic) -> bool:
-    """Whether two CameraInfo have different intrinsics, beyond rounding, for images of one size."""
+    """Whether two CameraInfo give the images of a topic different intrinsics, beyond rounding."""
     a, b = (intrinsics_of(info, image) for _, info in (first, second))
     pairs = ((a.fx, b.fx), (a.fy, b.fy), (a.cx, b.cx), (a.cy, b.cy))
     return any(abs((x or 0.0) - (y or 0.0)) > SAME_SHARE * (a.fx or 1.0) for x, y in pairs)

@@ -132,7 +132,7 @@ def _walk_file(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
 
 
 def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Walk through a file that is compressed as a whole, after unpacking it into a temporary folder."""
+    """Find messages of `types` in a file compressed as a whole, unpacked into a temporary folder."""
     import zstandard
 
     def read(place: MessagePlace) -> bytes:

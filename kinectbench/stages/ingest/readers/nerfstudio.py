@@ -177,7 +177,7 @@ def _color(path: Path, frame: Frame) -> Path | None:
 def _intrinsics(
     path: Path, frames: list[Frame], color_px: tuple[int, int], size_px: tuple[int, int]
 ) -> tuple[Intrinsics, list[str]]:
-    """Intrinsics of the depth images, without values if a frame lacks one; and warnings."""
+    """Common intrinsics of the frames' depth images, without values if a frame lacks any; and warnings."""
     file = path / FILE
     model = next((m for frame in frames if (m := frame.get("camera_model")) not in MODELS), None)
     if model is not None:
@@ -218,7 +218,7 @@ def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
 def _trajectory(
     path: Path, shared: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The trajectory, camera to world, metres, with nerfstudio's `applied_scale` undone; and warnings."""
+    """The trajectory, camera to world, metres: the `applied_scale` of `shared` is undone; and warnings."""
     scale = number_of(shared.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
     if scale <= 0:
         raise GivenPosesError(f"{path / FILE}: 'applied_scale' must be above 0")

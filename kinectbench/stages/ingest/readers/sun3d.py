@@ -143,7 +143,7 @@ def _stamp_text(stem: str) -> str:
 def _read_poses(
     path: Path, color_ns: Sequence[int], depth_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read the trajectory from the file whose name is last: a pose per colour, or else per depth image.
+    """Read the trajectory from the file last by name: a pose per colour image, or else per depth image.
 
     Returns:
         The trajectory, or None without a file or a finite pose; and warnings.

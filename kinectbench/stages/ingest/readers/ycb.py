@@ -215,7 +215,7 @@ def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -
 def _poses(
     path: Path, said: Mapping[str, Float64], angles: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The depth camera's trajectory in the turntable's frame, 1 s per degree, or None; and warnings."""
+    """The depth camera's trajectory in the turntable's frame, 1 s per degree of `angles`; and warnings."""
     files = [path / "poses" / f"NP5_{angle}_pose.h5" for angle in angles]
     if not any(file.is_file() for file in files):
         return None, [f"{path}: has no poses/NP5_0_pose.h5; the object is tracked by its depth alone"]
