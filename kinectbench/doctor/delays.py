@@ -82,7 +82,7 @@ def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
 
 
 def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
-    """Return the correlation of the first motion with the second at times later by a lag.
+    """Return the correlation of the first motion with the second taken `lag_ns` later.
 
     It is -1 with fewer than 20 common samples, or without motion.
     """

@@ -115,7 +115,7 @@ def seen_floor(
 
 
 def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
-    """Report a missing or uncertain floor, and a camera at an implausible height above it."""
+    """Report a floor that is missing though needed, or uncertain, and a camera implausibly high or low."""
     heights_m = floor.heights_m
     seen = np.isfinite(heights_m)
     if seen.mean() < SEEN_SHARE:
