@@ -131,7 +131,7 @@ class RealSense(Device):
         return None
 
     def _frame(self, depth: "rs.frame", colors: list["rs.frame"], felt: tuple[Acceleration, ...]) -> Frame:
-        """Return depth with its nearest colour in time and accelerations; drop that colour and older ones."""
+        """Return depth with the nearest of `colors` in time, and `felt`; drop that colour and older ones."""
         number, stamp_ns = depth.get_frame_number(), _stamp_ns(depth)
         if self._last is not None:
             self.missed += max(number - self._last - 1, 0)

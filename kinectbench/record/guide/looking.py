@@ -113,7 +113,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:
-    """Return the faces up to half the object's size from its box, floor frame, at most `SHOWN_TRIANGLES`."""
+    """Return the scene within half the object's size of its box, decimated, in the floor frame."""
     mesh = scene.transformed(T_floor_world)
     near = box.grown(0.5 * max(box.size_m)).contains(mesh.vertices)
     return decimated(mesh.keep_faces(np.asarray(near[mesh.faces].all(axis=1))), SHOWN_TRIANGLES)
