@@ -70,7 +70,7 @@ def pair_images(
 
 
 def _lone(partners: Sequence[int | None], colors: int, how: str, where: str) -> tuple[str, ...]:
-    """A warning: so many frames have a partner None ("no colour" `how`); empty if 0, or if `colors` is 0."""
+    """A warning with the number of depth frames without colour; empty if it is 0, or there is no colour."""
     alone = sum(partner is None for partner in partners)
     line = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
     return (line,) if colors and alone else ()

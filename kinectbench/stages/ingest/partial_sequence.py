@@ -22,7 +22,7 @@ FrameMark: TypeAlias = tuple[int, tuple[tuple[str, int, int], ...]]
 
 @dataclass(frozen=True)
 class PartialSequence:
-    """The first frames of a recording, already stored in the way of the stage `ingest`.
+    """The first frames of a recording, already stored as the stage `ingest` stores them.
 
     Attributes:
         writer: the writer that has taken these frames.

@@ -119,7 +119,7 @@ class Recording(ABC):
         suffixes: suffixes of such files; the id of a recording is its name without them.
         uses: names of the settings that this reader applies, among those in `OF_SOME_FORMATS`, which not all
             readers apply.
-        evidence: the best data that the reader was tested on: real, a licensed copy, or written here.
+        evidence: what the reader was tested on at best: real data, licensed real data, or our own files.
         verified: a description of that data, such as files of other programs; "" if it is only our own files.
         up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
             None: unknown.
@@ -232,7 +232,7 @@ class FileRecording(Recording):
     """A recording with a file for each image; base of the formats in folders.
 
     Attributes:
-        often_rotated: whether depth in this layout usually has rotated bits.
+        often_rotated: whether depth in this layout usually has rotated bits (`depth_codes`).
         depth_code: how to read the values (`core.types.DepthCode`).
         channels: channels of the high and the low byte, if depth has two 8-bit channels; None: one channel.
         kind: the type of all depth values ("floats" or "whole numbers"), and an example file for the message

@@ -108,7 +108,7 @@ def read_transforms(bag: RosBag) -> TransformTree:
 
 
 def _by_stamp(stamps_ns: "array[int]", rows: "array[float]") -> tuple[Int64, Float64]:
-    """Sort transforms (seven numbers each) by stamp: stamps (n,), matrices (n, 4, 4); repeats: the last."""
+    """Sort transforms (seven numbers each) by stamp: (n,) and (n, 4, 4); of equal stamps the last is kept."""
     # In reverse, because unique takes the first of equal stamps.
     stamps, first = np.unique(np.array(stamps_ns, np.int64)[::-1], return_index=True)
     return stamps, _matrices(np.array(rows).reshape(-1, 7)[::-1][first])

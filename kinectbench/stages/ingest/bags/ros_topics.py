@@ -271,7 +271,7 @@ def _is_of_one_camera(rank: Rank, best: Rank) -> bool:
 
 
 def _is_beside(info: str, image: ImageTopic) -> bool:
-    """Whether a CameraInfo is in the namespace of an image topic, whose name may end in its transport."""
+    """Whether a CameraInfo is in the namespace of an image topic, whose name may end in "/compressed"."""
     folder, _, last = image.name.rpartition("/")
     if image.topic.type == COMPRESSED_IMAGE and last.startswith("compressed"):
         folder = folder.rpartition("/")[0]

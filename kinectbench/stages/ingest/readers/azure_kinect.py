@@ -303,7 +303,7 @@ def _cut(path: Path, frames: int) -> list[str]:
 
 
 def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
-    """Find the first byte of an image whose block starts at `position`.
+    """Find where an image's bytes, `data`, start in the file; its block starts at `position`.
 
     Raises:
         RecordingError: the image's bytes are not in the file unchanged.
