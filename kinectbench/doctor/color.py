@@ -39,8 +39,8 @@ MORE_SIMILAR, STILL_SIMILAR, FEWEST_IN_ORDER = 0.1, 0.9, 20
 class EdgeFit:
     """How well edges of colour coincide with depth discontinuities.
 
-    A score is a correlation minus the median of all, divided by their standard deviation. All are those at
-    shifts up to 96 px, in images 320 px wide.
+    A score is a correlation minus the median of the correlations at all shifts up to 96 px, in images 320 px
+    wide, divided by their standard deviation.
 
     Attributes:
         here: the score without a shift.
@@ -146,7 +146,7 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
 
 def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the gradient magnitude of a grey image resized to `size` (width, height), / its mean, <= 4."""
+    """Return a grey image's gradient magnitude at `size` (width, height), relative to its mean, at most 4."""
     import cv2
 
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)

@@ -222,8 +222,8 @@ def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
     """Return the delay of registered colour at which its edges coincide best with depth discontinuities.
 
-    Lags up to 12 frames either way are tried. The result is None if the maximum is not significant or at
-    either end, if a half of the run has its maximum more than a frame away, or for fewer than 26 frames.
+    Lags up to 12 frames either way are tried. The result is None if the best lag is not significant, or is
+    the first or last; if that of half the run is more than a frame away; or for fewer than 26 frames.
     """
     if len(run) // 2 <= EDGE_LAGS:
         return None

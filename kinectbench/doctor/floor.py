@@ -217,7 +217,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
     """Find the floor in one frame, in its camera's axes; None without a floor.
 
-    Of the result, only `plane_world` is in metres: the search is at a scale at which the median depth is 1.5.
+    The search scales depth to a median of 1.5 m; of its result only `plane_world` is scaled back to metres.
     """
     from kinectbench.stages.segment.find.floor import find_floor
     from kinectbench.stages.segment.find.gravity import hint_of
