@@ -146,7 +146,7 @@ class Guide:
         return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= self.seen.floor_cut_m)
 
     def shown(self) -> dict[str, object]:
-        """Return the camera's path (n, 3), which parts of the ring are seen (12, 3), and the object's box."""
+        """Return the camera's path (n, 3), metres, the ring's seen parts, the object's box; floor frame."""
         if self.seen is None:
             return {"path": [], "ring": [], "box": None}
         _, T_world = self.tracker.poses()

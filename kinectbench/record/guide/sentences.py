@@ -107,7 +107,7 @@ class Situation:
         position: (3,) position of the camera; None: the object is not known yet.
         center: (3,) centre of the object.
         fits_m: distance from the object at which a ball around it just fits into the picture.
-        first_rad: azimuth from the object to the start of the recording.
+        first_rad: azimuth, around the object, of where the recording began.
         ring: directions from which the object was seen.
         frontiers: openings to unseen space, which no keyframe looked into, the largest first.
         positions: (n, 3) positions of the keyframes.
@@ -176,7 +176,7 @@ def _around(now: Situation, position: Float64) -> Advice | None:
 
 
 def _into_openings(now: Situation, position: Float64) -> Advice | None:
-    """Return advice to look into the largest opening into which under two keyframes looked; None without."""
+    """Return advice to look into the largest opening that fewer than two keyframes looked into, or None."""
     for each in now.frontiers:
         center, rise_rad = np.array(each.center_m), _rise_rad(each, now.fits_m)
         if each.obstructed or rise_rad is None or _was_looked_into(each, rise_rad, now.positions):
@@ -235,7 +235,7 @@ def _rise_rad(each: Frontier, fits_m: float) -> float | None:
 
 
 def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> bool:
-    """Return whether two or more keyframes were about where to look into an opening from, at `rise_rad`."""
+    """Return whether two or more keyframes lie about where to look into an opening, elevation `rise_rad`."""
     if not len(positions):
         return False
     towards_rad, at_rad = directions_of(positions, np.array(each.center_m))
