@@ -30,9 +30,9 @@ SLOWER = "record again at a rate that the computer keeps up with; gaps make trac
 
 
 def check_clock(probe: Probe) -> Iterator[Finding]:
-    """Report faults of the stamps of depth and colour, too few frames, doubled frames and missing colour.
+    """Report faults of depth's and colour's stamps, too few frames, repeated depth images, missing colour.
 
-    With fewer than three frames only that is reported.
+    Of a recording with fewer than three frames, only that number is reported.
     """
     recording = probe.recording
     if len(recording) < MIN_FRAMES:

@@ -48,9 +48,9 @@ class Code:
 def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     """Report another scale or encoding of depth with which the given poses fit.
 
-    Nothing is tried without given poses, or if `depth_code` is set. If the poses fit already, or if the files
-    have float depth, whose values the probe no longer has, only distance along the ray is tried; and poses
-    that fit already must then fit clearly better. In bags, only other scales are tried.
+    Nothing is tried without given poses, or if `depth_code` is set. Only distance along the ray is tried if
+    the poses fit already (it must then fit clearly better), or if the files have float depth, whose values
+    the probe no longer has. If the images are not files, as in a bag, only other scales are tried.
 
     Args:
         probe: the probe of the recording.

@@ -39,12 +39,12 @@ MORE_SIMILAR, STILL_SIMILAR, FEWEST_IN_ORDER = 0.1, 0.9, 20
 class EdgeFit:
     """How well edges of colour coincide with depth discontinuities.
 
-    Scores are correlations less their median, in standard deviations; both are those of the shifts up to 96
-    px in images 320 wide.
+    A score is a correlation minus the median of the correlations at all shifts up to 96 px, in images 320 px
+    wide, divided by their standard deviation.
 
     Attributes:
         here: the score without a shift.
-        best: the score at the best shift up to 24 px in images 320 wide, `shift_px`.
+        best: the best score at a shift up to 24 px in these images; the shift is `shift_px`.
         mirrored: the best score with colour mirrored left to right.
         shift_px: (2,) best shift: how far colour lies to the right of and below depth, depth pixels.
     """
@@ -146,7 +146,7 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
 
 def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the gradient magnitude of a grey image resized to `size` (width, height), 1 = its mean, <= 4."""
+    """Return a grey image's gradient magnitude at `size` (width, height), relative to its mean, at most 4."""
     import cv2
 
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
@@ -157,15 +157,15 @@ def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.fl
 
 
 def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the correlation of jumps and edges at every cyclic shift (down, right) of colour; mean 0."""
+    """Return the correlation of depth jumps and colour edges at each cyclic shift (down, right) of colour."""
     spectrum = np.conj(np.fft.rfft2(jumps)) * np.fft.rfft2(edges - edges.mean())
     return np.asarray(np.fft.irfft2(spectrum, jumps.shape))
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the scores of shifts up to REACH_PX (r): (2 r + 1, 2 r + 1), without a shift in the middle.
+    """Normalise correlations; return those at shifts up to REACH_PX (r): (2 r + 1, 2 r + 1), 0 in the middle.
 
-    They are less their median, in standard deviations, both over the shifts up to 4 times as far.
+    Their median is subtracted, then they are divided by their standard deviation, both at shifts up to 4 r.
     """
 
     def window(reach: int) -> NDArray[np.float64]:
@@ -271,7 +271,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
 
 
 def _match(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Return the share of the pixels measured in both depth images whose depths agree to 15 %; 1 if none."""
+    """Return the share of pixels, of those with depth in both, whose depths agree to 15 %; 1 without any."""
     both = (first > 0) & (second > 0)
     if not both.any():
         return 1.0

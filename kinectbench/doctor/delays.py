@@ -82,7 +82,7 @@ def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
 
 
 def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
-    """Return the correlation of the first motion with the second at times later by a lag.
+    """Return the correlation of the first motion with the second taken `lag_ns` later.
 
     It is -1 with fewer than 20 common samples, or without motion.
     """
@@ -203,9 +203,9 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
-    """Return colour's delay, changed if fewer than 80 % of the colour images would then have a depth partner.
+    """Return colour's delay, corrected if with it under 80 % of the colour images have a depth partner.
 
-    To it is then added the median of the times by which colour images are later than the nearest depth image.
+    The correction: add the median time by which colour images, shifted by it, follow the nearest depth image.
     """
     depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):
@@ -222,8 +222,8 @@ def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
     """Return the delay of registered colour at which its edges coincide best with depth discontinuities.
 
-    Lags up to 12 frames either way are tried. The result is None if the maximum is not significant or at
-    either end, if a half of the run has its maximum more than a frame away, or for fewer than 26 frames.
+    Lags up to 12 frames either way are tried. The result is None if the best lag is not significant, or is
+    the first or last; if that of half the run is more than a frame away; or for fewer than 26 frames.
     """
     if len(run) // 2 <= EDGE_LAGS:
         return None
@@ -244,7 +244,7 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
 def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
     """Return the overlap of depth discontinuities of frame i with colour edges of frame j: [i, j] of (n, n).
 
-    Row and column means are removed.
+    The mean of each row and of each column is subtracted.
     """
     jumps = np.stack([depth_jumps(frame.depth_m, EDGE_SIZE).astype(np.float32).ravel() for frame in run])
     edges = np.stack([_edges_of(frame).astype(np.float32).ravel() for frame in run])

@@ -70,7 +70,7 @@ def check_intrinsics(probe: Probe) -> Iterator[Finding]:
 
 
 def check_depth(probe: Probe) -> Iterator[Finding]:
-    """Report faults of depth images: damage, mixed sizes, byte order, 8 bits, invalid code, unit, gaps."""
+    """Report depth that is damaged, of mixed sizes, byte-swapped, of 8 bits, in a wrong unit, or has gaps."""
     yield from _readable(probe)
     if not probe.whole:
         return

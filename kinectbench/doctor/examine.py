@@ -157,11 +157,11 @@ def _by_own_pixels(probe: Probe) -> Finding:
 def _examined(
     probe: Probe, ground: Ground, findings: list[Finding], fusion: FusionSettings | None, *, own_pixels: bool
 ) -> tuple[dict[str, object], list[Finding]]:
-    """Run the checks that need valid depth; return further facts, and all findings.
+    """Run the checks that need valid depth; return their facts for the diagnosis, and all findings.
 
-    The findings so far (`findings`) are among them. Findings that well-fitting poses exclude, or that another
-    finding explains, are left out. If depth has another scale or encoding (`check_codes`), the other checks
-    are not run, and there are no further facts.
+    Those so far (`findings`) are among them. Findings that well-fitting poses exclude or another explains are
+    left out, with `own_pixels` also those on the floor and a static camera. If depth has another scale or
+    encoding (`check_codes`), the other checks are not run, and there are no facts.
     """
     # Poses of a static camera fit equally well in every convention, so they prove nothing.
     still, edges, poses = [*check_still(probe)], fit_edges(probe), fit_trajectory(probe)
@@ -203,7 +203,7 @@ def _examined(
 
 
 def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
-    """Yield the findings about colour, clock offsets and the given trajectory."""
+    """Yield findings about colour, clock offsets and the given trajectory, by the fits of edges and poses."""
     of_color = list(check_edges(probe, edges))
     yield from of_color
     # Unregistered colour gives no delay by edges.

@@ -50,14 +50,14 @@ FITTING_NOISES, MOST_FITTING_M = 3.0, 0.05
 
 @dataclass(frozen=True)
 class PoseConvention:
-    """A convention in which given poses may be stored; the defaults are the stated convention.
+    """A convention in which given poses may be stored; the defaults are the one that poses should have.
 
     Attributes:
         inverse: whether the poses map the world to the camera.
-        axes: the camera's axes, a key of AXES.
+        axes: the camera's axes, a key of AXES: "optical", "opengl" or "robot".
         wxyz: whether quaternions are stored as w, x, y, z instead of x, y, z, w.
-        images: whether the images are mirrored left to right, a key of IMAGES.
-        unit_m: the poses' unit of length, in units of the depth (metres).
+        images: a key of IMAGES: "upright", or "mirrored" left to right.
+        unit_m: the poses' unit of length in metres: 0.001 for millimetres.
     """
 
     inverse: bool = False
@@ -68,11 +68,11 @@ class PoseConvention:
 
     @property
     def changes(self) -> int:
-        """The number of attributes that differ from the stated convention, the default."""
+        """The number of attributes that differ from their defaults."""
         return sum(getattr(self, field.name) != field.default for field in fields(self))
 
     def text(self) -> str:
-        """The differences from the stated convention, in words."""
+        """The differences from the default convention, in words."""
         parts = [
             "world to camera (inverse)" if self.inverse else "",
             AXES_IN_WORDS[self.axes],
@@ -83,7 +83,7 @@ class PoseConvention:
         return ", ".join(part for part in parts if part) or "as given"
 
     def apply(self, poses: Float64) -> Float64:
-        """Convert poses (n, 4, 4), read as in the stated convention, to T_world_camera; NaN stays NaN.
+        """Convert poses (n, 4, 4), read as in the default convention, to T_world_camera; NaN stays NaN.
 
         The result has optical axes and is in metres.
         """
@@ -103,7 +103,7 @@ class PoseConvention:
 
 
 def likely_conventions() -> Iterator[PoseConvention]:
-    """Yield the conventions to try first, beginning with the stated one."""
+    """Yield the conventions to try first, beginning with the default."""
     yield from _of_unit(1.0)
     yield from (PoseConvention(unit_m=unit_m) for unit_m in OTHER_UNITS)
     yield from (PoseConvention(inverse, images="mirrored") for inverse in (False, True))
@@ -144,9 +144,9 @@ class FramePair:
 def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
     """Choose pairs of frames that have poses, evenly over the recording, some near and some distant.
 
-    The second frame comes 1 to 40 places after the first, or before it near the end. If the poses are in no
-    order of time, it is one of those with the smallest angle between the views instead, which is the same in
-    every convention.
+    The second frame comes 1 to 40 frames after the first, or near the end before it. If the poses are in no
+    order of time, it is one of those whose orientation is nearest to the first's instead: the angle between
+    two orientations is the same in every convention.
 
     Args:
         probe: the probe of the recording.
@@ -173,7 +173,7 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Return the indices 1, 4, 12 and 40 after `first`, each as far before it if not below `count`.
+    """Return the indices 1, 4, 12 and 40 after `first`; those not below `count` are as far before it instead.
 
     An index may be negative: there is no such frame.
     """

@@ -115,7 +115,7 @@ def seen_floor(
 
 
 def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
-    """Report a missing or uncertain floor, and a camera at an implausible height above it."""
+    """Report a floor that is missing though needed, or uncertain, and a camera implausibly high or low."""
     heights_m = floor.heights_m
     seen = np.isfinite(heights_m)
     if seen.mean() < SEEN_SHARE:
@@ -204,7 +204,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
     Args:
         noise_m: scatter of all frames' points about the floor, metres.
-        depths_m: (m,) depths of the points near the floor in their cameras, metres; if empty, nothing.
+        depths_m: (m,) depths of the points near the floor in their cameras, metres; if empty, no warning.
     """
     if not len(depths_m):
         return
@@ -217,7 +217,7 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
     """Find the floor in one frame, in its camera's axes; None without a floor.
 
-    Of the result, only `plane_world` is in metres: the search is at a scale at which the median depth is 1.5.
+    The search scales depth to a median of 1.5 m; of its result only `plane_world` is scaled back to metres.
     """
     from kinectbench.stages.segment.find.floor import find_floor
     from kinectbench.stages.segment.find.gravity import hint_of

@@ -30,7 +30,7 @@ class Lengths:
     Attributes:
         depth: factor on all depth values.
         focal: factor on both focal lengths.
-        left: disagreement with these factors, relative to that without; 1 if no factors fit better.
+        left: disagreement of poses and depth with these factors / without them; 1 if no factors fit better.
     """
 
     depth: float
@@ -46,8 +46,8 @@ class Lengths:
 def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
     """Find the factors on depth and focal lengths with which given poses fit best, by descent in 5 % steps.
 
-    The descent ends at a local minimum, at most four steps from 1 for each factor. The factors must also
-    bring the surfaces nearer to each other, for their distance: disagreement counts hidden surfaces, too.
+    The descent ends at a local minimum, at most four steps from 1 for each factor. Hidden surfaces disagree,
+    too, so both factors are 1 unless they also reduce the distance of the surfaces relative to the depth.
 
     Args:
         pairs: the pairs of frames to compare.

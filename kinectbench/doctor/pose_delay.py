@@ -129,7 +129,7 @@ def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | 
 def _poses(
     probe: Probe, given: GivenTrajectory, pairs: tuple[FramePair, ...], lag_ns: int
 ) -> NDArray[np.float64]:
-    """Return the poses at the stamps of paired frames plus a lag: (n, 4, 4), NaN for all other frames."""
+    """Return poses (n, 4, 4) for the probe's n frames: paired ones at their stamp plus a lag, others NaN."""
     needed = frames_of(pairs)
     poses = np.full((len(probe.frames), 4, 4), np.nan)
     moved = on_clock(probe, given)
@@ -138,9 +138,6 @@ def _poses(
 
 
 def longest_gap_s(given: GivenTrajectory) -> float:
-    """Return the longest gap between poses over which checks interpolate, s: the larger of 0.2 and 2.5 gaps.
-
-    The gaps are median steps between poses.
-    """
+    """Return the longest gap to interpolate over, seconds: 0.2, or if larger 2.5 median steps of poses."""
     median_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
     return max(MAX_GAP_S, 2.5 * median_s)

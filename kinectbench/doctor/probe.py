@@ -70,9 +70,9 @@ class Probe:
         frames: the sampled frames at low resolution, in order, without the damaged and the refused ones.
         whole: some of these frames at full size, evenly spread.
         damaged: one line for each sampled frame that is damaged, with the reason.
-        refused: one line for each sampled frame that is not damaged, but is of another size or kind than the
-            others or cannot be read, with the reason. If 5 % or more are of another size, those whose depth
-            is stay in `frames`.
+        refused: one line for each sampled frame that is undamaged, but of another size or kind than the
+            others or unreadable, with the reason. If 5 % or more are of another size, frames whose depth has
+            another size are not refused: they stay in `frames`.
         depth_step_px: the stride n of the small depth images.
     """
 

@@ -60,7 +60,7 @@ class PoseFit:
         convention: the simplest convention that fits well.
         given: disagreement of the poses as given with the depth (`fit.disagreements`), mean over the pairs.
         best: disagreement of the poses in that convention.
-        still: disagreement of a static camera.
+        still: disagreement if the camera is taken to be static.
         residual_m: median point-to-plane residual in that convention, metres.
         fits: whether the residual is within the depth noise.
         proven: whether the poses fit unchanged, clearly better than in any other unit and than a static
@@ -157,9 +157,10 @@ def _disagreements(
 
 
 def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
-    """Report faults of the given trajectory: unreadable, other times, a wrong convention, unit or clock.
+    """Report a given trajectory that is unreadable or whose times, convention, unit or clock are wrong.
 
-    Notes report that there is none, that it could not be checked, and an arc of less than 270 degrees.
+    Also reported are a depth scale or focal lengths that fit better, and in notes a missing trajectory, one
+    that could not be checked, and a viewing arc of less than 270 degrees.
     """
     given = probe.recording.given_trajectory
     if probe.recording.trajectory_error:
@@ -197,9 +198,9 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
 
 
 def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> int:
-    """Return the index of the convention: 0, as given, or if others fit much better, the simplest of these.
+    """Return the index of the convention to use, by costs (n,): 0, the default, if none fits much better.
 
-    Of those, only conventions are considered whose cost is within 3 % of the lowest.
+    Then it is the simplest of those whose cost is within 3 % of the lowest.
     """
     if costs.min() > BETTER * costs[0]:
         return 0
@@ -208,7 +209,7 @@ def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> 
 
 
 def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> float | None:
-    """Return the key of FACTORS by which pose stamps become frame times; None if none fits or is needed."""
+    """Return the factor (key of FACTORS) from pose stamps to frame times; None if none fits or is needed."""
     together = [
         int(((a >= b[0]) & (a <= b[-1])).sum()) for a, b in ((poses_ns, frames_ns), (frames_ns, poses_ns))
     ]

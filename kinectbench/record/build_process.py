@@ -98,7 +98,7 @@ class GrowingBuild:
 
     Attributes:
         folder: the growing folder.
-        stored: the folder for the stored sequence.
+        stored: the folder into which the frames are stored as a sequence.
     """
 
     def __init__(self, folder: Path, stored: Path) -> None:
@@ -145,7 +145,7 @@ class GrowingBuild:
         return True
 
     def _follow(self, recording: Recording, frames: FolderFrames) -> None:
-        """Register the newest stored frame, which `frames` ends with."""
+        """Register the newest stored frame, the last of `frames`, to earlier ones."""
         registered = recording.color_registered or recording.color_calibration is not None
         stamps_ns = np.array([row.stamp_ns for row in frames.rows], np.int64)
         sequence = Sequence(recording.camera, recording.depth_scale, stamps_ns, registered, None, frames)

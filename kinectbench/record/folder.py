@@ -117,7 +117,7 @@ class FolderWriter:
                 self._waiting_bytes -= frame.nbytes
 
     def _images(self, number: int, frame: Frame) -> tuple[tuple[str, str], ...]:
-        """Write a frame's images; return a pair (name of list, row) for each row to add, depth last."""
+        """Write a frame's images; return its rows for the lists: (name such as "rgb", row), depth last."""
         rows = [
             ("accelerometer", f"{format_stamp(s)} {x!r} {y!r} {z!r}") for s, (x, y, z) in frame.accelerations
         ]
@@ -130,7 +130,7 @@ class FolderWriter:
         return tuple(rows)
 
     def _image(self, kind: str, name: str, stamp_ns: int, data: bytes) -> str:
-        """Write an image and return its row."""
+        """Write an image into the folder `kind`; return its row of the list of images: stamp and file."""
         file = self.folder / kind / name
         try:
             file.write_bytes(data)

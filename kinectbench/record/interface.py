@@ -20,7 +20,7 @@ Item = TypeVar("Item")
 
 
 class Acceleration(NamedTuple):
-    """A measurement of an accelerometer: stamp in ns, and m/s^2 in the optical axes of the depth camera.
+    """A measurement of an accelerometer: stamp in ns; (x, y, z), m/s^2, in the depth camera's optical axes.
 
     At rest, it is the reaction to gravity and points up.
     """

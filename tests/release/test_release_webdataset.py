@@ -28,6 +28,13 @@ def shards(release: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_an_earlier_export_of_more_files_is_replaced(release: Release, tmp_path: Path) -> None:
+    export_webdataset(release, tmp_path / "out", pairs_per_shard=1)
+    (tmp_path / "out/.DS_Store").touch()  # of a file manager
+    assert export_webdataset(release, tmp_path / "out", pairs_per_shard=7) == 7
+    assert len(list((tmp_path / "out").glob("*.tar"))) == 2
+
+
 def test_shards(shards: Path) -> None:
     assert json.loads((shards / "export.json").read_text())["shards"] == {
         "validation-000000.tar": 3, "test-000000.tar": 3, "test-000001.tar": 1

@@ -53,7 +53,7 @@ class Replay(Device):
     def frames(self) -> Iterator[Frame]:
         """Yield each frame at its time; a damaged frame, or one requested too late, counts as missed.
 
-        A jump of the clock is replayed as the longest step that still counts as a pause
+        A jump of the clock is shortened to the longest step that still counts as a pause
         (`core.trajectory.stamps`).
         """
         stamps_ns = np.asarray(self._recording.stamps_ns)

@@ -56,7 +56,7 @@ class Snapshot:
         lost: whether the camera has no pose.
         distance_m: distance from the camera to the middle of the object, metres; None: not known yet.
         speed_mps: speed of the camera, metres a second; while it is lost, the last known one.
-        T_world_camera: (4, 4), in the tracker's current world; None: the camera is lost.
+        T_world_camera: (4, 4), camera to the tracker's current world; None: the camera is lost.
         T_floor_camera: (4, 4), camera to floor frame; None: the floor is not known, or the camera is lost.
         looks: number of reconstructions of the object so far (`look`); each has a new mesh.
     """
@@ -146,7 +146,7 @@ class Guide:
         return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= self.seen.floor_cut_m)
 
     def shown(self) -> dict[str, object]:
-        """Return path (n, 3), ring (12, 3) of "seen", and the object's box, if known: metres, floor frame."""
+        """Return the camera's path (n, 3), metres, the ring's seen parts, the object's box; floor frame."""
         if self.seen is None:
             return {"path": [], "ring": [], "box": None}
         _, T_world = self.tracker.poses()
@@ -165,7 +165,7 @@ class Guide:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _look_again(self, now_s: float) -> None:
-        """Take over the result of `look` if it has ended; start it again if it is time."""
+        """Take over the result of `look` if it has ended; start it again if time and new keyframes allow."""
         if self._look is not None and self._look.done():
             with self._moving:
                 self._take_look(*self._look.result())
@@ -194,7 +194,7 @@ class Guide:
         self._count(self.seen.T_floor_world @ self.tracker.poses()[1])
 
     def _count(self, T_floor_camera: Float64) -> None:
-        """Count in the ring those camera poses (n, 4, 4), floor frame, that look at the object."""
+        """Count in the ring those of the poses (n, 4, 4), camera to floor frame, that look at the object."""
         assert self.seen is not None
         center = np.array(self.seen.box.center_m)
         ways = center - T_floor_camera[:, :3, 3]
@@ -255,7 +255,7 @@ def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph
 
 
 def mesh_bytes(mesh: TriangleMesh) -> bytes:
-    """Encode a mesh for the page: two uint32 counts, vertices (n, 3) float32, metres, faces (m, 3) uint32."""
+    """Encode a mesh for the page: uint32 n and m, vertices (n, 3) float32, metres, faces (m, 3) uint32."""
     counts: NDArray[np.uint32] = np.array([len(mesh.vertices), len(mesh.faces)], np.uint32)
     vertices, faces = mesh.vertices.astype("<f4"), mesh.faces.astype("<u4")
     return counts.astype("<u4").tobytes() + vertices.tobytes() + faces.tobytes()

@@ -60,7 +60,7 @@ class ObjectLook:
     floor_cut_m: float
 
     def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
-        """Return the look in the world to which `T_world_before` (4, 4) maps the old one; None without it."""
+        """Return this look in a new world; `T_world_before` (4, 4) is old to new world; None gives None."""
         if T_world_before is None:
             return None
         return replace(self, T_floor_world=on_so3(self.T_floor_world @ invert_rigid(T_world_before)))
@@ -113,7 +113,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:
-    """Return the faces up to half the object's size from its box, floor frame, at most `SHOWN_TRIANGLES`."""
+    """Return the scene within half the object's size of its box, decimated, in the floor frame."""
     mesh = scene.transformed(T_floor_world)
     near = box.grown(0.5 * max(box.size_m)).contains(mesh.vertices)
     return decimated(mesh.keep_faces(np.asarray(near[mesh.faces].all(axis=1))), SHOWN_TRIANGLES)

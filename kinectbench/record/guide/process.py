@@ -48,7 +48,7 @@ class Said(NamedTuple):
         number: number of the frame.
         sentence: one line.
         done_s: when the guide was done, by the monotonic clock of this machine, seconds.
-        T_world_camera: (4, 4), in the tracker's world at that time; None: the camera is lost.
+        T_world_camera: (4, 4), camera to the tracker's world at that time; None: the camera is lost.
     """
 
     number: int
@@ -172,7 +172,7 @@ class _Shown:
         return self._last
 
     def state(self, query: str) -> tuple[str, bytes] | None:
-        """Return, as JSON, what the page shows after the last frame, except for mesh and picture, or None."""
+        """Return what the page shows after the last frame: JSON, no mesh or picture; None without frames."""
         last, guide, picture = self._last, self._guide, self._picture
         if last is None or guide is None or picture is None:
             return None
@@ -194,7 +194,7 @@ class _Shown:
     def pick(self, body: bytes) -> str:
         """Handle a click on the object: JSON `{"picture": number, "x": ..., "y": ...}`.
 
-        x and y are shares of the picture's width and height, 0 to 1; the pixel of depth at the same shares is
+        x and y are fractions of the picture's width and height; the pixel of depth at the same fractions is
         picked.
 
         Returns:

@@ -53,7 +53,7 @@ class Advice(NamedTuple):
     """A sentence, and the motion that it asks for.
 
     Attributes:
-        kind: the kind of request.
+        kind: what is asked for, such as `left`; or what is said, such as `lost`.
         sentence: one line.
         distance_m: distance from the middle of the object at which `nearer` and `farther` should end, metres.
             The page needs it because a sentence stays for five seconds.
@@ -106,8 +106,8 @@ class Situation:
         turn_rad_per_s: angular speed of the camera.
         position: (3,) position of the camera; None: the object is not known yet.
         center: (3,) centre of the object.
-        fits_m: distance at which a ball around the object just fits into the picture.
-        first_rad: azimuth from the object to the start of the recording.
+        fits_m: distance from the object at which a ball around it just fits into the picture.
+        first_rad: azimuth, around the object, of where the recording began.
         ring: directions from which the object was seen.
         frontiers: openings to unseen space, which no keyframe looked into, the largest first.
         positions: (n, 3) positions of the keyframes.
@@ -223,7 +223,7 @@ def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
 
 
 def _rise_rad(each: Frontier, fits_m: float) -> float | None:
-    """Return the elevation from which to look into an opening; None if it is too low for a camera.
+    """Return the elevation from which to look into an opening `fits_m` away; None if too low for a camera.
 
     A camera low above the floor can look up into a higher opening, though less steeply than would be best.
     """
@@ -235,7 +235,7 @@ def _rise_rad(each: Frontier, fits_m: float) -> float | None:
 
 
 def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> bool:
-    """Return whether at least two keyframes looked into an opening from about its viewing direction."""
+    """Return whether two or more keyframes lie about where to look into an opening, elevation `rise_rad`."""
     if not len(positions):
         return False
     towards_rad, at_rad = directions_of(positions, np.array(each.center_m))
@@ -247,20 +247,20 @@ def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> boo
 
 
 def _to_nearest(unseen_rad: Float64, towards_rad: float, first_rad: float, why: str) -> Advice:
-    """Return advice to go to the nearest of some azimuths (n,), by the shorter way."""
+    """Return advice to go from `towards_rad` to the nearest azimuth of `unseen_rad`, as `why` explains."""
     turns_rad = _wrapped(unseen_rad - towards_rad)
     nearest = int(np.argmin(np.abs(turns_rad)))
     return _sideways(float(turns_rad[nearest]), f"{_side(float(unseen_rad[nearest]), first_rad)} {why}")
 
 
 def _sideways(turn_rad: float, why: str, to_go_rad: float | None = None) -> Advice:
-    """Return advice to go left or right; a positive turn, counterclockwise from above, is to the right."""
+    """Return advice to go right (`turn_rad` > 0, counterclockwise from above) or left, by `to_go_rad`."""
     kind: Kind = "right" if turn_rad > 0 else "left"
     return Advice(kind, f"go {kind}: {why}", turn_rad=to_go_rad)
 
 
 def _side(towards_rad: float, first_rad: float) -> str:
-    """Return the name of a side of the object, seen from where the recording began."""
+    """Return the name of the object's side at an azimuth; "the front" is where the recording began."""
     quarter = round(float(_wrapped(towards_rad - first_rad)) / (np.pi / 2)) % 4
     return ("the front", "the right side", "the back", "the left side")[quarter]
 

@@ -51,8 +51,8 @@ class PageServer:
         """Start the server on separate threads.
 
         Args:
-            answers: {name below the token: answer}.
-            posts: {name below the token: handler of a post}.
+            answers: {name in the URL: function from the query to (content type, bytes), or None}.
+            posts: {name in the URL: function from the body of a POST to the text of the answer}.
             port: the port; 0: any free port.
 
         Raises:

@@ -38,7 +38,7 @@ class LiveFrames:
         self._frames.pop(index - NEWEST, None)
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Return a frame's depth."""
+        """Return a frame's depth, (height, width) uint16 in native units."""
         return self._frames[index].depth
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
@@ -63,7 +63,7 @@ class KeyframesSoFar(NamedTuple):
     odometry: Odometry
 
     def placed(self, graph: KeyframeGraph, index: int) -> Float64 | None:
-        """Return a frame's pose (4, 4) in the graph's world, by its keyframe's; None if it has no pose."""
+        """Return a frame's pose (4, 4) in the graph's world, by that of its keyframe; None if it has none."""
         frame = self.odometry.frames[index]
         if frame is None:
             return None

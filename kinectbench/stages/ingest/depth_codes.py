@@ -87,8 +87,8 @@ def unrotated(depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
 def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
     """Check whether depth images (height, width) uint16, 0 = none, have rotated bits.
 
-    In rotated depth, at least 95 % of the values are multiples of eight, and one of them is an odd multiple.
-    All others have the low three bits 001 (8.2 to 16.4 m). The values are too many and too large for an 8-bit
+    In rotated depth, at least 95 % of the values are multiples of eight, some of them odd ones. All others
+    have the low three bits 001 (8.2 to 16.4 m). There are larger and more different values than in an 8-bit
     picture. Plain depth in steps of 8 mm has these properties, too, so the median decides: read as plain
     depth, it is beyond 4.24 m if the bits are rotated.
     """

@@ -267,7 +267,7 @@ def hdf5_arrays(
 
 
 def _hdf5_array(h5py: ModuleType, file: "File", key: str, most_values: int) -> NDArray[np.generic]:
-    """Read one array.
+    """Read the array `key` of an open HDF5 file, of at most `most_values` values.
 
     Raises:
         ValueError: it is a link, stored in another file, too large or not numeric.

@@ -153,14 +153,14 @@ def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
 def _with_parts(whole: Sequence[int], fractions: Sequence[str]) -> list[int]:
     """Stamps in nanoseconds from whole seconds and fractions, which are counts of a unit or decimals.
 
-    Fractions are decimals if all have the same length, or one starts with a zero. Otherwise they are counts
-    if the longest are nanoseconds and the seconds count from 1970, because floats do not have as many
-    decimals, or if as decimals they could not be times. Otherwise they are whichever makes the steps more
-    regular.
+    A fraction of 5 is 0.5 s as decimals, and 5 ms, us or ns as a count. Fractions are decimals if all have
+    the same length, or one starts with a zero. Otherwise they are counts if as decimals they could not be
+    times, or if one has nine digits and the seconds count from 1970 (no float has so many digits). Otherwise
+    they are whichever makes the steps between stamps more regular.
 
     Args:
-        whole: whole seconds.
-        fractions: up to 9 digits for each.
+        whole: whole seconds of each stamp.
+        fractions: its fraction, up to 9 digits.
     """
     longest = max(map(len, fractions))
     unit_ns = 10 ** (PART_DIGITS - 3 * -(-longest // 3))
@@ -200,7 +200,7 @@ def _if_times(stamps_ns: list[int]) -> list[int] | None:
 
 
 def _if_parts(stamps_ns: list[int]) -> list[int] | None:
-    """The stamps if they are times, typically at least `LEAST_PART_STEP_NS` apart; else None."""
+    """The stamps if they can be times with a typical step of at least `LEAST_PART_STEP_NS`; else None."""
     stamps = _if_times(stamps_ns)
     period_ns = typical_period_ns(np.array(sorted(stamps or []), np.int64))
     return stamps if not period_ns or period_ns >= LEAST_PART_STEP_NS else None

@@ -40,9 +40,9 @@ HELD = "width, height, fx, fy, cx, cy"
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Known values of a depth camera, pixels, and depth_scale, native units per metre; None = unknown.
+    """A depth camera's image size and intrinsics, pixels, and native depth units per metre; None = unknown.
 
-    `notes` are warnings on how the values were read, such as a converted unit.
+    Also whether colour lies on depth's pixels, and warnings (`notes`), such as on a converted unit.
     """
 
     width: int | None = None
@@ -122,7 +122,7 @@ def gives_intrinsics(settings: CameraSettings) -> bool:
 
 
 def said_warnings(path: Path, recorded: Intrinsics, settings: CameraSettings) -> list[str]:
-    """The warnings on how the recording's intrinsics were read, and those of `scale_warnings`."""
+    """The recording's warnings on its intrinsics, and one if the settings state another depth scale."""
     return [*recorded.notes, *scale_warnings(path, recorded.depth_scale, settings)]
 
 
@@ -142,7 +142,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered.
     Instead of fx ... cy a matrix: `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K` or `k`: three rows, or
-    nine numbers by columns (as Open3D writes them) or by rows, which its zeros show; or an object with these
+    nine numbers, column-major (as by Open3D) or row-major (the zeros show which); or an object with these
     as `data`. A depth_scale below 100 beside `cam_K` is BOP's, mm per unit; another one below 1 is in metres
     per unit, as in librealsense, because no unit of depth images is longer.
 
@@ -180,7 +180,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
 
 
 def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, object]:
-    """Convert a file's depth scale to units per metre: fields of `Intrinsics`, with a note if converted."""
+    """A file's depth scale in units per metre, as fields of `Intrinsics`; converted if BOP's or below 1."""
     if of_bop and stated < MOST_MM_A_UNIT:
         scale, how = MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
     elif stated < 1:
@@ -234,7 +234,7 @@ def json_numbers(value: object) -> Float64:
 
 
 def read_intrinsics_matrix(path: Path) -> Intrinsics:
-    """Read a text file with a pinhole matrix by rows (3x3, 3x4 or 4x4), or with fx, fy, cx, cy.
+    """Read a text file with a row-major pinhole matrix (3x3, 3x4 or 4x4), or with fx, fy, cx, cy.
 
     Raises:
         RecordingError: another number of values, or no pinhole matrix.
@@ -253,7 +253,7 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
 
 
 def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: Path) -> None:
-    """Refuse a field of view that no camera has (own bounds: wider than 136 or narrower than 6 degrees).
+    """Refuse an implausible field of view: wider than 136 or narrower than 6 degrees (our own bounds).
 
     Args:
         intrinsics: intrinsics from the file.
@@ -279,8 +279,8 @@ def rig_calibration(
 ) -> ColorCalibration | None:
     """Calibration of colour relative to depth, from ScanNet's poses of both cameras in their rig.
 
-    Both poses are (4, 4), camera to rig, metres. None if one of them is not rigid, there is no colour (its
-    size is 0), or colour's intrinsics do not fit the size of its images.
+    The poses `color_to_rig` and `depth_to_rig` are (4, 4), metres. None if one is not rigid, there is no
+    colour (its size is 0), or colour's intrinsics do not fit the size of its images.
     """
     T_rig_color, T_rig_depth = rigid_or_none(color_to_rig), rigid_or_none(depth_to_rig)
     if T_rig_color is None or T_rig_depth is None or not all(color_px):
@@ -293,7 +293,7 @@ def rig_calibration(
 
 
 def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:
-    """Read a JSON object with a pinhole matrix (by columns or rows), and the size of its images in pixels.
+    """Read JSON with a pinhole matrix under `key` (column- or row-major) and its images' width and height.
 
     Raises:
         RecordingError: not JSON, or a value is missing or invalid.
@@ -319,10 +319,10 @@ def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dic
 
 
 def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, object] | None:
-    """Read `keys` of one frame's camera from a JSON file, and its path as "file"; None if it does not exist.
+    """Read the values of `keys` from a frame's JSON file, and its path as "file"; None if it does not exist.
 
-    A list becomes an array of numbers, empty if it has others; so does an object. As nested Python lists, the
-    values of all frames would take many times the memory of their text.
+    A list becomes an array, empty if it has other values than numbers; an object becomes an empty array. As
+    nested Python lists, the values of all frames would take many times the memory of their text.
 
     Raises:
         RecordingError: the file is too large, not valid JSON, or no object.
@@ -366,7 +366,7 @@ def number_of(value: object, where: str) -> float:
 
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
-    """A JSON matrix (3, 3): three rows; or nine numbers by columns (by rows if the 7th and 8th are 0)."""
+    """A JSON matrix (3, 3): three rows, or nine numbers, column-major (row-major if 7th and 8th are 0)."""
     numbers = json_numbers(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):
         return numbers

@@ -113,7 +113,7 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
-    """A warning with those of `names` that exist beside the file that was read; empty if there are none."""
+    """A warning that files of these names beside `read` were not read; empty if there are no such files."""
     others = [name for name in names if name != read.name and (read.parent / name).is_file()]
     if not others:
         return ()
@@ -194,7 +194,7 @@ def _two_cameras(file: Path, key: str) -> RecordingError:
 
 
 def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, list[float] | None]:
-    """The numbers under each wanted key of a YAML text, in any form of list or OpenCV's `data`; None: text.
+    """{key: numbers} of the wanted keys in a YAML text, from lists or OpenCV's `data`; None: not all numbers.
 
     Raises:
         RecordingError: the key of a matrix repeats with other numbers.

@@ -26,12 +26,12 @@ class Partners:
 
 
 def pair_by_time(depth_ns: Sequence[int], color_ns: Sequence[int], *, delay_s: float, where: str) -> Partners:
-    """Pair two streams by their stamps, within about half a frame and at most 20 ms (`pairing_tolerance_ns`).
+    """Pair two streams by stamps at most `pairing_tolerance_ns` apart: about half a frame, up to 20 ms.
 
     Args:
         depth_ns: stamps of depth, nanoseconds, strictly increasing.
         color_ns: stamps of colour, nanoseconds, strictly increasing.
-        delay_s: delay of the stamps of colour, from the settings, seconds.
+        delay_s: how late colour's stamps are, by the settings, seconds; subtracted from them.
         where: file or topic, for warnings.
     """
     delay_ns = round(delay_s * NS_PER_S)
@@ -54,7 +54,7 @@ def pair_images(
     Args:
         depth: names of the depth images without suffix, in any order.
         color: names of the colour images without suffix, in numeric order.
-        delay_s: delay of the stamps of colour, from the settings, seconds.
+        delay_s: how late colour's stamps are, by the settings, seconds; subtracted from them.
         where: folder or file, for messages.
 
     Returns:
@@ -70,7 +70,7 @@ def pair_images(
 
 
 def _lone(partners: Sequence[int | None], colors: int, how: str, where: str) -> tuple[str, ...]:
-    """A warning with the number of depth frames without a partner; empty if that is 0, or without colour."""
+    """A warning with the number of depth frames without colour; empty if it is 0, or there is no colour."""
     alone = sum(partner is None for partner in partners)
     line = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
     return (line,) if colors and alone else ()

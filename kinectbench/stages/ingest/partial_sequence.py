@@ -22,7 +22,7 @@ FrameMark: TypeAlias = tuple[int, tuple[tuple[str, int, int], ...]]
 
 @dataclass(frozen=True)
 class PartialSequence:
-    """The first frames of a recording, already stored in the way of the stage `ingest`.
+    """The first frames of a recording, already stored as the stage `ingest` stores them.
 
     Attributes:
         writer: the writer that has taken these frames.
@@ -41,7 +41,7 @@ _ask: ContextVar[Ask | None] = ContextVar("partial_sequence", default=None)
 
 @contextmanager
 def using_partial_sequence(ask: Ask) -> Iterator[None]:
-    """Within the block, let the next recording that is stored reuse the sequence from `ask` if it matches."""
+    """Within the block, let the next recording that is stored reuse the frames of `ask()` if they match."""
     token = _ask.set(ask)
     try:
         yield
@@ -115,9 +115,9 @@ def _is_of(partial: PartialSequence, recording: Recording) -> bool:
 
 
 def stored_by(recording: Recording) -> tuple[object, ...]:
-    """What besides a frame's files determines how the frame is stored, for comparison.
+    """What determines how frames are stored, besides their files: path, camera, scales, depth code and so on.
 
-    Values of single formats are not included, such as the least confidence of a phone's depth.
+    Settings that only one format has are not included, such as the lowest confidence of a phone's depth.
     """
     color = recording.color_calibration
     colors = color and (color.camera, color.distortion, color.T_color_depth.tolist())

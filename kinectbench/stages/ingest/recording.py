@@ -117,9 +117,9 @@ class Recording(ABC):
         format: name of the format, as in FORMATS.
         looks_for: what a folder or file must contain to be recognised.
         suffixes: suffixes of such files; the id of a recording is its name without them.
-        uses: those settings that this reader applies, of those that only some formats have
-            (`OF_SOME_FORMATS`).
-        evidence: the best kind of data that the reader was tested on.
+        uses: names of the settings that this reader applies, among those in `OF_SOME_FORMATS`, which not all
+            readers apply.
+        evidence: what the reader was tested on at best: real data, licensed real data, or our own files.
         verified: a description of that data, such as files of other programs; "" if it is only our own files.
         up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
             None: unknown.
@@ -232,7 +232,7 @@ class FileRecording(Recording):
     """A recording with a file for each image; base of the formats in folders.
 
     Attributes:
-        often_rotated: whether depth in this layout usually has rotated bits.
+        often_rotated: whether depth in this layout usually has rotated bits (`depth_codes`).
         depth_code: how to read the values (`core.types.DepthCode`).
         channels: channels of the high and the low byte, if depth has two 8-bit channels; None: one channel.
         kind: the type of all depth values ("floats" or "whole numbers"), and an example file for the message
@@ -270,7 +270,7 @@ class FileRecording(Recording):
         return RawFrame(str(files.depth), files.stamp_ns, depth, self.color(index), mask)
 
     def mask(self, file: Path, depth: NDArray[np.uint16]) -> Bools:
-        """Read a mask, on the pixels of its depth image (height, width) in native units."""
+        """Read a mask on the pixels of its depth image (`depth`, native units): (height, width) bool."""
         return decode_mask(read_image_file(file), str(file))
 
     def color(self, index: int) -> tuple[str, bytes] | None:
@@ -325,7 +325,7 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
 
 
 def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A warning with the number of masks in a recording's masks/ that belong to no frame; empty if none."""
+    """A warning with the number of images in masks/ that belong to no frame; empty if there are none."""
     used = {frame.mask for frame in files}
     others = sorted(mask for mask in visible(path / MASKS_FOLDER, "*.png") if mask not in used)
     if not others:

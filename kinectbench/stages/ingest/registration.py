@@ -89,7 +89,10 @@ def _filled(depth_m: Float32) -> Float32:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _splat(u: Float32, v: Float32, z: Float32, known: Bools, shrink: float, zbuffer: Float32) -> None:
-    """Write the depth `z` of each depth pixel to all z-buffer pixels that it covers, keeping the nearest."""
+    """Write the depths `z` of points at colour pixels (u, v) to the z-buffer pixels they cover; nearest wins.
+
+    Points that are not `known` are skipped; a z-buffer pixel is `shrink` colour pixels wide.
+    """
     height, width = zbuffer.shape
     for row in range(u.shape[0]):
         for column in range(u.shape[1]):
@@ -107,7 +110,10 @@ def _splat(u: Float32, v: Float32, z: Float32, known: Bools, shrink: float, zbuf
 def _find_seen(
     u: Float32, v: Float32, z: Float32, shrink: float, zbuffer: Float32, size: Float32, seen: Bools
 ) -> None:
-    """Set `seen` where the projected point is inside the colour image and not occluded in the z-buffer."""
+    """Set `seen` where the point at colour pixel (u, v), depth `z`, is inside the image and not occluded.
+
+    `size` is the colour image's width and height; a z-buffer pixel is `shrink` colour pixels wide.
+    """
     for row in range(u.shape[0]):
         for column in range(u.shape[1]):
             x, y, depth = u[row, column], v[row, column], z[row, column]

@@ -85,7 +85,7 @@ def write_sequence(
 def _head(
     recording: Recording, frames: int, warnings: list[str], scale_warnings: list[str], trajectory_error: str
 ) -> CameraFile:
-    """Facts about the whole recording for camera.json; empty keys are omitted."""
+    """The content of camera.json for a sequence of `frames` frames; empty optional keys are left out."""
     calibrated = recording.color_calibration is not None
     others: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
     if scale_warnings:

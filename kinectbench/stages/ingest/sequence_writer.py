@@ -49,7 +49,7 @@ class SequenceWriter:
     Attributes:
         folder: folder of the sequence.
         checks: checks of the frames taken so far.
-        rows: rows of the frames written so far.
+        rows: rows of frames.json, one for each frame written so far.
         taken: number of frames taken from the recording, damaged ones included.
     """
 
@@ -69,7 +69,7 @@ class SequenceWriter:
         self._register = onto_depth(recording)
 
     def take(self, count: int, progress: Progress | None = None, watch: Watch | None = None) -> None:
-        """Write the next frames, until `count` frames of the recording are taken.
+        """Write the next frames, until `count` frames of the recording are taken; `watch` sees each.
 
         Raises:
             RecordingError: a frame is unusable; damaged frames are left out instead.
@@ -89,7 +89,7 @@ class SequenceWriter:
 
 
 def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
-    """Make a function that registers a frame's colour to depth; None if it is registered or uncalibrated."""
+    """Make a function that registers a frame's colour to depth; None if that is done, or not calibrated."""
     if recording.color_calibration is None or recording.color_registered:
         return None
     register = ColorRegistration(recording.camera, recording.color_calibration)
@@ -139,7 +139,7 @@ class _Checked:
 def _checked_frames(
     checks: FrameChecks, indices: Iterable[int], progress: Progress | None
 ) -> Iterator[_Checked | _Damaged]:
-    """Yield each frame in order after its checks, or its damage."""
+    """Read and check the frames of these indices; yield each in order, or its damage."""
     recording = checks.recording
     for index in indices:
         try:
@@ -172,7 +172,7 @@ def _packed(
 
 
 def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:
-    """Write the files of one frame; return its row of frames.json."""
+    """Write a frame's files under the number `index`; return its row of frames.json."""
     frame = checked.written
     depth = f"depth/{index:06d}{DEPTH_SUFFIX}"
     color = None if frame.color is None else f"color/{index:06d}{checked.color_suffix}"

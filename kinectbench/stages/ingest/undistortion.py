@@ -31,7 +31,7 @@ class Undistortion:
     def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
         """Undistort depth (height, width) of the camera by the nearest pixel; 0 outside the distorted image.
 
-        An image of another size stays as it is, in both methods: the checks of frames refuse it.
+        Both methods return an image of another size unchanged: the checks of frames refuse it.
         """
         import cv2
 

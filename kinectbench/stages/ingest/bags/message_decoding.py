@@ -134,7 +134,7 @@ class RosBag:
             raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
 
     def whole(self, topic: BagTopic, most: int | None = None) -> Iterator[Message]:
-        """Yield each message of a topic that decodes, of its first `most` messages (None: of all)."""
+        """Yield the messages of a topic that decode, among its first `most` (None: among all)."""
         for index in range(len(topic.messages[:most])):
             with suppress(DamagedImageError):
                 yield self.decode(topic, index)
@@ -146,7 +146,7 @@ class RosBag:
 
 @cache
 def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Message]:
-    """Make a decoder for ROS 1's standard types, tf's types, and a bag's (type, definition) pairs."""
+    """Make a decoder of ROS 1 messages, also of the bag's types (`own`: pairs of type and definition)."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -204,7 +204,7 @@ def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
 
 @dataclass
 class FoundMessages:
-    """Collects the messages of the wanted types that are found in a bag's file, by connection number."""
+    """Collects where the messages of the wanted `types` are in a bag's file: {connection number: places}."""
 
     types: frozenset[str]
     connections: dict[int, BagTopic] = field(default_factory=dict)
@@ -219,7 +219,7 @@ class FoundMessages:
         *,
         whole: bool = False,
     ) -> None:
-        """Note where a message is stored and its stamp, unless its type is known and not wanted.
+        """Note where a message is stored and its stamp, unless its type is known to be an unwanted one.
 
         Args:
             connection: number of the message's connection.
@@ -259,7 +259,7 @@ class FoundMessages:
 
 
 def unpacked_chunk(compression: str, data: bytes, size: int) -> bytes:
-    """Unpack a chunk, up to the size in its header; fewer bytes if the data ends before.
+    """Unpack a chunk to the size that its header states; return fewer bytes if the data ends early.
 
     Args:
         compression: "bz2", "lz4" or "zstd".
@@ -361,7 +361,7 @@ def known_types(name: str, definition: str, store: "Typestore") -> "Typesdict":
 
 
 def _unrolled(name: str, fields: Mapping[str, Any], met: set[str], depth: int) -> Iterator[None]:
-    """Yield once for each field, with nested types and arrays unrolled; collect the type names in `met`."""
+    """Yield once per field of type `name`, nested fields and array elements included; add types to `met`."""
     from rosbags.interfaces import Nodetype
 
     if depth > MOST_DEPTH or name not in fields:

@@ -77,14 +77,14 @@ class RealsenseRecording(Rosbag1Recording):
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth` (4, 4); None unless the extrinsics of both streams have the same reference."""
+        """`T_color_depth` (4, 4), depth to colour camera; None unless both have the same reference frame."""
         return between_streams(bag, color.name, depth.name)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu` (4, 4); None unless the extrinsics of both streams have the same reference."""
+        """`T_depth_imu` (4, 4), IMU to depth camera; None unless both have the same reference frame."""
         return between_streams(bag, depth.name, imu.name)
 
     @classmethod
@@ -113,7 +113,7 @@ def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
 
 
 def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
-    """The Depth Units (metres) in an option's topic (versions 3, 4) or a property's (version 2); or None."""
+    """Depth Units, metres, from the topic of options (file versions 3, 4) or properties (2); None without."""
     for message in bag.whole(topic):
         if topic.type == FLOAT and message.data > 0:
             return float(message.data)
@@ -174,7 +174,7 @@ def _matrix_of_text(message: Message) -> Float64 | None:
 
 
 def _rigid_by_columns(rotation: ArrayLike, translation_m: ArrayLike) -> Float64 | None:
-    """The rigid transform (4, 4) from a rotation by columns, as librealsense stores it; None if invalid."""
+    """The rigid transform (4, 4) from a column-major rotation, as librealsense has it; None if invalid."""
     R, t_m = np.asarray(rotation, np.float64).reshape(3, 3).T, np.asarray(translation_m, np.float64)
     if not np.abs(R).max() <= 2 or abs(np.linalg.det(R) - 1) > 0.01:  # true for NaN, too
         return None

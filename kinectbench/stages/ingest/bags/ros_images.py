@@ -154,7 +154,7 @@ def color_of(message: Message, name: str) -> tuple[str, bytes]:
 
 
 def _pixels(message: Message, name: str, dtype: np.dtype[_Value], channels: int) -> NDArray[_Value]:
-    """The pixels (height, width, channels) of a raw image, in its byte order, without row padding.
+    """A raw image's pixels (height, width, channels), `dtype` in its byte order, without row padding.
 
     Raises:
         DamagedImageError: the image is too large, or has too few bytes.

@@ -61,7 +61,7 @@ class TransformTree:
     def moving(self, frame: str) -> GivenTrajectory | None:
         """The motion of a frame relative to the root of its tree, the world.
 
-        The stamps are those of the most frequent transform that moves on the path to the root; the others are
+        Its stamps are those of the moving transform on the path to the root that has the most; the others are
         interpolated. None if no transform on this path moves, or their times do not overlap.
         """
         links = [self.edges[name] for name in self.path(frame)[:-1]]
@@ -108,20 +108,20 @@ def read_transforms(bag: RosBag) -> TransformTree:
 
 
 def _by_stamp(stamps_ns: "array[int]", rows: "array[float]") -> tuple[Int64, Float64]:
-    """Sort by stamp: stamps (n,), and matrices (n, 4, 4); of several with the same stamp the last counts."""
+    """Sort transforms (seven numbers each) by stamp: (n,) and (n, 4, 4); of equal stamps the last is kept."""
     # In reverse, because unique takes the first of equal stamps.
     stamps, first = np.unique(np.array(stamps_ns, np.int64)[::-1], return_index=True)
     return stamps, _matrices(np.array(rows).reshape(-1, 7)[::-1][first])
 
 
 def matrix_of(transform: Message) -> Float64 | None:
-    """The (4, 4) matrix of a geometry_msgs/Transform; None if not finite, too far, or of zero quaternion."""
+    """The matrix (4, 4) of a geometry_msgs/Transform; None if not finite, too large or of zero quaternion."""
     numbers = _numbers_of(transform)
     return None if numbers is None else _matrices(np.array([numbers]))[0]
 
 
 def _numbers_of(transform: Message) -> tuple[float, ...] | None:
-    """Translation x y z and quaternion x y z w; None if not finite, too far, or of zero quaternion."""
+    """Translation x y z and quaternion x y z w; None if not finite, too large, or of zero quaternion."""
     t, q = transform.translation, transform.rotation
     numbers = (t.x, t.y, t.z, q.x, q.y, q.z, q.w)
     if not all(abs(number) <= FARTHEST_M for number in numbers):  # false for NaN, too
@@ -130,7 +130,7 @@ def _numbers_of(transform: Message) -> tuple[float, ...] | None:
 
 
 def _matrices(rows: Float64) -> Float64:
-    """The matrices (n, 4, 4) of translations and quaternions (n, 7)."""
+    """The matrices (n, 4, 4) of rows (n, 7): translation x y z, quaternion x y z w."""
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = rotation_from_quaternion_xyzw(rows[:, 3:]), rows[:, :3]
     return T
@@ -141,9 +141,9 @@ def _moves(transforms: Float64) -> bool:
 
 
 def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
-    """Interpolate transforms of the stamps `own` at other stamps: (n, 4, 4), along the shortest rotation.
+    """Interpolate transforms, whose stamps are `own`, at `stamps`: (n, 4, 4), along the shortest rotation.
 
-    Before the first and after the last of `own`, that transform holds.
+    Before `own` the first transform holds, after it the last.
     """
     after = np.clip(np.searchsorted(own, stamps), 0, len(own) - 1)
     before = np.maximum(after - 1, 0)
@@ -156,10 +156,10 @@ def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
 def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:
     """Read the depth camera's trajectory: (camera to world or None, warnings, why it is unusable or "").
 
-    The source is the topic that the settings name ("tf" for the tree of frames); else the only topic of
-    PoseStamped or Odometry, while several are only warned of; without such a topic tf. If Odometry describes
-    another frame than the camera's, the poses are converted to the camera's by tf; if tf lacks the transform
-    between them, they are used as they are, with a warning.
+    The source is the topic that the settings name (`named`; "tf" for the tree of frames). If they name none,
+    it is the only topic of PoseStamped or Odometry (of several none is used, with a warning), or without such
+    a topic tf. If Odometry describes another frame than the camera's, the poses are converted to the camera's
+    by tf; if tf lacks the transform between them, they are used as they are, with a warning.
 
     Raises:
         RecordingError: the named topic, or tf if it is named, holds no poses of the camera.

@@ -94,7 +94,7 @@ class RosRecording(Recording):
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
-        """Whether two image topics with the same frame_id are registered, pixel by pixel."""
+        """Whether an equal frame_id of depth and colour means that they are registered, pixel by pixel."""
         return True
 
     @classmethod
@@ -113,7 +113,7 @@ class RosRecording(Recording):
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu` (4, 4), accelerometer to depth camera; None if the bag does not have it."""
+        """`T_depth_imu` (4, 4), accelerometer (its frame: `frame_id`) to depth camera; None if unknown."""
         return tree.fixed(depth.frame_id, frame_id)
 
     @classmethod
@@ -253,7 +253,7 @@ def _pair(
 def _is_registered(
     bag: RosBag, depth: ImageTopic, color: ImageTopic | None, size_px: tuple[int, int]
 ) -> tuple[bool, list[str]]:
-    """Whether names or frame_ids say that colour is registered, and the sizes agree; and warnings."""
+    """Whether colour is registered to depth by name or frame_id and has its size, `size_px`; and warnings."""
     if color is None:
         return False, []
     if not (_same_frame(depth, color) or is_named_registered(depth)):
@@ -275,7 +275,7 @@ def _depth_info(
     infos: list[NamedInfo],
     settings: CameraSettings,
 ) -> tuple[CameraInfo | None, list[str]]:
-    """Choose depth's CameraInfo; warn if another contradicts it and the settings give no intrinsics."""
+    """Choose depth's CameraInfo among `infos`; warn if another differs, unless intrinsics are set."""
     on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
@@ -297,7 +297,7 @@ def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
 def _calibration(
     bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[NamedInfo]
 ) -> tuple[ColorCalibration | None, list[str]]:
-    """The calibration of colour, or None if it is unknown or does not fit the images; and warnings."""
+    """Colour's calibration by the best of `infos`, None if unknown or unfit for the images; and warnings."""
     size_px = _first_color_size(bag, color)
     info, info_warnings = choose_camera_info(color, COLOR_KIND, size_px, infos, every_image(bag))
     if T_color_depth is None or info is None:

@@ -68,8 +68,8 @@ class ImageKind:
 
     Attributes:
         words: words in the names of topics for these images and their CameraInfo.
-        advice: text for the warning: what to do if another CameraInfo is the right one; {second} stands for
-            its values.
+        advice: what to do if another CameraInfo is the right one, for a warning; {second} is replaced by its
+            values.
     """
 
     words: tuple[str, ...]
@@ -177,7 +177,7 @@ def is_named_registered(depth: ImageTopic) -> bool:
 
 
 def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> ImageTopic:
-    """The image topic with this name among `topics`; an error if there is none."""
+    """The topic called `named` among `topics`; without it an error that names the setting `key`."""
     for topic in topics:
         if topic.name == named:
             return topic
@@ -217,10 +217,10 @@ def choose_camera_info(
     """Choose the CameraInfo message that describes the images of a topic.
 
     A candidate has the images' frame_id, is in their namespace (as image_transport puts it), or its name
-    starts like theirs, with a word of their kind in the common parts. These decide, the most important first:
-    the images' size, their namespace, their frame_id, and the number of common parts. The CameraInfo of
-    `pixels_of`, if of the images' size, is taken without a candidate; and instead of one with other values if
-    the images' name says registered.
+    starts with parts of theirs, one of which contains a word of `kind`. These decide, the most important
+    first: the images' size, their namespace, their frame_id, and the number of common parts. The CameraInfo
+    of `pixels_of`, if it is of the images' size, is taken if there is no candidate, or if the best one has
+    other values and the images' name says that they are registered.
 
     Args:
         image: the topic of the images.
@@ -266,12 +266,12 @@ def choose_camera_info(
 
 
 def _is_of_one_camera(rank: Rank, best: Rank) -> bool:
-    """Whether the ranks of two CameraInfo both have the images' size and frame_id, whatever their names."""
+    """Whether two CameraInfo, by their ranks as candidates, both have the images' size and frame_id."""
     return rank[0] and best[0] and rank[2] and best[2]
 
 
 def _is_beside(info: str, image: ImageTopic) -> bool:
-    """Whether a CameraInfo is in the namespace of an image topic, whose name may end in its transport."""
+    """Whether a CameraInfo is in the namespace of an image topic, whose name may end in "/compressed"."""
     folder, _, last = image.name.rpartition("/")
     if image.topic.type == COMPRESSED_IMAGE and last.startswith("compressed"):
         folder = folder.rpartition("/")[0]
@@ -279,14 +279,14 @@ def _is_beside(info: str, image: ImageTopic) -> bool:
 
 
 def _differ(first: NamedInfo, second: NamedInfo, image: ImageTopic) -> bool:
-    """Whether two CameraInfo have different intrinsics, beyond rounding, for images of one size."""
+    """Whether two CameraInfo give the images of a topic different intrinsics, beyond rounding."""
     a, b = (intrinsics_of(info, image) for _, info in (first, second))
     pairs = ((a.fx, b.fx), (a.fy, b.fy), (a.cx, b.cx), (a.cy, b.cy))
     return any(abs((x or 0.0) - (y or 0.0)) > SAME_SHARE * (a.fx or 1.0) for x, y in pairs)
 
 
 def _contradicted(taken: NamedInfo, other: NamedInfo, image: ImageTopic, advice: str) -> str:
-    """A warning that two CameraInfo differ, with the values of both and advice."""
+    """A warning that two CameraInfo differ, with their values, and what to do if `other` is the right one."""
     first, second = (_in_words(info, image) for _, info in (taken, other))
     return (
         f"{image.name}: {taken[0]} ({first}) and {other[0]} ({second}) contradict each other; the first is "

@@ -73,11 +73,11 @@ class Rosbag1Recording(RosRecording):
 
 @dataclass
 class _Walk:
-    """The state of a walk: messages found, number of complete chunks, and how many of these are damaged.
+    """The state of a walk through a bag: what was found, and how many chunks are damaged.
 
     Attributes:
         found: the messages.
-        own_types: types for which the bag's definition is used.
+        own_types: types whose definitions are taken from the bag, not from the standard.
         keep: called with the position and the bytes of each unpacked chunk.
         budget: limits of the walk.
         chunks: number of complete chunks.
@@ -115,7 +115,7 @@ class _Walk:
             return False
 
     def take_record(self, file: BinaryIO, end: int) -> None:
-        """Read the next record of the file, or skip it."""
+        """Read the next record (chunk, connection or message), which must end before `end`, or skip it."""
         position = file.tell()
         fields, size = _read_header(file, end)
         op = _number(fields, b"op", "<B")
@@ -196,7 +196,7 @@ def _records_of(file: BinaryIO, end: int) -> Iterator[tuple[dict[bytes, bytes], 
 
 
 def _decompress(fields: dict[bytes, bytes], data: bytes) -> bytes:
-    """Unpack the bytes of a chunk."""
+    """Unpack the bytes of a chunk, as its header fields say."""
     kind = fields.get(b"compression", b"").decode(errors="replace")
     return data if kind == "none" else unpacked_chunk(kind, data, _number(fields, b"size", "<I"))
 
@@ -220,7 +220,7 @@ def _read_header(file: BinaryIO, end: int) -> tuple[dict[bytes, bytes], int]:
 
 
 def _read_exactly(file: BinaryIO, size: int, end: int) -> bytes:
-    """Read bytes of the file, after checking `size`, so that a damaged size allocates nothing."""
+    """Read `size` bytes, up to `end` at most; a damaged size is refused before memory is allocated."""
     if file.tell() + size > end or size > UNPACKED_BYTES:
         raise DamagedRecordError
     return file.read(size)
@@ -241,7 +241,7 @@ def _parse_fields(data: bytes) -> dict[bytes, bytes]:
 
 
 def _values(fields: dict[bytes, bytes], name: bytes, layout: str) -> tuple[int, ...]:
-    """Unpack the numbers in a header field."""
+    """Unpack the numbers in the header field `name`; `layout` is that of `struct`."""
     try:
         return struct.unpack(layout, fields[name])
     except (KeyError, struct.error) as error:

@@ -67,7 +67,7 @@ class Rosbag2Recording(RosRecording):
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth` (4, 4), from the extrinsics in a bag by librealsense, else from tf; or None."""
+        """Depth to colour camera (4, 4), by the extrinsics in a bag by librealsense, else by tf; or None."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, color.name, depth.name)
         return super().color_place(bag, tree, depth, color)
@@ -76,7 +76,7 @@ class Rosbag2Recording(RosRecording):
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu` (4, 4), from the extrinsics in a bag by librealsense, else from tf; or None."""
+        """Accelerometer to depth camera (4, 4), by the extrinsics of librealsense, else by tf; or None."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, depth.name, imu.name)
         return super().imu_place(bag, tree, depth, imu, frame_id)
@@ -132,7 +132,7 @@ def _walk_file(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
 
 
 def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
-    """Walk through a file that is compressed as a whole, after unpacking it into a temporary folder."""
+    """Find messages of `types` in a file compressed as a whole, unpacked into a temporary folder."""
     import zstandard
 
     def read(place: MessagePlace) -> bytes:

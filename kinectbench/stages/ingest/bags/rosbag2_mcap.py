@@ -78,7 +78,7 @@ def walk_mcap(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag:
 
 
 class _Walk:
-    """The state of a walk through an mcap file; `unknown` collects the encodings that cannot be read."""
+    """A walk through an mcap file; `found`: its messages, `unknown`: encodings of topics it cannot read."""
 
     def __init__(self, types: frozenset[str], keep: Callable[[int, bytes], None], budget: WalkBudget) -> None:
         self.budget = budget
@@ -179,7 +179,7 @@ def _string(data: bytes, position: int) -> tuple[str, int]:
 
 
 def _name(data: bytes, position: int) -> tuple[str, int]:
-    """Read a string at a position, which stays in memory, so its length is limited; return it and its end."""
+    """Read a string at a byte position: (string, its end); too long a one is refused, to limit memory."""
     name, end = _string(data, position)
     if len(name) > LONGEST_NAME:
         raise DamagedRecordError

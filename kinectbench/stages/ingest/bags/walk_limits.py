@@ -60,7 +60,7 @@ class BagReader:
     """Reads single messages from a bag's file, and caches recently unpacked chunks.
 
     Messages are read in the order of their stamps, which is mostly that of their chunks. In another order
-    each message might need another chunk, so the bytes that may be unpacked grow only with the number of
+    each message might need another chunk, so the bytes that may be unpacked are limited, in proportion to the
     messages read.
     """
 
@@ -80,7 +80,7 @@ class BagReader:
             self._chunks[position] = data
 
     def start_reading(self, messages: int) -> None:
-        """Allow unpacking all chunks `PASSES` times, and once more after each `messages` messages read."""
+        """Limit unpacking to `PASSES` times all chunks, and once more per `messages` messages read."""
         self._bytes_left = PASSES * self._whole_bytes
         self._bytes_a_read = self._whole_bytes / max(messages, 1)
 

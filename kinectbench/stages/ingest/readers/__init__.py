@@ -201,7 +201,7 @@ def recordings_inside(recording: Path, read: Collection[Path]) -> list[tuple[Pat
 
 
 def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Path, str]]:
-    """Search like `find_recordings`; each visited file or folder takes a number, until none is left."""
+    """Search like `find_recordings`, but end when `numbers` does: each visited path takes an item of it."""
     if next(numbers, None) is None:
         return
     try:

@@ -84,7 +84,7 @@ class Archive:
 
 
 def _check_members(archive: zipfile.ZipFile, size: int) -> None:
-    """Refuse an archive with members whose names lead out of it, or that together are larger than it.
+    """Refuse an archive if a member's name leads out of it, or all its compressed data exceeds its `size`.
 
     Raises:
         ValueError: the archive has such a member; the message says which problem.

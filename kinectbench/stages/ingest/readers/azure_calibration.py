@@ -41,8 +41,8 @@ class AzureCamera:
 
     Attributes:
         sensor_px: width and height of the sensor, pixels.
-        focal: fx and fy as shares of the sensor's width and height.
-        center: cx and cy as shares of the sensor's width and height; (0, 0) is the corner of the first pixel.
+        focal: fx and fy as fractions of the sensor's width and height.
+        center: cx and cy as fractions of that width and height; (0, 0) is the corner of the first pixel.
         distortion: k1 k2 p1 p2 k3 k4 k5 k6, in OpenCV's order.
         T_camera_rig: (4, 4), rig to camera, metres.
         radius: largest distance from the axis, on the plane at depth 1, at which distortion is defined.
@@ -168,7 +168,7 @@ def _camera(raw: dict[str, object], where: str) -> AzureCamera:
 
 
 def _place(raw: dict[str, object], where: str) -> Float64:
-    """Transform (4, 4) from rig to camera, metres, from Rotation (nine numbers by rows) and Translation."""
+    """Transform (4, 4) from rig to camera, metres, from Rotation (nine row-major numbers) and Translation."""
     R, t_m = json_numbers(raw.get("Rotation")), json_numbers(raw.get("Translation"))
     if R.size == 9 and t_m.size == 3:
         T = rigid_or_none(rigid(R.reshape(3, 3), t_m.reshape(3)))

@@ -258,7 +258,7 @@ def _find_images(
 ) -> tuple[dict[str, list[Place]], list[str]]:
     """Find where the images are stored: {"DEPTH", "COLOR", "IR": list in file order}; and the file's faults.
 
-    The list of "IR" stays empty. Images of impossible times are left out.
+    `names` is {index of track: name}. The list of "IR" stays empty. Images of impossible times are left out.
 
     Raises:
         RecordingError: there are more images than a recording may have, or Matroska has compressed them.
@@ -288,7 +288,7 @@ def _find_images(
 
 
 def _cut(path: Path, frames: int) -> list[str]:
-    """A warning if the file is truncated."""
+    """A warning if the file is truncated, with the number of frames that are read."""
     with open_plain(path) as file:
         head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     start = head.find(SEGMENT) + len(SEGMENT)
@@ -303,7 +303,7 @@ def _cut(path: Path, frames: int) -> list[str]:
 
 
 def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
-    """Find the first byte of an image whose block starts at `position`.
+    """Find where an image's bytes, `data`, start in the file; its block starts at `position`.
 
     Raises:
         RecordingError: the image's bytes are not in the file unchanged.
@@ -327,7 +327,7 @@ def _in_order(places: list[Place], path: Path) -> tuple[list[Place], list[str]]:
 
 
 def _raw_bgr(data: bytes, mode: str, size_px: tuple[int, int]) -> NDArray[np.uint8] | None:
-    """Convert raw colour to BGR (height, width, 3); None if its length is wrong, or an odd side cannot be."""
+    """Convert raw colour to BGR (height, width, 3); None if the length or an odd side contradicts `mode`."""
     import cv2
 
     width, height = size_px

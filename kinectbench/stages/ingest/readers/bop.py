@@ -123,7 +123,7 @@ class BopRecording(FileRecording):
 
 
 def _moved(image: NDArray[Pixel], by_px: tuple[int, int], camera: Camera) -> NDArray[Pixel]:
-    """Shift an image (height, width, ...) right and down, onto zeros of the size of the camera's images."""
+    """Shift an image (height, width, ...) by `by_px` (right, down), onto zeros of the camera's image size."""
     (right, down), (height, width) = by_px, image.shape[:2]
     if height + down > camera.height or width + right > camera.width:
         return image  # another size than the first image's: refused later
@@ -166,7 +166,7 @@ def _shared(
 
 
 def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[Float64, float]:
-    """The matrix (3, 3) and the depth scale (mm per unit) of an image."""
+    """The matrix (3, 3) and depth scale (mm per unit) of image `number`, from its entry `camera`."""
     try:
         K, scale = np.array(camera["cam_K"], np.float64).reshape(3, 3), float(camera["depth_scale"])
     except (KeyError, TypeError, ValueError, OverflowError) as error:

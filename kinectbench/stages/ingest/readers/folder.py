@@ -94,7 +94,7 @@ class DepthFormat:
 
         Args:
             files: the frames.
-            given: units per metre of stored floats; None: found by their size.
+            given: units per metre of stored floats; None: judged by the values.
         """
         for empty_too in (False, True):
             with suppress(DamagedImageError):

@@ -72,7 +72,7 @@ class NerfstudioRecording(PhoneRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has a transforms.json that names depth images; or any, but no depth/."""
+        """Whether there is a transforms.json, and it names depth images or the folder has no depth/."""
         if not (path / FILE).is_file():
             return False
         head = read_head(path / FILE)  # contains the first frame
@@ -130,9 +130,9 @@ class NerfstudioRecording(PhoneRecording):
 
 
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
-    """Read the values that hold for all frames; (name of depth, frame) of those with depth; and warnings.
+    """Read transforms.json: values common to all frames; pairs (name of depth image, frame); and warnings.
 
-    The frames are in numeric order of these names.
+    The pairs are in numeric order of the names; frames without depth are left out.
     """
     file = path / FILE
     content = read_json_object(file, "frames")
@@ -177,7 +177,7 @@ def _color(path: Path, frame: Frame) -> Path | None:
 def _intrinsics(
     path: Path, frames: list[Frame], color_px: tuple[int, int], size_px: tuple[int, int]
 ) -> tuple[Intrinsics, list[str]]:
-    """Intrinsics of the depth images, without values if a frame lacks one; and warnings."""
+    """Common intrinsics of the frames' depth images, without values if a frame lacks any; and warnings."""
     file = path / FILE
     model = next((m for frame in frames if (m := frame.get("camera_model")) not in MODELS), None)
     if model is not None:
@@ -218,7 +218,7 @@ def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
 def _trajectory(
     path: Path, shared: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The trajectory, camera to world, metres, with nerfstudio's `applied_scale` undone; and warnings."""
+    """The trajectory, camera to world, metres: the `applied_scale` of `shared` is undone; and warnings."""
     scale = number_of(shared.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
     if scale <= 0:
         raise GivenPosesError(f"{path / FILE}: 'applied_scale' must be above 0")

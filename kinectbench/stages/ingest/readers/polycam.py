@@ -1,9 +1,9 @@
 """Polycam's raw data: keyframes/ with depth, images and cameras, in files named by microseconds.
 
 By Polycam's page (github.com/PolyCam/polyform): depth is in mm; confidence is 0, 127 or 255; a JSON for each
-frame has intrinsics, width and height of its image, and `t_00` to `t_23`, camera to world by rows, in ARKit's
-axes aligned with gravity, y up. `corrected_cameras/` and `corrected_images/` contain the optimised poses and
-the undistorted images.
+frame has intrinsics, width and height of its image, and row-major `t_00` to `t_23`, camera to world in
+ARKit's axes aligned with gravity, y up. `corrected_cameras/` and `corrected_images/` contain the optimised
+poses and the undistorted images.
 """
 
 import re

@@ -160,7 +160,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
     """Read a Redwood log: `i j k`, then a 4x4 camera to world; each frame's matrix, NaN if it has none.
 
     Args:
-        file: blocks of five rows; of the first row only the frame's number is used.
+        file: blocks of five rows; of `i j k` only i is used, the frame's index from 0.
         frames: number of frames.
 
     Raises:
@@ -220,7 +220,7 @@ def read_pose_folder(
 def finite_trajectory(
     stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Like `trajectory_from_matrices`, but (None, no warnings) if no frame has a finite matrix."""
+    """Trajectory from matrices (4, 4), camera to world, and warnings; neither if no matrix is finite."""
     if not any(matrix is not None and np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     return trajectory_from_matrices(stamps_ns, matrices, name)

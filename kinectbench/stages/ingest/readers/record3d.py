@@ -1,9 +1,9 @@
 """Record3D's .r3d files: zip archives of `metadata` (JSON), and rgbd/N.jpg, N.depth and N.conf per frame.
 
-By the app's author (in answers at github.com/marek-simonik/record3d): depth is float32 metres and confidence
-uint8, both by rows and packed by LZFSE; K is by columns, for colour of w x h pixels; poses are quaternions x
-y z w and positions, camera to world in OpenGL's axes. The poses of recordings by the face camera are all the
-same.
+By the app's author (in answers at github.com/marek-simonik/record3d): depth is float32 metres, confidence is
+uint8, both row-major and packed by LZFSE; K is column-major, for colour of w x h pixels; a pose is quaternion
+x y z w and position, camera to world in OpenGL's axes. The poses of recordings by the face camera are all
+the same.
 """
 
 import re
@@ -189,7 +189,7 @@ def _intrinsics(path: Path, metadata: dict[str, object]) -> tuple[Float64, tuple
 def _depth_size(
     archive: Archive, metadata: dict[str, object], color_px: tuple[int, int], numbers: list[int]
 ) -> tuple[int, int]:
-    """Width and height of depth: dw and dh of the metadata, or else the usual size that fits the data."""
+    """Width and height of depth: dw and dh of the metadata, else the usual size that fits the first frame."""
     where = f"{archive.path}: {METADATA}"
     if metadata.get("dw") is None or metadata.get("dh") is None:
         for long, short in USUAL_PX:
@@ -206,7 +206,7 @@ def _depth_size(
 
 
 def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> tuple[list[int], list[str]]:
-    """The frames' own stamps if each has one and they increase, else by counting at `fps`; and warnings."""
+    """The frames' own stamps if each has one and they increase, else their numbers / `fps`; and warnings."""
     times_s, fps = json_numbers(metadata.get("frameTimestamps")), json_numbers(metadata.get("fps"))
     period_ns = round(NS_PER_S / float(fps)) if fps.ndim == 0 and 1 <= fps <= 1000 else NS_PER_S
     whole = times_s.ndim == 1 and numbers[-1] < len(times_s)
@@ -217,7 +217,7 @@ def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> t
 def _trajectory(
     path: Path, metadata: dict[str, object], numbers: list[int], stamps_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The trajectory in optical axes, or None if all poses are the same (face camera); and warnings."""
+    """The trajectory in optical axes, None without poses or if all are equal (face camera); and warnings."""
     poses = metadata.get("poses")
     if poses is None:
         return None, []

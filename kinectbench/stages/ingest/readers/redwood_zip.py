@@ -28,7 +28,7 @@ MEMBER = re.compile(r"(?:[^/]+/)?(depth|rgb)/(\d{1,9}-\d{12})\.(?:png|jpg)")
 
 
 class ZippedFrame(NamedTuple):
-    """A frame in the archive: stamp of depth in nanoseconds, names of depth and colour (or None)."""
+    """A frame: stamp of depth in nanoseconds, names of its depth and colour (or None) in the archive."""
 
     stamp_ns: int
     depth: str

@@ -40,7 +40,7 @@ LATEST_NS = 2**53 * NS_PER_US
 
 
 class SensHead(NamedTuple):
-    """The header of the file."""
+    """The header of a .sens file; extrinsics: camera to rig, metres; depth_shift: depth units per metre."""
 
     color_intrinsic: Float64
     color_extrinsic: Float64
@@ -167,7 +167,7 @@ def _read_head(file: BinaryIO, path: Path) -> SensHead:
 
 
 def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[PackedFrame], list[Float64], str]:
-    """Find every complete frame, in file order, with its pose (4, 4); and "is cut off", or ""."""
+    """All complete frames in file order, their poses (4, 4), and "is cut off" if others are lost, else ""."""
     frames: list[PackedFrame] = []
     matrices: list[Float64] = []
     position, size = file.tell(), size_of(file)

@@ -205,7 +205,7 @@ def _marks_holes(files: Sequence[FrameFiles]) -> bool:
 
 
 def _beside(depth: Path, kind: str) -> Path:
-    """The file of another kind, such as "pose.txt", for the same frame."""
+    """The file of a frame that ends in `kind`, such as "pose.txt", beside its depth image."""
     return depth.with_name(f"{depth.name.removesuffix('depth.png')}{kind}")
 
 
@@ -215,7 +215,7 @@ def is_info(file: Path) -> bool:
 
 
 def read_info(file: Path, color_px: tuple[int, int]) -> ScannetRig:
-    """Read info.txt: rows of `name = numbers`, matrices as 16 numbers by rows.
+    """Read info.txt: rows of `name = numbers`, matrices as 16 row-major numbers.
 
     Args:
         file: `info.txt` or `_info.txt`.

@@ -143,13 +143,13 @@ def _stamp_text(stem: str) -> str:
 def _read_poses(
     path: Path, color_ns: Sequence[int], depth_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read the trajectory in the newest file, by name: a pose per colour image, or else per depth image.
+    """Read the trajectory from the file last by name: a pose per colour image, or else per depth image.
 
     Returns:
         The trajectory, or None without a file or a finite pose; and warnings.
 
     Raises:
-        RecordingError: the number of poses is that of neither.
+        RecordingError: there are neither as many poses as colour images, nor as depth images.
     """
     files = sorted(visible(path / "extrinsics", "*.txt"))
     if not files:

@@ -122,7 +122,7 @@ def _poses(path: Path, frames: int | None) -> tuple[GivenTrajectory | None, list
 
 
 def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> tuple[UpSample, ...]:
-    """Up at some frames from accelerometer.txt, if camera.json says that its axes are the depth camera's.
+    """The up direction at some frames, by accelerometer.txt if camera.json says that its axes are depth's.
 
     Recordings of the benchmark itself have this file, too, but in the axes of the Kinect's sensor.
     """

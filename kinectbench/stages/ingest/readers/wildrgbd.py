@@ -1,7 +1,7 @@
 """Scenes of WildRGB-D: rgb/, depth/ and masks/ as PNG, `metadata` (JSON), cam_poses.txt.
 
 By the data set's page (github.com/wildrgbd/wildrgbd): depth is in mm; `metadata` has w, h and K with nine
-numbers by columns; a line of cam_poses.txt has a frame's number and its 4x4 matrix by rows, camera to world
+column-major numbers; a line of cam_poses.txt has a frame's number and row-major 4x4 matrix, camera to world
 in OpenCV's axes.
 """
 

@@ -155,7 +155,7 @@ def _bitmap(data: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]]:
-    """The arrays of calibration.h5 for a camera, by the keys of SHAPES; and a warning on missing arrays."""
+    """A camera's arrays in calibration.h5, {key of SHAPES: array}; and a warning on missing arrays."""
     names = {key: key.format(sensor) for key in SHAPES}
     if not (path / CALIBRATION).is_file():
         return {}, [
@@ -188,7 +188,7 @@ def _arrays(file: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Floa
 
 
 def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
-    """Intrinsics of the depth images, which are pinhole images, as in YCB's script."""
+    """Intrinsics of the depth images (pinhole, as in YCB's script), by `said`, calibration.h5's arrays."""
     if DEPTH_K not in said:
         return Intrinsics()
     scale = float(said[SCALE][0]) if SCALE in said else 1.0
@@ -201,7 +201,7 @@ def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
 
 
 def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-    """Calibration of colour relative to depth; None if the file does not have it, or it is not rigid."""
+    """Calibration of colour relative to depth, by calibration.h5 (`said`); None if missing or not rigid."""
     places = [rigid_or_none(said[key]) for key in (COLOR_FROM_NP5, DEPTH_FROM_NP5) if key in said]
     color, *depth = places or [None]
     if COLOR_K not in said or color is None or not depth or depth[0] is None:
@@ -215,7 +215,7 @@ def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -
 def _poses(
     path: Path, said: Mapping[str, Float64], angles: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The depth camera's trajectory in the turntable's frame, stamped by angle, or None; and warnings."""
+    """The depth camera's trajectory in the turntable's frame, 1 s per degree of `angles`; and warnings."""
     files = [path / "poses" / f"NP5_{angle}_pose.h5" for angle in angles]
     if not any(file.is_file() for file in files):
         return None, [f"{path}: has no poses/NP5_0_pose.h5; the object is tracked by its depth alone"]
