@@ -27,7 +27,7 @@ def is_ours(name: str) -> bool:
     return name == LOCK or _LEFT.fullmatch(name) is not None
 
 
-def passed_over(name: str) -> bool:
+def is_ignored(name: str) -> bool:
     """Return whether a file of this name is no person's: `is_ours`, or left by a file manager."""
     return is_ours(name) or name in OF_FILE_MANAGERS
 
@@ -38,13 +38,13 @@ def remains(folder: Path) -> list[Path]:
 
 
 def unknown_file(folder: Path, known: Set[str]) -> str | None:
-    """Return the first file or link of a folder that is neither in `known` nor `passed_over`, or None.
+    """Return the first file or link of a folder that is neither in `known` nor `is_ignored`, or None.
 
     Raises:
         ReleaseError: as in `release_files`.
     """
     others = (p for p in release_files(folder) if p.relative_to(folder).as_posix() not in known)
-    return next((path.relative_to(folder).as_posix() for path in others if not passed_over(path.name)), None)
+    return next((path.relative_to(folder).as_posix() for path in others if not is_ignored(path.name)), None)
 
 
 def refuse_other_content(out: Path) -> None:

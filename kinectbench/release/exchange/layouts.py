@@ -1,6 +1,5 @@
 """Shared parts of all layouts: export.json, and the names of splits, categories and files."""
 
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,7 @@ from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
 from kinectbench.core.storage import pretty_json, replaced_folder, sha256_text
 from kinectbench.core.voxels.pair_file import Pair, PairInput
 from kinectbench.release.contents import release_files
-from kinectbench.release.own_folder import passed_over
+from kinectbench.release.own_folder import is_ignored
 from kinectbench.release.release import Release
 
 EXPORT_JSON = "export.json"
@@ -54,7 +53,7 @@ def names_sha256(folder: Path, but: str = EXPORT_JSON) -> str:
 
     The file `but` is left out, and what file managers, locks and unfinished downloads leave.
     """
-    files = (path for path in release_files(folder) if not passed_over(path.name))
+    files = (path for path in release_files(folder) if not is_ignored(path.name))
     names = {path.relative_to(folder).as_posix() for path in files}
     return sha256_text("\n".join(map(ascii, sorted(names - {but}))))
 
@@ -78,9 +77,8 @@ def new_folder(out: Path) -> Iterator[Path]:
     refuse_others(out, earlier.files_sha256 if earlier else None, EXPORT_JSON)
     with replaced_folder(out) as folder:
         yield folder
-        content = json.loads((folder / EXPORT_JSON).read_text(encoding="utf-8"))
-        content["files_sha256"] = names_sha256(folder)
-        (folder / EXPORT_JSON).write_text(pretty_json(content), encoding="utf-8")
+        export = ExportFile.read(folder)
+        export.model_copy(update={"files_sha256": names_sha256(folder)}).write(folder)
 
 
 def refuse_others(out: Path, written_sha256: str | None, known_by: str) -> None:
