@@ -127,7 +127,10 @@ def build_recording(
 
 
 def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
-    """Before slow work, refuse a person's masks that cannot be used; return warnings about the others."""
+    """Check masks drawn by a person before slow work, and note in masks.json which image each was drawn on.
+
+    Masks that cannot be used raise an error. Warnings name masks whose image is assumed, and unused files.
+    """
     samples = next((stage for stage in stages if stage.name == "sample-views"), None)
     with _failure_kept(job, samples or stages[-1], {}):
         if samples:

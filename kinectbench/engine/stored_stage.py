@@ -123,7 +123,10 @@ def fetch_file(
 
 
 def files_folder(where: str, manifest: Manifest) -> str:
-    """The folder in the store of an artefact's files; in earlier versions, the folder of the manifest."""
+    """Return the folder in the store that holds an artefact's files: `where`/<content hash>.
+
+    Artefacts of earlier versions, whose manifest has no hash, have their files in `where` itself.
+    """
     return where if manifest.content is None else f"{where}/{manifest.content}"
 
 

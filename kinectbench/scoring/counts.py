@@ -112,7 +112,7 @@ def protocol_counts(tally: Tally, protocol: str) -> ProtocolCounts:
 
 
 def tally_unknown_share(tally: Tally) -> float:
-    """Return the share of the true shape's voxels that are not known; 0 for an empty shape."""
+    """Return the share of the truth's occupied voxels outside the `known` mask; 0 if none is occupied."""
     shape = int(tally.voxels[1::2].sum())
     return int(tally.voxels[1::2][[0, 2]].sum()) / shape if shape else 0.0
 

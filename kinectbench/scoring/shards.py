@@ -77,7 +77,10 @@ def _parts(sample: Mapping[str, bytes], row: Mapping[str, object], keys: Sequenc
 
 
 def _earlier(sample: Mapping[str, bytes], row: Mapping[str, object], name: str) -> FileArray:
-    """Read a value from a sample of an earlier version."""
+    """Read one array of a pair from a sample written by an earlier version.
+
+    Such a sample has a .npy file for each grid, and all other values in its JSON row (`row`).
+    """
     if name in PACKED_SHAPES:
         content = sample[name + NPY]
         if len(content) > MAX_BYTES:

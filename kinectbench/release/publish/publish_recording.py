@@ -227,9 +227,10 @@ def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None
 
 
 def _publish_views(built: Built, targets: Sequence[Target], folder: Path, removals: list[Removed]) -> bool:
-    """Copy depth and mask of every view with a pair, and colour if requested; write views.json.
+    """Write depth and mask of every view with a pair, colour if requested, and views.json.
 
-    Return whether the build has colour images of these views.
+    Images are copied from the build, colour without private metadata; those of an isolated view are made
+    again. Return whether the build has colour images of these views.
 
     Args:
         built: the recording.

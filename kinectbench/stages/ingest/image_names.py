@@ -207,7 +207,10 @@ def _if_parts(stamps_ns: list[int]) -> list[int] | None:
 
 
 def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
-    """The unit of times, in nanoseconds, by their size and steps; None if the numbers are no times."""
+    """Guess the unit, in nanoseconds, of numbers in file names from their size and typical step.
+
+    The result is None if they cannot be times. `decimals`: whether any has a decimal point, so all are times.
+    """
     step = _step(values)
     for unit_ns in UNITS_NS:
         today = min(values) * unit_ns >= TODAY_NS[0] and max(values) * unit_ns < TODAY_NS[1]

@@ -59,7 +59,7 @@ class FrameChecks:
         return suffix
 
     def leave_out(self, why: str) -> None:
-        """Leave out one frame; `why` names the frame and the damage."""
+        """Note that the caller leaves out a damaged frame; `why` names the frame and the damage."""
         self._left_out.append(why)
 
     def verdict(self) -> list[str]:

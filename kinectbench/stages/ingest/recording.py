@@ -279,7 +279,10 @@ class FileRecording(Recording):
         return None if file is None else (file.suffix, read_image_file(file))
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
-        """Set invalid pixels of a frame to 0."""
+        """Correct a frame's depth after it is read; a hook for formats, which here changes nothing.
+
+        Formats set invalid or unreliable pixels to 0, or remove lens distortion.
+        """
         return depth
 
     def placed(self, image: NDArray[Pixel], index: int) -> NDArray[Pixel]:
