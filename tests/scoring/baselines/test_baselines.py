@@ -17,7 +17,9 @@ from typed import present
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.artefacts.targets import sums_text
 from kinectbench.core.errors import ReleaseError, SettingsError
+from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.convex_hull import filled_hull
 from kinectbench.core.voxels.pair_file import Pair, PairInput, pack, read_pair, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
@@ -50,8 +52,7 @@ def few(release: Release) -> Release:
 @pytest.fixture(scope="module")
 def written(few: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Every possible baseline's files, not to be changed."""
-    folder = tmp_path_factory.mktemp("baselines")
-    assert write_baselines(few, folder) == possible_baselines(few)
+    assert write_baselines(few, folder := tmp_path_factory.mktemp("baselines")) == possible_baselines(few)
     return folder
 
 
@@ -248,24 +249,23 @@ def test_mirror_adds_to_the_partial() -> None:
 
 
 def test_up_is_away_from_the_floor(release: Release, tmp_path: Path) -> None:
-    target = release.targets[0]
-    pair = read_pair(release.pair_path(target))
-    folder = tmp_path / "objects" / target.recording
-    folder.mkdir(parents=True)
-    moved = Release(tmp_path, release.targets, release.metadata)
-    np.testing.assert_array_equal(up_in_grid(moved, target, input_of(pair)), UP)
-    floor = FloorFile(
-        plane_world=np.array([0, 0, 2, -1]), T_floor_world=np.eye(4), noise_m=0.001, inlier_share=0.5
-    )
-    floor.write(folder)
-    np.testing.assert_allclose(
-        pair.T_world_grid[:3, :3] @ up_in_grid(moved, target, input_of(pair)), [0, 0, 1], atol=1e-12
-    )
+    pair = read_pair(release.pair_path(target := release.targets[0]))
+    (folder := tmp_path / "objects" / target.recording).mkdir(parents=True)
+
+    def up() -> Any:
+        files = {file.relative_to(tmp_path).as_posix(): sha256_file(file) for file in folder.iterdir()}
+        (tmp_path / "SHA256SUMS").write_text(sums_text(files | {"targets.csv": "0" * 64}))
+        return up_in_grid(Release(tmp_path, release.targets, release.metadata), target, input_of(pair))
+
+    assert up().tolist() == UP.tolist()
+    plane, T = np.array([0, 0, 2, -1]), np.eye(4)
+    (floor := FloorFile(plane_world=plane, T_floor_world=T, noise_m=0, inlier_share=1)).write(folder)
+    np.testing.assert_allclose(pair.T_world_grid[:3, :3] @ up(), [0, 0, 1], atol=1e-12)
     flat = floor.model_copy(update={"plane_world": np.array([0, 0, 0, 1.0])}).text()
     for text in ("[", "{}", flat, flat.replace("0.0", '"a"', 1), flat.replace('"inlier_share"', '"other"')):
         (folder / "floor.json").write_text(text)
         with raises(ReleaseError, "release.damaged", match="floor"):
-            up_in_grid(moved, target, input_of(pair))
+            up()
 
 
 def test_baselines_that_learn(release: Release) -> None:
