@@ -45,14 +45,15 @@ LEFT_OUT = ("mean-shape", "nearest")  # the release has no training pairs
 @pytest.fixture(scope="module")
 def few(release: Release) -> Release:
     """The release with a pair of each category and split, of its seven."""
-    targets = {(target.category, target.split): target for target in reversed(release.targets)}
-    return Release(release.folder, tuple(reversed(targets.values())), release.metadata)
+    of = {(target.category, target.split): target for target in reversed(release.targets)}.values()
+    return Release(release.folder, tuple(reversed(of)), release.metadata)
 
 
 @pytest.fixture(scope="module")
 def written(few: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Every possible baseline's files, not to be changed."""
-    assert write_baselines(few, folder := tmp_path_factory.mktemp("baselines")) == possible_baselines(few)
+    made = write_baselines(few, folder := tmp_path_factory.mktemp("baselines"))
+    assert made == possible_baselines(few)
     return folder
 
 
@@ -205,9 +206,8 @@ def test_silhouette_holds_the_partial_and_the_shape_behind_it() -> None:
 
 def test_the_mirror_plane_of_a_box() -> None:
     """Two sides of an upright box: the corner is seen, the planes of symmetry are known."""
-    shape = np.zeros((256, 256, 256), bool)
+    shape, partial = np.zeros((2, 256, 256, 256), bool)
     shape[60:181, 40:200, 80:141] = True
-    partial = np.zeros_like(shape)
     partial[60:181, 40:200, 80:82] = True
     partial[60:62, 40:200, 80:141] = True
     reduce = np.asarray(partial.reshape(64, 4, 64, 4, 64, 4).any(axis=(1, 3, 5)))
