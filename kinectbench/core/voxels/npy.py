@@ -9,6 +9,7 @@ import io
 import math
 import re
 import struct
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import IO, cast
@@ -148,11 +149,17 @@ def read_npy_header(file: IO[bytes]) -> NpyHeader:
     return _parse(text, 8 + len(length_bytes) + length)
 
 
+# Python 3.11 counts the depth of a syntax tree for all threads together: two that parse at once may end in a
+# SystemError ("AST constructor recursion depth mismatch"; CPython gh-106905), seen once while training.
+_one_at_a_time = threading.Lock()
+
+
 def _parse(text: bytes, data_offset: int) -> NpyHeader:
     """Parse the header's text, a Python dictionary; `data_offset` is the number of bytes before the data."""
     malformed = NpyError("a malformed npy header")
     try:
-        claims = ast.literal_eval(text.decode("latin-1").strip())
+        with _one_at_a_time:
+            claims = ast.literal_eval(text.decode("latin-1").strip())
     except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
         raise malformed from None
     if not isinstance(claims, dict) or set(claims) != {"descr", "fortran_order", "shape"}:
