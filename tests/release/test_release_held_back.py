@@ -237,13 +237,12 @@ def test_damaged_inputs(parts: PublishSummary, tmp_path: Path) -> None:
     public = Path(shutil.copytree(parts.folder, tmp_path / "public"))
     name = "pairs/chair_01/000.npz"
     pair = synthetic_pair(0, "chair")
-    wrong = replace(pair, framing="view", voxel_size_m=0.0, seen=0 * pair.seen)
+    wrong = replace(pair, framing="view", seen=0 * pair.seen)
     (public / name).write_bytes(pair_bytes(wrong))
     resum(public, name)
     lines = [line.removeprefix(f"{name}: ") for line in verify(public) if line.startswith(f"{name}: ")]
     assert lines == [
         "holds full, shell, known, surface_sigma_m, which is held back",
-        "voxel_size_m is 0.0, not positive",
         "framing is 'view' where the benchmark has 'object'",
         f"only 0 of the {int(unpack(pair.partial_256).sum())} cells of 'partial_256' are 'seen'",
     ]

@@ -77,8 +77,6 @@ def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -
         yield "the grid's axes are not the view's"
     if not (pair.K[0, 0] > 0 and pair.K[1, 1] > 0):
         yield "the focal lengths in K are not positive"
-    if not (np.isfinite(pair.voxel_size_m) and pair.voxel_size_m > 0):
-        yield f"voxel_size_m is {pair.voxel_size_m}, not positive"
     for name, expected in (("framing", framing), ("partial_rule", partial_rule)):
         if getattr(pair, name) != expected:
             yield f"{name} is '{getattr(pair, name)}' where the benchmark has '{expected}'"
