@@ -1,4 +1,4 @@
-"""The doctor (`kinectbench inspect`): finds a recording's faults within seconds, before anything is built."""
+"""The doctor (the command `inspect`): finds a recording's faults within seconds, before anything is built."""
 
 from kinectbench.doctor.examine import inspect
 from kinectbench.doctor.finding import Diagnosis, Finding

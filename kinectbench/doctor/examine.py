@@ -1,4 +1,4 @@
-"""Run all checks of a recording (`kinectbench inspect`), even if its intrinsics are missing or unusable."""
+"""Run all checks of a recording (the command `inspect`), even if its intrinsics are missing or unusable."""
 
 import math
 from collections.abc import Iterator
