@@ -257,9 +257,10 @@ def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
     Raises:
         RecordingError: nothing is at the absolute path, or what is there cannot be listed.
     """
-    rows: list[object] = [[each.name, each.size, each.e_tag or each.modified_s] for each in listed]
     if Path(job.recording.path).is_absolute():
         rows = _local_rows(job)
+    else:
+        rows = [[each.name, each.size, each.e_tag or each.modified_s] for each in listed]
     listing = sha256_text(canonical_json([VERSIONS["ingest"], job.recording.path, rows]))
     return f"build/{job.recording.id}/{SOURCES}/{listing}.json"
 

@@ -176,18 +176,16 @@ class Store:
         Raises:
             StorageError: a file cannot be deleted.
         """
-        found = list(names)
+        if found := list(names):
+            self._try("", lambda: self._delete(found))
 
-        def delete() -> None:
-            try:
-                _obstore().delete(self._opened(), found)
-            except FileNotFoundError:  # a file:// store stops at the first one that is missing
-                for name in found:
-                    with suppress(FileNotFoundError):
-                        _obstore().delete(self._opened(), name)
-
-        if found:
-            self._try("", delete)
+    def _delete(self, names: list[str]) -> None:
+        try:
+            _obstore().delete(self._opened(), names)
+        except FileNotFoundError:  # a file:// store stops at the first one that is missing
+            for name in names:
+                with suppress(FileNotFoundError):
+                    _obstore().delete(self._opened(), name)
 
     def _try(self, name: str, call: Callable[[], T]) -> T:
         """Run a call that writes, with retries; if it fails for too long, the store counts as gone."""

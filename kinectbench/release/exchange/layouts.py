@@ -81,22 +81,22 @@ def new_folder(out: Path) -> Iterator[Path]:
         export.model_copy(update={"files_sha256": names_sha256(folder)}).write(folder)
 
 
-def refuse_others(out: Path, written_sha256: str | None, known_by: str) -> None:
-    """Raise an error unless a folder is missing or empty, or holds only the files that were written there.
+def refuse_others(out: Path, written_sha256: str | None, stated_in: str) -> None:
+    """Refuse to replace a folder, unless it is missing or empty, or holds only the files written there.
 
     Args:
         out: the folder.
-        written_sha256: `names_sha256` when it was written; None if it is not known.
-        known_by: the file that states it.
+        written_sha256: its `names_sha256` when it was written; None if that is not known.
+        stated_in: the file that states this hash, whose own name is not in it.
 
     Raises:
-        SettingsError: see above.
+        SettingsError: the folder holds something else.
     """
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
-    if not out.is_dir() or written_sha256 is None or written_sha256 != names_sha256(out, known_by):
+    if not out.is_dir() or written_sha256 is None or written_sha256 != names_sha256(out, stated_in):
         raise SettingsError(
-            f"{out}: holds something else than an earlier output alone; choose a new or empty folder",
+            f"{out}: holds something else, or the output of an earlier version; choose a new or empty folder",
             what="other-content",
         )
 
