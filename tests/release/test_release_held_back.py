@@ -1,6 +1,7 @@
 """What a public part tells of the truth, nothing, and that the private part scores as the whole release."""
 
 import json
+import re
 import shutil
 import zipfile
 from collections.abc import Callable
@@ -241,10 +242,12 @@ def test_damaged_inputs(parts: PublishSummary, tmp_path: Path) -> None:
     (public / name).write_bytes(pair_bytes(wrong))
     resum(public, name)
     lines = [line.removeprefix(f"{name}: ") for line in verify(public) if line.startswith(f"{name}: ")]
-    assert lines == [
+    assert [re.sub(r"^\d+", "N", line) for line in lines] == [
         "holds full, shell, known, surface_sigma_m, which is held back",
         "framing is 'view' where the benchmark has 'object'",
         f"only 0 of the {int(unpack(pair.partial_256).sum())} cells of 'partial_256' are 'seen'",
+        "N cells of 'seen' are not as its view's depth has them",
+        "its cube is not that of its view's depth in its mask",
     ]
     values: dict[str, Any] = arrays(parts.folder / name)
     del values["seen"]

@@ -207,7 +207,6 @@ WRONG: dict[str, tuple[Pair, list[str]]] = {
     ),
     "turned": (replace(GOOD, T_world_grid=np.eye(4)), ["the grid's axes are not the view's"]),
     "no focal length": (replace(GOOD, K=np.zeros((3, 3))), ["the focal lengths"]),
-    "voxel size": (replace(GOOD, voxel_size_m=0.0), ["voxel_size_m is 0.0"]),
     "sigma": (replace(GOOD, surface_sigma_m=float("nan")), ["surface_sigma_m is nan"]),
     "framing": (replace(GOOD, framing="view"), ["framing is 'view' where the benchmark has 'object'"]),
     "rule": (
