@@ -135,7 +135,6 @@ def store(arrays: dict[str, Any], path: Path) -> Path:
         ("format_version", np.asarray("new"), "another format version"),
         ("format_version", np.arange(3), "another format version"),
         ("format_version", np.asarray(True), "another format version"),
-        ("voxel_size_m", np.asarray(0.0), "'voxel_size_m' is not a length in metres"),
         ("voxel_size_m", np.arange(3.0), "'voxel_size_m'"),
         ("voxel_size_m", np.asarray("big"), "'voxel_size_m'"),
         ("voxel_size_m", np.asarray(-1.0), "'voxel_size_m'"),
