@@ -40,4 +40,4 @@ def shape_of(
         probability = solid
     grid = Grid(solid.shape, voxel_m, np.eye(4))
     underside = np.zeros_like(solid)
-    return SolidShape(grid, solid, labels, probability.astype(np.float32), mesh, underside)
+    return SolidShape(grid, solid, mesh, labels, probability.astype(np.float32), underside)

@@ -233,7 +233,7 @@ def _model(truth: Truth, mesh: TriangleMesh, T: Float64, unknown_above_m: float 
     fine, coarse = (replace(g, T_world_grid=T @ T_WORLD_OBJECT @ g.T_world_grid) for g in (fine, coarse))
     box = OrientedBox((0.0, 0.0, 0.425), (0.4, 0.36, 0.85))
     quality = QualityFile(box=BoxPart.of(box, 4, 5), surface_sigma_m=0.0)
-    shape = SolidShape(fine, solid, labels, solid.astype(np.float32), mesh, np.zeros_like(solid))
+    shape = SolidShape(fine, solid, mesh, labels, solid.astype(np.float32), np.zeros_like(solid))
     return ObjectModel(Floor(plane, floor_frame(plane), 0.0, 1.0), box, shape, coarse, around, 0.0, quality)
 
 

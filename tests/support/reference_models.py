@@ -60,6 +60,6 @@ def model_of(upright: TriangleMesh, unknown_below_m: float = 0.0) -> ObjectModel
     length, width, height = map(float, high - low)
     box = OrientedBox((x, y, z), (length, width, height))
     quality = QualityFile(box=BoxPart.of(box, 4, 5), surface_sigma_m=0.0)
-    shape = SolidShape(grid, solid, labels, solid.astype(np.float32), mesh, np.zeros_like(solid))
+    shape = SolidShape(grid, solid, mesh, labels, solid.astype(np.float32), np.zeros_like(solid))
     surround = np.full(around.shape, Label.FREE, np.uint8)
     return ObjectModel(Floor(plane, floor_frame(plane), 0.0, 1.0), box, shape, around, surround, 0.0, quality)

@@ -106,9 +106,9 @@ def read_object(folder: Path) -> ObjectModel:
     shape = SolidShape(
         volume.grid,
         volume.solid,
+        read_own_ply(folder / MESH),
         volume.labels,
         volume.probability.astype(np.float32),
-        read_own_ply(folder / MESH),
         volume.underside,
     )
     sigma_m = quality.surface_sigma_m

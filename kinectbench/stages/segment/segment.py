@@ -36,7 +36,7 @@ from kinectbench.stages.segment.solid.grids import (
     surround_grid,
     surround_labels,
 )
-from kinectbench.stages.segment.solid.solid import Solids, SolidShape, make_solid, solidify
+from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape, make_solid, solidify
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def _rules(
     return Rules(layers, ray_width_m, segmentation.limits(), underside, stands=support is not None)
 
 
-def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidShape:
+def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidBody:
     """The solid from the odd or the even frames alone, for comparison."""
     seen, larger = enlarged_observation(half, found.scale), rules.enlarged(found.scale)
     try:

@@ -75,7 +75,7 @@ def cube_distance_m(points: Float64) -> Float64:
 def cube_voxels(known: Known, solid: Bools, labels: np.ndarray, probability: np.ndarray) -> Voxels:
     assert known.build.model
     shape = SolidShape(
-        GRID, solid, labels, probability.astype(np.float32), box_mesh(CUBE), np.zeros_like(solid)
+        GRID, solid, box_mesh(CUBE), labels, probability.astype(np.float32), np.zeros_like(solid)
     )
     truth = cube_truth(known.truth)
     return voxels_beside(replace(known.build.model, shape=shape), truth, HERE, everywhere(truth))
@@ -360,7 +360,7 @@ def test_what_no_camera_could_tell_is_solid_in_the_truth_too(perfect: Known) -> 
     solid = outer.contains(points)
     labels = np.where(solid, Label.INTERIOR, Label.FREE).astype(np.uint8)
     assert perfect.build.model
-    shape = SolidShape(grid, solid, labels, solid.astype(np.float32), box_mesh(outer), np.zeros_like(solid))
+    shape = SolidShape(grid, solid, box_mesh(outer), labels, solid.astype(np.float32), np.zeros_like(solid))
     model = replace(perfect.build.model, shape=shape)
     figures = solid_figures(model, truth, HERE, everywhere(truth))
     assert figures.closed_by_definition_share > 1 and figures.line_width_m == 0.02

@@ -23,8 +23,13 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.judge.quality import surface_sigma_m
-from kinectbench.stages.segment.solid.evidence import FloorLayers, Rules, _signed_distance_m
-from kinectbench.stages.segment.solid.solid import SolidShape, solidify
+from kinectbench.stages.segment.solid.evidence import (
+    FloorLayers,
+    Rules,
+    _signed_distance_m,
+    classify_voxels,
+)
+from kinectbench.stages.segment.solid.solid import SolidShape, make_solid, solidify
 
 # From 10 mm on what goes on above the cut is the object's.
 LOW_LAYERS = FloorLayers(FLOOR_LAYERS, CUT_LAYERS - 2, 2)
@@ -34,9 +39,19 @@ def solid_of(
     observed: Observation, excluded: np.ndarray | None = None, layers: FloorLayers = LAYERS
 ) -> SolidShape:
     none = np.zeros(SHAPE, bool)
-    shape = solidify(observed, none, Rules(layers), excluded)
+    shape = shape_of(observed, none, Rules(layers), excluded)
     check_invariants(shape, observed, none if excluded is None else excluded)
+    alone = solidify(observed, none, Rules(layers), excluded)
+    assert np.array_equal(alone.solid, shape.solid)
+    assert np.array_equal(alone.mesh.vertices, shape.mesh.vertices)
     return shape
+
+
+def shape_of(
+    observed: Observation, neighbours: np.ndarray, rules: Rules, beyond: np.ndarray | None = None
+) -> SolidShape:
+    """The labelled solid of the rough evidence by which the halves are compared."""
+    return make_solid(observed, classify_voxels(observed, neighbours, rules, beyond, roughly=True), rules)
 
 
 def check_invariants(shape: SolidShape, observed: Observation, excluded: np.ndarray) -> None:
@@ -249,7 +264,7 @@ def test_what_is_left_out_and_was_not_seen_is_air() -> None:
     excluded = box_distance((0.0, 0.0, 0.0), (0.3, 0.03, 0.3)) < 0
     body_m = box_distance((0.06, 0.05, -1.0), (0.26, 0.19, 0.3))
     observed = observation(body_m, hidden=excluded)
-    shape = solidify(observed, np.zeros(SHAPE, bool), Rules(LAYERS), excluded)
+    shape = shape_of(observed, np.zeros(SHAPE, bool), Rules(LAYERS), excluded)
     assert shape.probability[excluded].max() <= 0.05 and not shape.solid[excluded].any()
 
 
@@ -257,14 +272,14 @@ def test_unmeasured_parts_of_the_object_near_a_neighbour_are_kept() -> None:
     """Of a couch whose underside nobody saw, near what lies below it: the neighbour has measured voxels."""
     body_m = box_distance(*BOX)
     near = body_m < -0.02  # deep inside the object, where nothing was measured
-    shape = solidify(observation(body_m), near, Rules(LAYERS))
-    alone = solidify(observation(body_m), np.zeros(SHAPE, bool), Rules(LAYERS))
+    shape = shape_of(observation(body_m), near, Rules(LAYERS))
+    alone = shape_of(observation(body_m), np.zeros(SHAPE, bool), Rules(LAYERS))
     assert near.sum() > 100 and np.array_equal(shape.solid, alone.solid)
     assert np.array_equal(shape.labels, alone.labels)
     # What was measured beside a neighbour is the neighbour's.
     half = np.zeros(SHAPE, bool)
     half[: SHAPE[0] // 2] = True
-    cut, measured = solidify(observation(body_m), half, Rules(LAYERS)), alone.labels == Label.SURFACE
+    cut, measured = shape_of(observation(body_m), half, Rules(LAYERS)), alone.labels == Label.SURFACE
     assert (alone.solid & measured & half).any() and not (cut.solid & measured & half).any()
 
 

@@ -28,7 +28,7 @@ from kinectbench.stages.segment.judge.estimate import (
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.solid.evidence import Rules
-from kinectbench.stages.segment.solid.solid import Solids, SolidShape
+from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape
 
 # Limits of a verdict without warnings.
 GOOD_REPEATABILITY, MAX_UNKNOWN_SHARE, GOOD_ESTIMATED_IOU = 0.90, 0.15, 0.82
@@ -156,7 +156,7 @@ def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
     )
 
 
-def solid_box(shape: SolidShape, floor: Floor, yaw_rad: float | None = None) -> OrientedBox:
+def solid_box(shape: SolidBody, floor: Floor, yaw_rad: float | None = None) -> OrientedBox:
     """The upright box around a solid, but for 0.5 % of its vertices on each side, floor frame.
 
     Without a yaw, it is the one of least ground area.

@@ -104,7 +104,7 @@ def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float
     depth_voxels = ndimage.distance_transform_edt(solid)
     labels = np.where(solid, Label.INTERIOR, Label.OTHER).astype(np.uint8)
     labels[solid & (depth_voxels <= SHELL_M / REFERENCE_VOXEL_M)] = Label.SURFACE
-    return SolidShape(grid, solid, labels, solid.astype(np.float32), mesh, np.zeros_like(solid))
+    return SolidShape(grid, solid, mesh, labels, solid.astype(np.float32), np.zeros_like(solid))
 
 
 def _costs_too_much(mesh: TriangleMesh, grid: Grid) -> bool:

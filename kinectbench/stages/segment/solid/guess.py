@@ -69,4 +69,8 @@ def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) ->
 def measured_probability(signed_m: NDArray[np.floating], voxel_size_m: float) -> Float32:
     """The probability that an observed voxel is inside, by its signed distance (metres)."""
     voxels = signed_m / np.float32(voxel_size_m)
-    return np.asarray(np.interp(voxels, SIGNED_VOXELS, SIGNED_INSIDE_SHARE), np.float32)
+    # Most observed voxels are far in front of a surface, where the share is its last value.
+    near = voxels < SIGNED_VOXELS[-1]
+    shares = np.full(voxels.shape, SIGNED_INSIDE_SHARE[-1])
+    shares[near] = np.interp(voxels[near], SIGNED_VOXELS, SIGNED_INSIDE_SHARE)
+    return shares

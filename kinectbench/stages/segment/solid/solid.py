@@ -1,6 +1,7 @@
 """Make a closed solid: free voxels are air, and voxels that no camera could see are the object."""
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,35 +34,44 @@ LEG_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class SolidShape:
-    """The object as a solid; all arrays have the grid's shape.
+class SolidBody:
+    """The object as a solid and nothing else: enough to compare solids.
 
     Attributes:
         grid: upright; a cell boundary lies at z = 0 of the floor.
-        solid: bool, occupied.
-        labels: uint8, see `Label`.
-        probability: float32 in [0, 1], that the voxel is occupied.
+        solid: bool in the grid's shape, occupied.
         mesh: closed surface of `solid`, smooth where it was measured, world frame, metres.
-        underside: bool, unseen, and a camera could see it only from below.
     """
 
     grid: Grid
     solid: Bools
+    mesh: TriangleMesh
+
+    def restored(self, grid: Grid, scale: float) -> Self:
+        """The same solid in a world that is `scale` times as large, on the grid given."""
+        if scale == 1:
+            return self
+        return replace(self, grid=grid, mesh=TriangleMesh(self.mesh.vertices * scale, self.mesh.faces))
+
+
+@dataclass(frozen=True)
+class SolidShape(SolidBody):
+    """The object as a solid, and how each voxel is known; all arrays have the grid's shape.
+
+    Attributes:
+        labels: uint8, see `Label`.
+        probability: float32 in [0, 1], that the voxel is occupied.
+        underside: bool, unseen, and a camera could see it only from below.
+    """
+
     labels: NDArray[np.uint8]
     probability: Float32
-    mesh: TriangleMesh
     underside: Bools
 
     @property
     def underside_share(self) -> float:
         """The share of the solid that depends on a person's statement on its underside."""
         return int((self.underside & self.solid).sum()) / max(1, int(self.solid.sum()))
-
-    def restored(self, grid: Grid, scale: float) -> "SolidShape":
-        """The same solid in a world that is `scale` times as large, on the grid given."""
-        if scale == 1:
-            return self
-        return replace(self, grid=grid, mesh=TriangleMesh(self.mesh.vertices * scale, self.mesh.faces))
 
 
 @dataclass(frozen=True)
@@ -77,22 +87,22 @@ class Solids:
     """
 
     whole: SolidShape
-    odd: SolidShape
-    even: SolidShape
+    odd: SolidBody
+    even: SolidBody
     surface_sigma_m: float
     frames: int
 
 
 def solidify(
     observation: Observation, neighbours: Bools, rules: Rules, beyond_box: Bools | None = None
-) -> SolidShape:
-    """Make a solid of some of the frames, for comparison: classify roughly, then `make_solid`.
+) -> SolidBody:
+    """Make a solid of some of the frames, for comparison: classify roughly, then decide as `make_solid`.
 
     Raises:
         ShapeError: nothing is left.
     """
     evidence = classify_voxels(observation, neighbours, rules, beyond_box, roughly=True)
-    return make_solid(observation, evidence, rules)
+    return _body(observation, evidence, _guess(observation, evidence, rules), rules)
 
 
 def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> SolidShape:
@@ -112,25 +122,36 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     Raises:
         ShapeError: nothing is left.
     """
-    excluded, contact, below = evidence.excluded, evidence.contact, rules.layers.below
+    voxel_m, below = observation.grid.voxel_size_m, rules.layers.below
+    guess = _guess(observation, evidence, rules)
+    body = _body(observation, evidence, guess, rules)
+    labels = voxel_labels(evidence, body.solid, voxel_m, below)
+    probability = _probability(voxel_m, evidence, guess, body.solid)
+    probability[:, :, :below] = 0
+    return SolidShape(body.grid, body.solid, body.mesh, labels, probability, evidence.underside)
+
+
+def _guess(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> Float32:
+    return inside_probability(evidence, rules, observation.grid.voxel_size_m)
+
+
+def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rules: Rules) -> SolidBody:
+    """The voxels that are occupied, and their closed surface, by the rules of `make_solid`."""
+    excluded, contact = evidence.excluded, evidence.contact
     voxel_m = observation.grid.voxel_size_m
-    guess = inside_probability(evidence, rules, voxel_m)
     solid = evidence.near_surface | evidence.closed | (evidence.unknown & (guess > 0.5))
     # Extruded down to the floor, and for now beyond it, so that smoothing does not round the feet.
     solid[:, :, : contact.stop] = solid[:, :, contact.stop, None] & ~excluded[:, :, : contact.stop]
     solid = carried_up(solid, evidence.free | excluded, contact.stop, voxel_m)
     field = _smooth_field(evidence, _without_specks(solid), voxel_m)
     empty = excluded.copy()
-    empty[:, :, :below] = True
+    empty[:, :, : rules.layers.below] = True
     # A void without a 6-connected way out is filled: no camera can have looked into it.
     solid = ~from_beyond(~_without_specks((field < 0) & ~empty)) & ~empty
     if not solid.any():
         raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
-    labels = voxel_labels(evidence, solid, voxel_m, below)
-    probability = _probability(voxel_m, evidence, guess, solid)
-    probability[:, :, :below] = 0
     mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
-    return SolidShape(observation.grid, solid, labels, probability, mesh, evidence.underside)
+    return SolidBody(observation.grid, solid, mesh)
 
 
 def _without_specks(solid: Bools) -> Bools:
