@@ -24,7 +24,6 @@ from kinectbench.core.voxels.lines_of_sight import (
     FROM_BELOW,
     PASSABLE,
     PLACE,
-    directions,
 )
 from kinectbench.core.voxels.seeable import (
     SeeableSolid,
@@ -211,7 +210,7 @@ def test_a_camera_that_rises_through_unseen_space_looks_from_below() -> None:
     limits = replace(LIMITS, near_m=0.1)
     inner, beneath = np.s_[15:45, 15:45, 35:45], np.s_[15:45, 15:45, 5:10]
     for empty, below in ((np.zeros_like(solid), True), (~solid, False)):
-        sight = swept_from_outside(solid, empty, heights_m, 0.01, limits, directions(400))
+        sight = swept_from_outside(solid, empty, heights_m, 0.01, limits, 400)
         assert (sight.any_way[inner] & FROM_ABOVE).all()
         assert (sight.only_from_below[inner] == below).all()
         assert not sight.only_from_below[beneath].any() and not sight.only_from_below[solid].any()
@@ -230,7 +229,7 @@ def test_beside_a_leg_a_camera_stands_below_an_object_too(rail: int) -> None:
         solid[15:65, y : y + 2, rail:30] = True
     heights_m = ((np.arange(80) + 0.5) * 0.01).astype(np.float32)
     limits = replace(LIMITS, near_m=0.1)
-    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, directions(400))
+    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, 400)
     inner = np.s_[20:60, 20:60, 36:60]
     assert (sight.any_way[inner] & FROM_ABOVE).mean() > 0.9 and sight.only_from_below[inner].all()
 
@@ -244,7 +243,7 @@ def test_a_camera_that_came_in_through_a_door_may_rise(door: int) -> None:
     solid[66:70, 21:59, 4:door] = False
     heights_m = ((np.arange(120) + 0.5) * 0.01).astype(np.float32)
     limits = replace(LIMITS, line_width_m=0.03, near_m=0.2)
-    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, directions(400))
+    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, 400)
     inner = np.s_[16:64, 16:64, door + 5 : 100]
     assert (sight.any_way[inner] & FROM_ABOVE).mean() > 0.9
     # Some is only seen by lines that look up: they come in through the door, too.
