@@ -39,7 +39,7 @@ VERSIONS: dict[str, int] = {
     "track": 16,
     "fuse": 7,
     "segment": 45,
-    "sample-views": 6,
+    "sample-views": 7,
     "pairs": 4,
     "suggest": 7,
     "publish": 45,
