@@ -65,15 +65,23 @@ def record_command(
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
     check_new(out)
+    done = None
     with _begun(out) if built else nullcontext() as begun:
-        with _guide(port, guided, out) as guide, console.frames_counted(f"record {out}") as progress:
-            done = record_with(
-                camera,
-                out,
-                seconds,
-                observers=[guide] if guide else [],
-                progress=lambda frames, passed_s: progress(frames, passed_s, guide.sentence if guide else ""),
-            )
+        try:
+            with _guide(port, guided, out) as guide, console.frames_counted(f"record {out}") as progress:
+                done = record_with(
+                    camera,
+                    out,
+                    seconds,
+                    observers=[guide] if guide else [],
+                    progress=lambda frames, passed_s: progress(
+                        frames, passed_s, guide.sentence if guide else ""
+                    ),
+                )
+        except KeyboardInterrupt:
+            if done is None:
+                raise
+        assert done is not None  # another Ctrl-C may only have ended the guide
         ended_s = time.monotonic()
         _tell(common, done)
         if done.failure:

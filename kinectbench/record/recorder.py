@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinectbench.core.errors import CaptureError, KinectBenchError
+from kinectbench.engine.interrupts import one_interrupt_outlived
 from kinectbench.record.folder import FolderWriter, check_new
 from kinectbench.record.interface import Acceleration, Device, Frame, Setup
 from kinectbench.record.quiet import in_a_line, quiet
@@ -93,6 +94,9 @@ def record(
 ) -> Recorded:
     """Record until the device ends or fails, a frame cannot be written, time is up, or KeyboardInterrupt.
 
+    Another Ctrl-C does not lose the outcome: frames that wait are still written, observers are waited for no
+    more. A third one ends it at once; the folder can be read to its last row.
+
     Args:
         device: the device, which is opened and closed here.
         folder: a missing or empty folder; it is created with the first frame.
@@ -117,11 +121,12 @@ def record(
         finally:
             sys.setswitchinterval(switch_s)
     finally:
-        with suppress(Exception):  # the device is gone
+        with suppress(Exception, KeyboardInterrupt):  # the device is gone, or Ctrl-C is pressed again
             device.close()
     if run.writer is None:
         raise CaptureError(failure or f"{device.name}: gave no frame, and nothing was written")
-    return run.closed(failure)
+    with one_interrupt_outlived() as asked:
+        return run.closed(failure, lambda: bool(asked))
 
 
 def _opened(device: Device) -> Setup:
@@ -179,12 +184,12 @@ class _Run:
             for watcher in self.watchers:
                 watcher.offer(number, frame)
 
-    def closed(self, failure: str) -> Recorded:
-        """Wait for the writer and the observers, and return the outcome."""
+    def closed(self, failure: str, given_up: Callable[[], bool]) -> Recorded:
+        """Wait for the writer, and for the observers until `given_up` is true; return the outcome."""
         assert self.writer is not None
         self.writer.close()
         for watcher in self.watchers:
-            watcher.end()
+            watcher.end(given_up)
         if self.writer.error is not None:
             reason = getattr(self.writer.error, "strerror", None) or in_a_line(self.writer.error)
             failure = f"{self.folder}: cannot be written any more ({reason})"
