@@ -67,6 +67,23 @@ def locked(
             _write(lock, "")
 
 
+@contextlib.contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Keep others that call this from the folder within the block, for so short that nobody is told.
+
+    The lock is on the folder itself: a file `.lock` would be one more in a folder that people share. Where the
+    disk keeps no such locks, the block runs without.
+    """
+    with storage_errors(folder):
+        handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
 def sweep(path: Path) -> None:
     """Remove the temporary files of killed runs beside `path`, a path or pattern that nobody uses now.
 
