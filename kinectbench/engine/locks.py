@@ -69,10 +69,10 @@ def locked(
 
 @contextlib.contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Keep others that call this from the folder within the block, for so short that nobody is told.
+    """Keep others that call this from the folder within the block, which is short: nobody is told.
 
-    The lock is on the folder itself: a file `.lock` would be one more in a folder that people share. Where the
-    disk keeps no such locks, the block runs without.
+    The lock is on the folder itself: a file `.lock` would be one more in a folder that people share. Where
+    the disk keeps no such locks, the block runs without.
     """
     with storage_errors(folder):
         handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
