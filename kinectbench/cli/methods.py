@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -146,19 +146,10 @@ def predict_command(
     for line in notes(trained, benchmark):
         say(line)
     failed = list[str]()
+    how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits, "device": where}
     with console.progress_bar(f"predict {trained.config.name}") as progress:
-        written = run(
-            trained,
-            benchmark,
-            out or Path("predictions"),
-            threshold=threshold,
-            precision=chosen,
-            splits=splits,
-            device=where,
-            progress=progress,
-            say=say,
-            failed=failed.append,
-        )
+        how_to |= {"progress": progress, "say": say, "failed": failed.append}
+        written = run(trained, benchmark, out or Path("predictions"), **how_to)
     console.lines(f"{trained.config.name}: error", console.by_mistake(failed), "red")
     common.tell_written(written)
     return SOME_FAILED if failed else 0

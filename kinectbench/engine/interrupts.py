@@ -152,35 +152,6 @@ def interrupts_held() -> Iterator[None]:
             signal.raise_signal(asked[0])
 
 
-@contextmanager
-def one_interrupt_outlived() -> Iterator[list[int]]:
-    """Keep an interrupt from ending the block, which must not lose its outcome; yield the signals so far.
-
-    Only another Ctrl-C raises KeyboardInterrupt. Signals reach the main thread alone: on another one nothing
-    changes.
-    """
-    asked: list[int] = []
-
-    def outlive(came: int, frame: object) -> None:
-        """Remember a signal; raise at the second Ctrl-C."""
-        again = came in asked
-        _seen.append(came)
-        _asked.append(came)
-        asked.append(came)
-        if again and came == signal.SIGINT:
-            raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield asked
-        return
-    previous = [signal.signal(number, outlive) for number in STOP_SIGNALS]
-    try:
-        yield asked
-    finally:
-        for number, handler in zip(STOP_SIGNALS, previous, strict=True):
-            signal.signal(number, handler)
-
-
 def _remember(number: int, frame: object) -> None:
     again = number in _asked
     _seen.append(number)

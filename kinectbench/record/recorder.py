@@ -1,14 +1,16 @@
 """Record: write a device's frames into a folder, and show them to observers."""
 
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FrameType
 
 from kinectbench.core.errors import CaptureError, KinectBenchError
-from kinectbench.engine.interrupts import one_interrupt_outlived
 from kinectbench.record.folder import FolderWriter, check_new
 from kinectbench.record.interface import Acceleration, Device, Frame, Setup
 from kinectbench.record.quiet import in_a_line, quiet
@@ -125,8 +127,39 @@ def record(
             device.close()
     if run.writer is None:
         raise CaptureError(failure or f"{device.name}: gave no frame, and nothing was written")
-    with one_interrupt_outlived() as asked:
+    with _one_interrupt_outlived() as asked:
         return run.closed(failure, lambda: bool(asked))
+
+
+@contextmanager
+def _one_interrupt_outlived() -> Iterator[list[int]]:
+    """Keep an interrupt from ending the block, whose outcome would be lost; yield the signals so far.
+
+    Handlers of signals are called as before, but what they raise only counts from the second Ctrl-C on.
+    Signals reach the main thread alone: on another one nothing changes.
+    """
+    asked: list[int] = []
+
+    def outlive(came: int, frame: FrameType | None) -> None:
+        again = came in asked
+        asked.append(came)
+        try:
+            previous[came](came, frame)
+        except KeyboardInterrupt:
+            if again and came == signal.SIGINT:
+                raise
+
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous = {int(number): handler for number, handler in handlers.items() if callable(handler)}
+    on_main_thread = threading.current_thread() is threading.main_thread()
+    changed = [*previous] if on_main_thread else []
+    for number in changed:
+        signal.signal(number, outlive)
+    try:
+        yield asked
+    finally:
+        for number in changed:
+            signal.signal(number, previous[number])
 
 
 def _opened(device: Device) -> Setup:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources
-from kinectbench.core.storage import pretty_json
+from kinectbench.core.storage import pretty_json, sha256_file
 from kinectbench.engine import artefact as artefacts
 from kinectbench.engine.artefact import Artefact, has_sizes, whole_hash
 from kinectbench.engine.place import statuses
@@ -77,7 +77,7 @@ def test_inputs_are_compared_by_names_sizes_and_times(
         return has_sizes(*of, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr("kinectbench.engine.stages.has_sizes", once)
-    read, sha256_file = list[Path](), artefacts.sha256_file
+    read = list[Path]()
 
     def hashed(path: Path) -> str:
         read.append(path)
