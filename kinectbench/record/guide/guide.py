@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Lock
 from typing import TypeAlias
 
@@ -81,16 +80,15 @@ class Guide:
         ring: directions from which the object was seen.
     """
 
-    def __init__(self, setup: Setup, folder: Path | None = None, *, beside: bool = True) -> None:
+    def __init__(self, setup: Setup, *, beside: bool = True) -> None:
         """Start without frames.
 
         Args:
             setup: the device's cameras.
-            folder: the recording; its disk takes the images of old keyframes; None: that of temporary files.
             beside: whether `look` runs on a separate thread while frames arrive.
         """
         self._setup = setup
-        self.tracker, self.ring = LiveTracker(setup, folder), Ring()
+        self.tracker, self.ring = LiveTracker(setup), Ring()
         self.seen: ObjectLook | None = None
         self._speaker, self._looks, self._looked_at = Speaker(), 0, (0, -np.inf)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="look") if beside else None

@@ -164,7 +164,7 @@ class _Shown:
     def take(self, number: int, frame: Frame, setup: Setup) -> Snapshot:
         """Give a frame to the guide, and return what the page shows after it."""
         if self._guide is None:
-            self._guide = Guide(setup, self._folder)
+            self._guide = Guide(setup)
         self._last = self._guide.take(number, frame)
         if not self._last.lost or self._picture is None:
             # A click means a pixel of depth, which colour beside it does not show.

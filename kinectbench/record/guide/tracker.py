@@ -6,7 +6,6 @@ graph's keyframes.
 
 from collections.abc import Sequence as Rows
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +15,9 @@ from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.geometry.rigid import on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Float64, Int64
-from kinectbench.record.guide.old_on_disk import OldOnDisk
 from kinectbench.record.interface import Frame, Setup
 from kinectbench.stages.track.features import FeatureCache
-from kinectbench.stages.track.frame_maps import MapCache, ReducedFrame
+from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
 from kinectbench.stages.track.odometry import FRAMES_BEFORE, RECENT_S, Follower, Odometry
 
@@ -88,12 +86,10 @@ class LiveTracker:
         keyframes: indices of the frames that others are registered to.
     """
 
-    def __init__(self, setup: Setup, folder: Path | None = None) -> None:
-        """Start without frames; images of old keyframes go to the disk of `folder` (see `OldOnDisk`)."""
+    def __init__(self, setup: Setup) -> None:
+        """Start without frames."""
         self._frames, self._setup, self._stamps_ns = LiveFrames(), setup, list[int]()
-        averaged: OldOnDisk[NDArray[np.uint16]] = OldOnDisk(folder)
-        read: OldOnDisk[ReducedFrame] = OldOnDisk(folder)
-        maps = MapCache(self._sequence(), averaged, keeps_all=True, _read=read)
+        maps = MapCache(self._sequence(), keeps_all=True)
         self._follower = Follower(maps, FeatureCache(maps))
         self.keyframes = self._follower.keyframes
         # The odometry segment that is the world, and the first frame to which others may be registered.

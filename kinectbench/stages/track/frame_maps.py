@@ -9,8 +9,6 @@ into those frames and averaged where they see the same surface.
 """
 
 from collections import OrderedDict
-from collections.abc import MutableMapping
-from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numba
@@ -152,13 +150,13 @@ class MapCache:
     """
 
     sequence: Sequence
-    averaged: MutableMapping[int, NDArray[np.uint16]] = field(default_factory=dict)
+    averaged: dict[int, NDArray[np.uint16]] = field(default_factory=dict)
     correction_per_m: Float32 | None = None
     shutter: RollingShutter | None = None
     sharpness: dict[int, float] = field(default_factory=dict)
     keeps_all: bool = False
     _kept: OrderedDict[int, FrameMaps] = field(default_factory=OrderedDict)
-    _read: MutableMapping[int, ReducedFrame] = field(default_factory=dict)
+    _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, object]:
         """The state to pickle, without the maps, which are computed again on demand."""
@@ -166,8 +164,8 @@ class MapCache:
 
     def copied(self) -> "MapCache":
         """A copy for another thread, without maps and sharpness; neither sees changes of the other."""
-        averaged, read = copy(self.averaged), copy(self._read)
-        return replace(self, averaged=averaged, sharpness={}, _kept=OrderedDict(), _read=read)
+        read = {**self._read}
+        return replace(self, averaged={**self.averaged}, sharpness={}, _kept=OrderedDict(), _read=read)
 
     def forget(self, index: int) -> None:
         """Drop the images and the maps of a frame that is not needed any more."""

@@ -166,10 +166,7 @@ def _distance_m(points: Float64, point: Float64) -> float:
 
 
 def _cells(points_floor: Float64, label: Int32 | None) -> Int64:
-    """The number of 20 mm cells that the points of each label occupy, or all points if `label` is None.
-
-    The points are divided by the scene's scale: the cells of a small object, recorded from near, are smaller.
-    """
+    """The number of 20 mm cells that the points of each label occupy, or all points if `label` is None."""
     cells = np.floor(points_floor / FINE_CELL_M).astype(np.int64)
     _, first = np.unique(cell_numbers(cells), return_index=True)
     return np.asarray(np.bincount(np.zeros(len(first), int) if label is None else label[first]))
