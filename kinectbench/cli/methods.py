@@ -3,11 +3,11 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from kinectbench.cli.common import Common, takes
+from kinectbench.cli.common import SOME_FAILED, Common, takes
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.method import UnfinishedFile
@@ -117,7 +117,7 @@ def predict_command(
     score: Score = False,
     surface: Annotated[bool, typer.Option(help="with --score: surface metrics, too")] = True,
     device: Device = None,
-) -> None:
+) -> int:
     """Write predictions of a trained network, with method.json; --score writes only their scores."""
     from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
@@ -142,23 +142,17 @@ def predict_command(
 
     if score:
         how = run_of(trained, benchmark, threshold, chosen, where)
-        _score(common, trained, benchmark, how, splits, surface, out or Path("scores"), where)
-        return
+        return _score(common, trained, benchmark, how, splits, surface, out or Path("scores"), where)
     for line in notes(trained, benchmark):
         say(line)
+    failed = list[str]()
+    how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits, "device": where}
     with console.progress_bar(f"predict {trained.config.name}") as progress:
-        written = run(
-            trained,
-            benchmark,
-            out or Path("predictions"),
-            threshold=threshold,
-            precision=chosen,
-            splits=splits,
-            device=where,
-            progress=progress,
-            say=say,
-        )
+        how_to |= {"progress": progress, "say": say, "failed": failed.append}
+        written = run(trained, benchmark, out or Path("predictions"), **how_to)
+    console.lines(f"{trained.config.name}: error", console.by_mistake(failed), "red")
     common.tell_written(written)
+    return SOME_FAILED if failed else 0
 
 
 def _chosen(option: str, word: str, words: Sequence[Word]) -> tuple[Word, ...]:
@@ -178,7 +172,7 @@ def _score(
     surface: bool,
     folder: Path,
     device: str,
-) -> None:
+) -> int:
     """Do the work of `predict --score`: predict and score in memory; write the files of `score`."""
     from kinectbench.cli import console
     from kinectbench.cli.report import write_page
@@ -206,6 +200,7 @@ def _score(
     write_gallery(cells, folder / SCORES_JSON)
     beside = baselines_of(release, folder, [table], HALF_PIXEL, common.workers)
     tell_scores(common, [table], beside, write_page(common, release, folder))
+    return SOME_FAILED if table.failures else 0
 
 
 @takes("as_json")

@@ -59,7 +59,7 @@ def publish_command(
 ) -> int:
     """Build what is not up to date, and write the release to benchmark/ from all that could be built."""
     from kinectbench.cli import console
-    from kinectbench.release.publish.archive import refuse_unstated, write_archive
+    from kinectbench.release.publish.archive import refuse_unstated
     from kinectbench.release.publish.current import publish_if_stale
 
     settings = common.settings
@@ -85,7 +85,7 @@ def publish_command(
     )
     put = None if put_there is None else put_there(summary.folder)
     parts = [part for part in (summary.folder, summary.private) if part is not None]
-    written = [write_archive(part, archives_to or root) for part in parts] if packed else []
+    written = [_packed(part, archives_to or root) for part in parts] if packed else []
     _tell(common, summary, written, put)
     return _status(rows, summary)
 
@@ -97,12 +97,12 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
         SettingsError: the URL does not allow uploads, or a package is not installed.
     """
     from kinectbench.cli import console
-    from kinectbench.release.hub import SCHEME, hub_name, put_on_hub
+    from kinectbench.release.hub import SCHEME, hub_name
     from kinectbench.release.put import put_release
 
     if to.startswith(SCHEME):
         name = hub_name(to)
-        return lambda folder: (f"{SCHEME}{name}", put_on_hub(folder, name))
+        return lambda folder: (f"{SCHEME}{name}", _put_on_hub(folder, name))
     target = store_at(to)
 
     def put(folder: Path) -> "tuple[str, PutSummary]":
@@ -110,6 +110,26 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
             return target.url, put_release(folder, target, progress)
 
     return put
+
+
+def _put_on_hub(folder: Path, name: str) -> "PutSummary":
+    """Put a release on the hub as the dataset `name`; the bar is of the check, the hub has its own."""
+    from kinectbench.cli import console
+    from kinectbench.release.hub import put_on_hub
+    from kinectbench.release.published import listed_files
+
+    with console.progress_bar("check") as progress:
+        sums = listed_files(folder, progress)
+    return put_on_hub(folder, name, sums)
+
+
+def _packed(release: Path, out: Path) -> Path:
+    """Pack a release as a zip file in the folder `out`, with a progress bar; return the file's path."""
+    from kinectbench.cli import console
+    from kinectbench.release.publish.archive import write_archive
+
+    with console.progress_bar("pack") as progress:
+        return write_archive(release, out, progress)
 
 
 def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:

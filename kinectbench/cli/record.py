@@ -15,6 +15,7 @@ from kinectbench.core.errors import SettingsError
 if TYPE_CHECKING:
     from kinectbench.record.build_process import BuildProcess
     from kinectbench.record.guide.process import GuideProcess
+    from kinectbench.record.interface import Device
     from kinectbench.record.recorder import Recorded
 
 
@@ -43,11 +44,9 @@ def record_command(
     built: Annotated[bool, typer.Option("--build", help="then build the pairs, in the new folder")] = False,
 ) -> int:
     """Record with a camera into a folder that `inspect` and `build` read; Ctrl-C ends it."""
-    from kinectbench.cli import console
     from kinectbench.record.devices import device_to_use
     from kinectbench.record.devices.replay import Replay
     from kinectbench.record.folder import check_new
-    from kinectbench.record.recorder import record as record_with
     from kinectbench.settings.models import CameraSettings
     from kinectbench.settings.overrides import settings_from_options
 
@@ -66,19 +65,36 @@ def record_command(
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
     check_new(out)
     with _begun(out) if built else nullcontext() as begun:
+        done = _recorded(camera, out, seconds, port, guided)
+        ended_s = time.monotonic()
+        _tell(common, done)
+        if done.failure:
+            return CANNOT_BE_USED
+        return _build(common, out, ended_s, begun) if built else 0
+
+
+def _recorded(
+    camera: "Device", out: Path, seconds: float | None, port: int, guided: bool | None
+) -> "Recorded":
+    """Record, with the guide if wanted; another Ctrl-C, while the guide closes, does not lose the outcome."""
+    from kinectbench.cli import console
+    from kinectbench.record.recorder import record
+
+    done = None
+    try:
         with _guide(port, guided, out) as guide, console.frames_counted(f"record {out}") as progress:
-            done = record_with(
+            done = record(
                 camera,
                 out,
                 seconds,
                 observers=[guide] if guide else [],
                 progress=lambda frames, passed_s: progress(frames, passed_s, guide.sentence if guide else ""),
             )
-        ended_s = time.monotonic()
-        _tell(common, done)
-        if done.failure:
-            return CANNOT_BE_USED
-        return _build(common, out, ended_s, begun) if built else 0
+    except KeyboardInterrupt:
+        if done is None:
+            raise
+    assert done is not None
+    return done
 
 
 @contextmanager

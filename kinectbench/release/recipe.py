@@ -21,7 +21,7 @@ from kinectbench.core.store.download import MOST_FILE_BYTES, Content, download, 
 from kinectbench.core.store.store import in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import open_plain, read_plain_text
-from kinectbench.engine.locks import locked
+from kinectbench.engine.locks import locked, only_writer
 from kinectbench.release.unpack import unpack_archive
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import load_benchmark
@@ -220,7 +220,7 @@ class Recipe:
         Raises:
             StorageError: a fetch to another folder has recorded another file under this name.
         """
-        with self._writing:
+        with self._writing, only_writer(self.folder):
             if file in self._locked:
                 return
             # A fetch with another --out may have added entries since this one began.

@@ -1,5 +1,7 @@
 """Find the floor of a fused scene, and the object on it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +26,7 @@ from kinectbench.stages.segment.find.select import (
     select_in_box,
     select_object,
 )
+from kinectbench.stages.track.outliers import far_warnings
 
 # The focus of the cameras lies at most this far beside the object.
 MAX_BESIDE_FOCUS_M = 0.3
@@ -275,9 +278,22 @@ def find_floor_and_object(
         SegmentationError: an empty scene, no floor (without a box), a given plane above the cameras, no
             object where they look, or a box that holds nothing or was chosen in another floor frame.
     """
-    scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
-    with scene.floor.explained_in_errors():
-        return _find_on_floor(scene, mesh, trajectory, given_box, settings)
+    with _far_poses_named(trajectory):
+        scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
+        with scene.floor.explained_in_errors():
+            return _find_on_floor(scene, mesh, trajectory, given_box, settings)
+
+
+@contextmanager
+def _far_poses_named(trajectory: Trajectory) -> Iterator[None]:
+    """Within the block, a `SegmentationError` also names poses far away from all others, if any."""
+    try:
+        yield
+    except SegmentationError as error:
+        far = far_warnings(trajectory.T_world_camera)
+        if not far:
+            raise
+        raise SegmentationError(f"{error}; {far[0]}", what=error.what) from error
 
 
 def _find_on_floor(
