@@ -110,11 +110,6 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
     What lies inside a returned folder is not returned. Ignored are hidden files and folders, folders with
     results, a simulation's truth, a benchmark.yaml, a release or an export, and folders beside a
     pyproject.toml.
-
-    Args:
-        folder: the searched folder.
-        recordings: the recordings found in it.
-        suffixes: endings of files that are recordings, such as ".bag".
     """
     known = set(recordings)
     holding = {parent for path in recordings for parent in path.relative_to(folder).parents}

@@ -289,10 +289,6 @@ def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
     """Those of a recording's files that are other inputs: the reference mesh, a person's masks, masks.json.
 
     Masks in a folder that `ingest` also reads stay with the recording.
-
-    Args:
-        job: the recording.
-        files: paths as made by `_whole`, like those returned.
     """
     masks = _whole(job.masks) if job.masks else None
     drawn = [file for file in files if file.parent == masks]

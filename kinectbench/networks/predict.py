@@ -172,20 +172,7 @@ def _write_all(
     device: str,
     progress: Progress | None,
 ) -> list[float]:
-    """Predict and write the files that are missing.
-
-    Args:
-        kept: the method's folder, with the predictions that this run wrote before.
-        trained: the network.
-        release: the release that is predicted.
-        run: what determines the bytes of the files.
-        targets: all pairs to predict.
-        device: the network's device.
-        progress: called with (pairs done, pairs in all).
-
-    Returns:
-        The seconds that the network took for each predicted view.
-    """
+    """Predict and write the missing files; return the seconds that the network took for each view."""
     waiting = [target for target in targets if not kept.holds(target)]
     seconds = []
     # A file is compressed and written while the network predicts the next view.

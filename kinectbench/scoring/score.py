@@ -217,9 +217,6 @@ def _left_out(
     """Return tables, without scores, of methods that the protocols do not fit, if they fit another method.
 
     Each is written, unless earlier scores of the method are there, which are kept.
-
-    Raises:
-        SettingsError: the protocols fit no method.
     """
     declared = {name: read_in_camera(folder) for name, folder in methods.items()}
     reasons = {name: unfit(protocols, of) for name, of in declared.items() if of is not None}

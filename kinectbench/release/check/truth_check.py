@@ -127,11 +127,6 @@ def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.inte
     """Read a volume.npz: return its grid and its arrays (nx, ny, nz) `solid`, `labels` and `underside`.
 
     An early volume without `underside` gives an empty array for it.
-
-    Raises:
-        TooLargeError: the volume is too large to be compared.
-        ReleaseError: the file cannot be read.
-        UNREADABLE: one of the exceptions in this tuple: the file is damaged.
     """
     names = ("solid", "labels", "voxel_size_m", "T_world_grid", "underside")
     with contents.stream(name) as file:

@@ -127,17 +127,7 @@ def _part(
     held_back: bool,
     views: int,
 ) -> dict[str, object]:
-    """Return the values for a recording's section of the page.
-
-    Args:
-        folder: the release's folder.
-        scenes: folder with scene meshes that give objects their colours, or None.
-        name: id of the recording.
-        info: the recording's entry in benchmark.json.
-        here: the recording's pairs.
-        held_back: whether the recording's truth is held back.
-        views: number of pairs to show, evenly spread.
-    """
+    """Return the values for a recording's section of the page."""
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,

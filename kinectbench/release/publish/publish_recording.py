@@ -231,12 +231,6 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
     Images are copied from the build, colour without private metadata; those of an isolated view are made
     again. Return whether the build has colour images of these views.
-
-    Args:
-        built: the recording.
-        targets: the recording's pairs.
-        folder: the release's folder.
-        removals: a list to which removed private facts are added.
     """
     source, name = built.folder / "views", f"views/{built.recording.id}"
     (folder / name).mkdir(parents=True)

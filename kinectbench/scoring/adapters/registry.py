@@ -130,19 +130,7 @@ def adapt(
 def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
-    """Convert one view's output; return its camera.json, or None if the method wrote nothing for the view.
-
-    Args:
-        release: the release that contains the view.
-        name: the method's name.
-        adapter: the method's adapter.
-        output: the folder that holds `<recording>/<view>/` with the output and camera.json.
-        target: the view.
-        folder: the prediction is written to `<recording>/<view>` below it.
-
-    Raises:
-        PredictionError: the output or camera.json cannot be used.
-    """
+    """Convert one view's output; return its camera.json, or None if the method wrote nothing for the view."""
     view_folder = output / target.recording / target.view
     try:
         path = find_output(view_folder, adapter.output)
