@@ -38,12 +38,8 @@ FILES = "files_sha256"
 SAME_POSE = 1e-6
 
 
-def adapter_of(name: str) -> Adapter:
-    """Return the adapter of a method.
-
-    Raises:
-        SettingsError: no adapter has this name.
-    """
+def _adapter_of(name: str) -> Adapter:
+    """Return the adapter of a method."""
     if name not in ADAPTERS:
         raise SettingsError(f"'{name}': no such method; choose among {', '.join(ADAPTERS)}")
     return ADAPTERS[name]
@@ -62,7 +58,7 @@ def export_for(
             something else.
         ReleaseError, StorageError: as in `export_rgbd`, or the adapter cannot write a view.
     """
-    adapter = adapter_of(name)
+    adapter = _adapter_of(name)
     if adapter.module and find_spec(adapter.module) is None:
         raise SettingsError(f"--for {name}: {missing_extra('methods')}", what="no-package")
     return export_rgbd(release, out, progress, name, adapter.write, "color" in adapter.inputs)
@@ -90,7 +86,7 @@ def adapt(
         ReleaseError: a pair of the release cannot be read.
         StorageError: the disk is full or read-only.
     """
-    adapter = adapter_of(name)
+    adapter = _adapter_of(name)
     if not output.is_dir():
         raise PredictionError(f"{output}: no such folder", what="no-folder")
     earlier = MethodFile.read_if_there(out) if out.is_dir() else None
