@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.names import RESULTS
-from kinectbench.core.storage import NAME
+from kinectbench.core.storage import NAME, replaced_file
 
 if TYPE_CHECKING:
     from kinectbench.doctor import Diagnosis
@@ -36,8 +37,6 @@ def init_command(
     force: Annotated[bool, typer.Option("--force", help="add to a benchmark.yaml what it lacks")] = False,
 ) -> None:
     """Write a commented benchmark.yaml for the recordings found in a folder."""
-    from kinectbench.cli import console
-    from kinectbench.core.storage import replaced_file
     from kinectbench.settings.reading import read_bytes
     from kinectbench.stages.ingest.readers import find_recordings, name_suffixes
 
@@ -82,7 +81,6 @@ def _benchmark_text(
     Raises:
         SettingsError: there are no recordings, or the existing file has an error.
     """
-    from kinectbench.cli import console
     from kinectbench.settings.reading import as_text
     from kinectbench.settings.template import extended_benchmark, init_benchmark
 
@@ -165,7 +163,6 @@ def inspect_command(
     follow_links: Annotated[bool, typer.Option("--follow-links", help="follow links inside it")] = False,
 ) -> int:
     """Report in seconds what is wrong with a recording, and the remedy; builds nothing."""
-    from kinectbench.cli import console
     from kinectbench.doctor import inspect as look_over
     from kinectbench.settings.models import CameraSettings, TrackingSettings
     from kinectbench.settings.overrides import settings_from_options
@@ -213,7 +210,6 @@ def _of_benchmark(name: str) -> "RecordingSettings | None":
 def _show(diagnosis: "Diagnosis") -> None:
     from rich.text import Text
 
-    from kinectbench.cli import console
     from kinectbench.doctor.finding import fact_lines
 
     console.say(*(f"{name}: {value}" for name, value in fact_lines(diagnosis.facts)))

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 
+from yaml import ScalarNode
+
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
@@ -279,7 +281,6 @@ def _license_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _citation_problems(text: str, stated: Stated) -> Iterator[str]:
-    from yaml import ScalarNode
 
     # Nodes instead of values, so that aliases are never expanded.
     version = items(compose(text, CITATION)).get("version")

@@ -6,6 +6,7 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid, transform_points
+from kinectbench.core.geometry.mesh import poisson_surface
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
@@ -44,7 +45,6 @@ def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShap
     """
     if close == "winding":
         return shape if shape.form == "mesh" else None
-    from kinectbench.core.geometry.mesh import poisson_surface
 
     if surface.normals is None:
         return None
