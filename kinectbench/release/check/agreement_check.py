@@ -190,20 +190,11 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
     yield begin, text[begin:]
 
 
-def _license(metadata: ReleaseInfo) -> str:
-    """Return the licence that all recordings share, else the benchmark's.
-
-    A recording that states no licence has the benchmark's.
-    """
-    infos = {
-        name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
-        for name, info in metadata.recordings.items()
-    }
-    return common_license(infos, metadata.license)
-
-
 def _card_problems(text: str, stated: Stated) -> Iterator[str]:
-    for what, stated_value in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
+    for what, stated_value in (
+        ("name", stated.metadata.name),
+        ("licence", common_license(stated.metadata.recordings, stated.metadata.license)),
+    ):
         if stated_value not in text and markdown_line(stated_value) not in text:
             yield f"does not state the {what} '{printable(stated_value)}' of {BENCHMARK_JSON}"
     yield from _missing(
@@ -303,7 +294,10 @@ def _croissant_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _datacite_problems(text: str, stated: Stated) -> Iterator[str]:
-    content, license = release_json(text, DATACITE), _license(stated.metadata)
+    content, license = (
+        release_json(text, DATACITE),
+        common_license(stated.metadata.recordings, stated.metadata.license),
+    )
     rights = content.get("rightsList") or [{}]
     for what, said, wanted in (
         ("version", content.get("version"), stated.metadata.version),
