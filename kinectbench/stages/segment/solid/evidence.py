@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Underside
 from kinectbench.core.voxels.distance import distance_within_m
@@ -153,9 +154,7 @@ def classify_voxels(
     surface = _measured_sheet(observation, observed, signed_m) & ~excluded
     # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
-    # Of the layers' middles above the plane that the object stands on.
-    above_m = (np.arange(observation.grid.shape[2]) - layers.below + 0.5) * observation.grid.voxel_size_m
-    heights_m = above_m.astype(np.float32) if rules.stands else None
+    heights_m = _heights_m(observation.grid, layers) if rules.stands else None
     lines = directions(COARSE if roughly else FINE)
     sight = swept_from_outside(surface, free, heights_m, voxel_m, narrow(rules.limits), lines)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
@@ -187,6 +186,11 @@ def classify_voxels(
         space=sight.space,
         lower=sight.lower,
     )
+
+
+def _heights_m(grid: Grid, layers: FloorLayers) -> Float32:
+    """Heights of the layers' middles above the plane that the object stands on, metres."""
+    return np.asarray((np.arange(grid.shape[2]) - layers.below + 0.5) * grid.voxel_size_m, np.float32)
 
 
 def _observed(observation: Observation) -> Bools:
