@@ -288,8 +288,8 @@ def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]
         if (reference := current_reference(built.folder)) is not None:
             more["reference"] = reference.info
         return info.model_copy(update=more)
-    bound = rebuilt(built.posed_views, lambda view: _read_pair(built, view)[1])
-    return info.model_copy(update={"rebuilt_iou": bound.iou, "rebuilt_single_iou": bound.single_iou})
+    iou, single_iou = rebuilt(built.posed_views, lambda view: _read_pair(built, view)[1])
+    return info.model_copy(update={"rebuilt_iou": iou, "rebuilt_single_iou": single_iou})
 
 
 def _without_method(quality: QualityFile) -> QualityFile:
