@@ -13,6 +13,7 @@ from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.extras import missing_extra
+from kinectbench.core.names import listed
 from kinectbench.core.store.address import url_of
 from kinectbench.core.untrusted import printable
 
@@ -150,7 +151,6 @@ def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
 def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
     """Return jobs for the requested recordings; an unknown id is an error that suggests a similar one."""
     from kinectbench.engine.stages import Job
-    from kinectbench.settings.words import listed
 
     settings = common.settings
     known = {recording.id: recording for recording in settings.recordings}
@@ -191,7 +191,6 @@ def build_recordings(
 def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
     """Print a note if recordings will be built again because of other settings, such as `--set`."""
     from kinectbench.engine.pipeline import changed_settings
-    from kinectbench.settings.words import listed
 
     found: dict[str, list[str]] = {}
     for job in chosen:
@@ -303,7 +302,6 @@ def _unused(job: "Job", upto: str) -> tuple[str, ...]:
 def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
     """Print a warning about recordings whose category is still the placeholder that `init` wrote."""
     from kinectbench.settings.template import UNKNOWN_CATEGORY
-    from kinectbench.settings.words import listed
 
     chosen = [job.recording for job in chosen_jobs(common, ids)]
     unknown = [recording.id for recording in chosen if recording.category == UNKNOWN_CATEGORY]

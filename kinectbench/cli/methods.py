@@ -11,6 +11,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import listed
 from kinectbench.core.untrusted import printable
 
 if TYPE_CHECKING:
@@ -70,7 +71,6 @@ def train_command(
     from kinectbench.networks.data import unknown_objects
     from kinectbench.networks.train import train as run
     from kinectbench.release.release import open_release
-    from kinectbench.settings.words import listed
 
     if minutes is not None and math.isnan(minutes):
         raise typer.BadParameter("is no number", param_hint="--minutes")

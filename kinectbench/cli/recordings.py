@@ -10,7 +10,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import RESULTS
+from kinectbench.core.names import RESULTS, listed
 from kinectbench.core.storage import NAME, replaced_file
 
 if TYPE_CHECKING:
@@ -56,9 +56,7 @@ def init_command(
     suffixes = name_suffixes()
     left_out = _without_recording(folder, [path for path, _ in recordings], suffixes)
     if left_out:
-        names = ", ".join(path.relative_to(folder).as_posix() for path in left_out[:SHOWN_LEFT_OUT])
-        more = len(left_out) - SHOWN_LEFT_OUT
-        names += f" and {more} more" if more > 0 else ""
+        names = listed((path.relative_to(folder).as_posix() for path in left_out), SHOWN_LEFT_OUT)
         why = "`kinectbench inspect FOLDER` says why"
         console.lines("note", [f"left out, as no recording of a known format: {names}; {why}"], "yellow")
     text, said = _benchmark_text(target, written, rows, suffixes)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
+from kinectbench.core.names import listed
 from kinectbench.core.storage import sha256_file, sha256_text, storage_errors
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.untrusted import open_plain
@@ -33,7 +34,6 @@ from kinectbench.networks.trained import Trained
 from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.packed_prediction import packed
-from kinectbench.settings.words import listed
 
 Precision = Literal["packed", "float16"]
 SPLITS: tuple[Split, ...] = ("validation", "test")
