@@ -252,11 +252,7 @@ def takes(
 
 
 def _refuse_urls(options: Mapping[str, object]) -> None:
-    """Raise an error if an option that takes a local path is a URL, as its parts would become folders.
-
-    Raises:
-        SettingsError: an option is a URL.
-    """
+    """Raise an error if an option that takes a local path is a URL, as its parts would become folders."""
     for name, value in options.items():
         url = url_of(value) if isinstance(value, Path) and name not in AT_URLS else None
         if url is not None:

@@ -257,11 +257,7 @@ def _call() -> tuple[int, tuple[str, ...]]:
 
 
 def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
-    """Raise an error for an unusable URL on the command line, before typer turns it into a path.
-
-    Raises:
-        SettingsError: a URL lacks its bucket or host, or has another scheme.
-    """
+    """Raise an error for an unusable URL on the command line, before typer turns it into a path."""
     for before, argument in pairwise(("", *arguments)):
         if before == "--cluster" or argument.startswith("--cluster="):  # tcp://, tls://: the engine checks it
             continue

@@ -218,11 +218,7 @@ def _masks(job: Job) -> Source:
 
 
 def _given_masks(job: Job) -> list[Path]:
-    """The files of a person's masks; none if benchmark.yaml names no folder of them.
-
-    Raises:
-        RecordingError, OSError: as of `files_below`.
-    """
+    """The files of a person's masks; none if benchmark.yaml names no folder of them."""
     if job.masks is None:
         return []
     from kinectbench.stages.ingest.sources import files_below

@@ -161,11 +161,7 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
 
 
 def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
-    """Yield a message for each violation of a JSON file's schema.
-
-    Raises:
-        ReleaseError: the file is not JSON.
-    """
+    """Yield a message for each violation of a JSON file's schema."""
     text = contents.text(name)
     release_json(text, name)
     yield from (f"{name}: {fault}" for fault in schema_problems(name, text))

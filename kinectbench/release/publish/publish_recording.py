@@ -359,11 +359,7 @@ def _stage(folder: Path, hidden: bool) -> LineageStage:
 
 
 def _copy_built(source: Path, target: Path) -> None:
-    """Copy one built file's bytes.
-
-    Raises:
-        ReleaseError: the file is missing.
-    """
+    """Copy one built file's bytes."""
     if not source.is_file():
         raise ReleaseError(f"{source}: missing; run the build again", what="not-built")
     target.parent.mkdir(parents=True, exist_ok=True)
