@@ -91,11 +91,7 @@ def publish_command(
 
 
 def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
-    """Return a function that uploads a release's folder to the URL `to`, and returns (URL, summary).
-
-    Raises:
-        SettingsError: the URL does not allow uploads, or a package is not installed.
-    """
+    """Return a function that uploads a release's folder to the URL `to`, and returns (URL, summary)."""
     from kinectbench.release.hub import SCHEME, hub_name, put_on_hub
     from kinectbench.release.put import put_release
 
