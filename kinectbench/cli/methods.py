@@ -2,12 +2,17 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import SOME_FAILED, Common, takes
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import listed
+from kinectbench.core.untrusted import printable
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.method import UnfinishedFile
@@ -58,17 +63,14 @@ def train_command(
     device: Device = None,
 ) -> None:
     """Train a network on a release; run it again to continue."""
-    from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 
     require_torch()
     from kinectbench.core.artefacts.method import TrainingFile
-    from kinectbench.core.untrusted import printable
     from kinectbench.networks.config_file import find_config
     from kinectbench.networks.data import unknown_objects
     from kinectbench.networks.train import train as run
     from kinectbench.release.release import open_release
-    from kinectbench.settings.words import listed
 
     if minutes is not None and math.isnan(minutes):
         raise typer.BadParameter("is no number", param_hint="--minutes")
@@ -119,7 +121,6 @@ def predict_command(
     device: Device = None,
 ) -> int:
     """Write predictions of a trained network, with method.json; --score writes only their scores."""
-    from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 
     require_torch()
@@ -174,7 +175,6 @@ def _score(
     device: str,
 ) -> int:
     """Do the work of `predict --score`: predict and score in memory; write the files of `score`."""
-    from kinectbench.cli import console
     from kinectbench.cli.report import write_page
     from kinectbench.cli.score import baselines_of, tell_problems, tell_scores
     from kinectbench.core.artefacts.gallery import write_gallery
@@ -213,9 +213,6 @@ def convert_command(
     out: Annotated[Path, typer.Option(help="the method's folder, for `predict`")],
 ) -> None:
     """Convert a network trained by others into a method; TensorFlow is not needed."""
-    from dataclasses import asdict
-
-    from kinectbench.core.errors import SettingsError
     from kinectbench.networks.registry import require_torch
 
     require_torch()

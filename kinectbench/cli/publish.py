@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import (
     build_recordings,
     chosen_jobs,
@@ -16,8 +17,8 @@ from kinectbench.cli.build import (
 )
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.store.address import shown, unusable, url_of
-from kinectbench.core.untrusted import printable
+from kinectbench.core.store.address import is_web, require_usable, shown, unusable, url_of
+from kinectbench.core.untrusted import printable, read_plain_text
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions
@@ -58,7 +59,6 @@ def publish_command(
     ] = None,
 ) -> int:
     """Build what is not up to date, and write the release to benchmark/ from all that could be built."""
-    from kinectbench.cli import console
     from kinectbench.release.publish.archive import refuse_unstated
     from kinectbench.release.publish.current import publish_if_stale
 
@@ -91,12 +91,7 @@ def publish_command(
 
 
 def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
-    """Return a function that uploads a release's folder to the URL `to`, and returns (URL, summary).
-
-    Raises:
-        SettingsError: the URL does not allow uploads, or a package is not installed.
-    """
-    from kinectbench.cli import console
+    """Return a function that uploads a release's folder to the URL `to`, and returns (URL, summary)."""
     from kinectbench.release.hub import SCHEME, hub_name
     from kinectbench.release.put import put_release
 
@@ -142,7 +137,6 @@ def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
 
 def _publish_there(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
     """Publish a benchmark that is in a store, in that store, with a progress bar."""
-    from kinectbench.cli import console
     from kinectbench.release.publish.stored import publish_stored
 
     with console.progress_bar("publish") as progress:
@@ -155,7 +149,6 @@ def store_at(url: str) -> "Store":
     Raises:
         SettingsError: `url` is no URL, does not allow uploads, or obstore is not installed.
     """
-    from kinectbench.core.store.address import is_web, require_usable
     from kinectbench.core.store.store import Store
 
     if problem := unusable(url):
@@ -192,7 +185,6 @@ def publish_options(
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS
-    from kinectbench.core.untrusted import read_plain_text
     from kinectbench.release.publish.isolate import refuse_framing
     from kinectbench.scoring.thresholds import read_thresholds
 
@@ -222,8 +214,6 @@ def _tell(
     put: "tuple[str, PutSummary] | None" = None,
 ) -> None:
     """Print what was published, removed, packed and uploaded, and JSON if requested."""
-    from kinectbench.cli import console
-
     console.lines("warning", summary.warnings, "yellow")
     if summary.unanswered:
         keys = ", ".join(summary.unanswered)
@@ -257,8 +247,6 @@ def _tell(
 
 def _put_line(url: str, put: "PutSummary") -> str:
     """Return a line about the upload; print a note if it has replaced another release."""
-    from kinectbench.cli import console
-
     if put.replaced is not None:
         name = " ".join(part for part in (put.replaced.name, put.replaced.version) if part)
         line = f"{shown(url)}: replaced {name}, benchmark_sha256 {put.replaced.benchmark_sha256}"

@@ -3,14 +3,16 @@
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, on_interrupt, takes
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import CaptureError, SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.record.build_process import BuildProcess
@@ -120,12 +122,9 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
 
     Yield None if the guide is not wanted, or (with a warning) if it cannot start.
     """
-    from kinectbench.cli import console
-
     if not (console.err.is_terminal if wanted is None else wanted):
         yield None
         return
-    from kinectbench.core.errors import CaptureError
     from kinectbench.core.extras import missing_extra
     from kinectbench.record.guide.process import GuideProcess
 
@@ -149,9 +148,6 @@ def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | Non
 
     `ended_s` is the time at which recording ended; `begun` is the process of `_begun`.
     """
-    from dataclasses import replace
-
-    from kinectbench.cli import console
     from kinectbench.cli.build import run_stage
     from kinectbench.cli.recordings import init_command
     from kinectbench.stages.ingest.partial_sequence import using_partial_sequence
@@ -184,8 +180,6 @@ def _list(common: Common) -> None:
 
 
 def _tell(common: Common, done: "Recorded") -> None:
-    from kinectbench.cli import console
-
     counts = {"frames": done.frames, "missed": done.missed, "dropped": done.dropped}
     value = {"folder": str(done.folder), "device": done.device, **counts, "seconds": done.seconds}
     value |= {"clock_set_back": done.set_back, "failure": done.failure or None}

@@ -234,14 +234,7 @@ class DrawnMasks:
     def _on_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
     ) -> Self:
-        """Refuse masks drawn on other pictures than these; record the picture where none is recorded.
-
-        Args:
-            sequence: the recording.
-            frames: for each mask in use, its frame and the digest of the picture it is used on.
-            drawn: words of the message for refused masks.
-            look: words of the message on how to check the masks.
-        """
+        """Refuse masks drawn on other pictures than these; record the picture where none is recorded."""
         entries, other = dict[str, DrawnOn](), list[str]()
         for file, (frame, now) in frames.items():
             image, was = self.entries[file].image, self.entries[file].picture

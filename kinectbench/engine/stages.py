@@ -218,11 +218,7 @@ def _masks(job: Job) -> Source:
 
 
 def _given_masks(job: Job) -> list[Path]:
-    """The files of a person's masks; none if benchmark.yaml names no folder of them.
-
-    Raises:
-        RecordingError, OSError: as of `files_below`.
-    """
+    """The files of a person's masks; none if benchmark.yaml names no folder of them."""
     if job.masks is None:
         return []
     from kinectbench.stages.ingest.sources import files_below
@@ -289,10 +285,6 @@ def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
     """Those of a recording's files that are other inputs: the reference mesh, a person's masks, masks.json.
 
     Masks in a folder that `ingest` also reads stay with the recording.
-
-    Args:
-        job: the recording.
-        files: paths as made by `_whole`, like those returned.
     """
     masks = _whole(job.masks) if job.masks else None
     drawn = [file for file in files if file.parent == masks]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
 from kinectbench.core.errors import PairError, PredictionError
+from kinectbench.core.names import listed
 from kinectbench.core.storage import sha256_file, sha256_text, storage_errors
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.untrusted import open_plain
@@ -34,7 +35,6 @@ from kinectbench.networks.trained import Trained
 from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.packed_prediction import packed
-from kinectbench.settings.words import listed
 
 Precision = Literal["packed", "float16"]
 SPLITS: tuple[Split, ...] = ("validation", "test")
@@ -180,21 +180,7 @@ def _write_all(
     progress: Progress | None,
     failed: Callable[[str], None] | None,
 ) -> list[float]:
-    """Predict and write the files that are missing.
-
-    Args:
-        kept: the method's folder, with the predictions that this run wrote before.
-        trained: the network.
-        release: the release that is predicted.
-        run: what determines the bytes of the files.
-        targets: all pairs to predict.
-        device: the network's device.
-        progress: called with (pairs done, pairs in all).
-        failed: as in `predict`.
-
-    Returns:
-        The seconds that the network took for each predicted view.
-    """
+    """Predict and write the missing files; return the seconds that the network took for each view."""
     waiting = [target for target in targets if not kept.holds(target)]
     seconds, first = [], None
     # A file is compressed and written while the network predicts the next view.

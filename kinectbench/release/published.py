@@ -148,9 +148,6 @@ def _store_of(url: str) -> tuple[Store, str]:
     """Split a file's URL: return the store of its bucket or host, and the file's name in that store.
 
     So all files of a bucket share one open store.
-
-    Raises:
-        ReleaseError: as in `release_store`.
     """
     release_store(url)
     scheme, _, place, *tail = url.split("/", 3)
@@ -186,10 +183,6 @@ def _listed(archive: Path) -> _Opened:
     """Return an archive opened by this process, from a cache; open it again if the file was replaced.
 
     A forked process opens the archive again, because it would share the file's position with its parent.
-
-    Raises:
-        ReleaseError: the archive holds no release, or is damaged.
-        OSError: the archive is gone.
     """
     status = archive.stat()
     return _opened(archive, (os.getpid(), status.st_size, status.st_mtime_ns, status.st_ino))

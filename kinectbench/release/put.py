@@ -128,12 +128,6 @@ def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
 
     Files that the store's SHA256SUMS lacks are deleted first, while benchmark.json is there. Of a complete
     release, files in that list are deleted after benchmark.json, so that nobody sees it incomplete.
-
-    Args:
-        store: the store.
-        place: the state of the store.
-        same: names of files that are there already and stay.
-        begins: whether an upload follows, for which benchmark.json must go, too.
     """
     kept = same | {BENCHMARK_JSON} | ({SHA256SUMS} if place.text else set())
     unlisted = [name for name in place.sizes if name not in kept and name not in place.sums]

@@ -173,23 +173,7 @@ class Recipe:
         most_bytes: int = MOST_FILE_BYTES,
         room: Callable[[int], object] | None = None,
     ) -> bool:
-        """Download a file if missing, check it, and record its hash in sources.lock.
-
-        Args:
-            file: the file's path below each of `bases`, and its name in sources.lock.
-            path: where the file goes.
-            bases: URLs to try.
-            sha256: the hash that sources.yaml states, if any.
-            check: called with the downloaded file's path; raises an error if it is unusable.
-            most_bytes: most bytes that are downloaded.
-            room: as in `fetch`.
-
-        Returns:
-            Whether it was downloaded now.
-
-        Raises:
-            SettingsError: sources.lock and sources.yaml state different hashes.
-        """
+        """Download a missing file, check it, and record its hash; return whether it was downloaded."""
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(

@@ -173,7 +173,7 @@ def evaluate_recording(
     built = read_build(build)
     true = replace(read_truth(truth), limits=built.limits)
     evaluation = evaluate(built, true, align=align, progress=progress)
-    pictures = make_pictures(built, true, evaluation, align)
+    pictures = _make_pictures(built, true, evaluation, align)
     page = make_page(build.resolve().name, evaluation, pictures)
     with replaced_folder(out) as temporary:
         (temporary / FIGURES).write_text(pretty_json(evaluation_json(evaluation)), encoding="utf-8")
@@ -183,15 +183,8 @@ def evaluate_recording(
     return evaluation
 
 
-def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
-    """Return {key of `CAPTIONS`: PNG file}, without pictures of stages that were not built.
-
-    Args:
-        build: the build.
-        truth: the simulator's truth.
-        evaluation: the figures; the picture of the path uses those of the trajectory.
-        align: whether to align the build's world with the truth's by the trajectories.
-    """
+def _make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
+    """Return {key of `CAPTIONS`: PNG file}, without pictures of stages that were not built."""
     registration = register_build(build, truth, align)
     T_object_world = invert_rigid(truth.T_world_object)
     true_object = truth.mesh_world.transformed(T_object_world)

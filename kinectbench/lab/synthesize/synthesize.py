@@ -112,15 +112,7 @@ def _complete(
     folder: Path,
     lines: Sequence[str],
 ) -> str:
-    """Write all files of a release but the pairs, views and objects; return its benchmark_sha256.
-
-    Args:
-        tasks: one for each model.
-        made: what was made of each, in the same order.
-        settings: the run's settings, without paths.
-        folder: the release, which holds the pairs, views and objects.
-        lines: the report, for the dataset card.
-    """
+    """Write all files of a release but the pairs, views and objects; return its benchmark_sha256."""
     targets: list[Target] = []
     infos: dict[str, RecordingInfo] = {}
     for task, content in zip(tasks, made, strict=True):

@@ -229,9 +229,6 @@ def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> li
     """Return all training pairs, and the test and validation pairs of `views` views; all pairs if it is None.
 
     A mean score over several sets of views would be meaningless.
-
-    Raises:
-        SettingsError: no test pair has `views` views, or it is None and test pairs have several numbers.
     """
 
     def number(one: FoundPair) -> int:

@@ -127,12 +127,7 @@ def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) 
 
 
 def _scan(folder: Path, name: str) -> RedwoodScan:
-    """Read the files of a scan.
-
-    Raises:
-        PairError: a file is missing, damaged, or a link out of the folder.
-        ReleaseError: the depth image is damaged.
-    """
+    """Read the files of a scan."""
     of = {"scan": name, "frame": SCANS[name][1]}
     mask, T_camera_mesh, kept = (
         _array(folder, file.format(**of)) for file in (MASK_FILE, POSE_FILE, VERTICES_FILE)

@@ -101,13 +101,10 @@ def find_scene(
     return Scene(floor, points_floor, surface.owner, focus_floor, scale, hint.picked_world is not None)
 
 
-def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
+def _check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
     """Refuse an object more than 0.3 m beside the cameras' focus, seen from above.
 
     The box and the focus (3,) are in the floor frame, in metres divided by `scale`.
-
-    Raises:
-        SegmentationError: the box is too far from the focus.
     """
     local = transform_points(invert_rigid(box.T_floor_box), focus_floor)[:2]
     beside_m = float(np.linalg.norm(np.maximum(np.abs(local) - np.array(box.size_m[:2]) / 2, 0)))
@@ -180,7 +177,7 @@ def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell
     chosen = select_object(points_floor, cut_m, focus_floor)
     box = fit_box(points_floor[chosen])
     if not scene.picked:
-        check_focus(box, focus_floor, scale)
+        _check_focus(box, focus_floor, scale)
     others = (points_floor[:, 2] > cut_m) & ~chosen
     specks = np.zeros(len(others), dtype=bool)
     specks[others] = low_pieces(points_floor[others], CELL_M)
