@@ -109,7 +109,6 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
 
 def _put_on_hub(folder: Path, name: str) -> "PutSummary":
     """Put a release on the hub as the dataset `name`; the bar is of the check, the hub has its own."""
-    from kinectbench.cli import console
     from kinectbench.release.hub import put_on_hub
     from kinectbench.release.published import listed_files
 
@@ -120,7 +119,6 @@ def _put_on_hub(folder: Path, name: str) -> "PutSummary":
 
 def _packed(release: Path, out: Path) -> Path:
     """Pack a release as a zip file in the folder `out`, with a progress bar; return the file's path."""
-    from kinectbench.cli import console
     from kinectbench.release.publish.archive import write_archive
 
     with console.progress_bar("pack") as progress:
