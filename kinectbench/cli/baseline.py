@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import SOME_FAILED, Common, Predictions, takes
 
@@ -31,7 +32,6 @@ def baseline_command(
 
     With training pairs of every category, mean-shape and nearest are written, too.
     """
-    from kinectbench.cli import console
     from kinectbench.scoring.baselines.predict import check_baseline_names, write_baselines
 
     check_baseline_names(names or ())
@@ -51,7 +51,6 @@ def check_command(common: Common, predictions: Predictions) -> int:
     depth are stated; a prediction that another unit or other axes would bring to its depth is a fault. A note
     says how many predictions are constant, or the same for several views.
     """
-    from kinectbench.cli import console
     from kinectbench.scoring.camera_predictions import check_camera
     from kinectbench.scoring.declared import read_in_camera
     from kinectbench.scoring.predictions import check_folder, check_grids, lines_without, split_methods

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.extras import missing_extra
+from kinectbench.core.names import listed
 from kinectbench.core.store.address import url_of
+from kinectbench.core.untrusted import printable
 
 if TYPE_CHECKING:
     from kinectbench.engine.executor import Executor
@@ -98,8 +101,6 @@ def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
 
 def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
     """Return jobs for the requested recordings that belong to the `--shard`; print a note if none does."""
-    from kinectbench.cli import console
-
     chosen, part = chosen_jobs(common, ids), common.part
     if part is None:
         return chosen
@@ -111,7 +112,6 @@ def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 def tell_status(common: Common, ids: list[str] | None) -> int:
     """Print which recordings are built, failed or missing; return 3 unless all are built."""
-    from kinectbench.cli import console
     from kinectbench.engine.place import in_words, statuses
 
     rows = statuses(shard_jobs(common, ids))
@@ -131,7 +131,6 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
     """Print a table of the results of at most 100 recordings up to a stage, and details of their objects."""
-    from kinectbench.cli import console
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     stages = STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]
@@ -152,7 +151,6 @@ def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
 def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
     """Return jobs for the requested recordings; an unknown id is an error that suggests a similar one."""
     from kinectbench.engine.stages import Job
-    from kinectbench.settings.words import listed
 
     settings = common.settings
     known = {recording.id: recording for recording in settings.recordings}
@@ -192,10 +190,7 @@ def build_recordings(
 
 def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
     """Print a note if recordings will be built again because of other settings, such as `--set`."""
-    from kinectbench.cli import console
-    from kinectbench.core.untrusted import printable
     from kinectbench.engine.pipeline import changed_settings
-    from kinectbench.settings.words import listed
 
     found: dict[str, list[str]] = {}
     for job in chosen:
@@ -228,7 +223,6 @@ def build_jobs(
     A recording may take `limit_s` seconds. `again` also prints warnings of stages that were current.
     `options` (`--config`, `--set`) choose the same settings, for the printed command that shows all warnings.
     """
-    from kinectbench.cli import console
     from kinectbench.engine.parallel import build as build_all
     from kinectbench.engine.summary import BuiltRecording
 
@@ -271,8 +265,6 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: s
 
     Without `first`, all are printed. `kinectbench <show_all>` is the command that prints all.
     """
-    from kinectbench.cli import console
-
     if first is None or first not in own:
         console.recording_lines(name, "warning", own, "yellow")
         return
@@ -309,9 +301,7 @@ def _unused(job: "Job", upto: str) -> tuple[str, ...]:
 
 def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
     """Print a warning about recordings whose category is still the placeholder that `init` wrote."""
-    from kinectbench.cli import console
     from kinectbench.settings.template import UNKNOWN_CATEGORY
-    from kinectbench.settings.words import listed
 
     chosen = [job.recording for job in chosen_jobs(common, ids)]
     unknown = [recording.id for recording in chosen if recording.category == UNKNOWN_CATEGORY]
@@ -328,8 +318,6 @@ def built(rows: "list[BuiltRecording]") -> list[str]:
 
 def exit_status(rows: "list[BuiltRecording]") -> int:
     """Return 1 if all recordings failed, 3 if some did, else 0; if some did, print their ids again."""
-    from kinectbench.cli import console
-
     failed = len(rows) - len(built(rows))
     if not failed:
         return 0
@@ -352,7 +340,6 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
     Returns:
         The release, and the results of `build_recordings`, which are empty if the release existed.
     """
-    from kinectbench.cli import console
     from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
     from kinectbench.engine.place import statuses
     from kinectbench.release.publish.current import already_published, publish_if_stale, scoring_folder
@@ -376,8 +363,6 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
 
 def _tell_used(release: "Release") -> None:
     """Print a note that the release is used as published, although settings or builds have changed since."""
-    from kinectbench.cli import console
-
     numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}
     counted = " of ".join(f"{number} {word}{'s' * (number != 1)}" for word, number in numbers.items())
     line = (
@@ -389,8 +374,6 @@ def _tell_used(release: "Release") -> None:
 
 def release_here(benchmark: Path) -> Path:
     """Return a release's local path; a release given by its URL is downloaded into the cache first."""
-    from kinectbench.cli import console
-
     url = url_of(benchmark)
     if url is None:
         return benchmark

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Concatenate
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.core.errors import KinectBenchError, SettingsError
 from kinectbench.core.store.address import shown, url_of
 
@@ -157,7 +158,6 @@ class Common:
         if self.cluster is None:
             yield None
             return
-        from kinectbench.cli import console
         from kinectbench.engine.cluster import cluster
 
         with cluster(self.cluster) as connected:
@@ -184,8 +184,6 @@ class Common:
 
     def tell(self, value: object, lines: Iterable[str]) -> None:
         """Print a result on standard output: `value` as JSON with `--json`, else `lines`."""
-        from kinectbench.cli import console
-
         if self.as_json:
             console.say_json(value)
         else:
@@ -203,8 +201,6 @@ class Common:
             well: the line that is printed if there are no problems.
             shown: the lines that are printed for people; default: `problems`.
         """
-        from kinectbench.cli import console
-
         self.tell(console.at_most(problems), () if problems else [well])
         console.lines("error", problems if shown is None else shown, "red")
 
@@ -256,11 +252,7 @@ def takes(
 
 
 def _refuse_urls(options: Mapping[str, object]) -> None:
-    """Raise an error if an option that takes a local path is a URL, as its parts would become folders.
-
-    Raises:
-        SettingsError: an option is a URL.
-    """
+    """Raise an error if an option that takes a local path is a URL, as its parts would become folders."""
     for name, value in options.items():
         url = url_of(value) if isinstance(value, Path) and name not in AT_URLS else None
         if url is not None:

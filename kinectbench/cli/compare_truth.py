@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common, Ids, takes
 from kinectbench.core.errors import KinectBenchError, SettingsError
@@ -44,7 +45,6 @@ def compare_truth_command(
     ] = None,
 ) -> int:
     """Compare built objects with meshes that a scanner measured or somebody drew; write reference.json."""
-    from kinectbench.cli import console
     from kinectbench.lab.evaluate.reference import compare_reference
 
     paths = _references(common, ids, reference, references)
@@ -96,8 +96,6 @@ def _refusal(name: str, of: "ComparedMesh") -> str:
 
 def _say_table(found: "Mapping[str, tuple[ComparedMesh, ReferenceFile]]") -> None:
     """Print a table of all comparisons, of this run and earlier ones, with meshes that fit the objects."""
-    from kinectbench.cli import console
-
     shown = [_row(name, each) for name, (_, whole) in found.items() for each in whole.all if not each.refused]
     if shown:
         console.out.print(console.text_table(shown, COLUMNS, FORMS))

@@ -15,6 +15,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from kinectbench.cli.wide_table import WideTable
+from kinectbench.core.names import listed
 from kinectbench.core.untrusted import printable
 from kinectbench.engine.interrupts import check_interrupt
 
@@ -166,8 +167,6 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
 
 def failures(rows: "Sequence[BuiltRecording]") -> None:
     """Print one line on the failed recordings and how to continue; nothing if none failed or only one ran."""
-    from kinectbench.settings.words import listed
-
     failed = [row.recording for row in rows if row.error is not None]
     if failed and len(rows) > 1:
         others_done = "; the rest is done" if len(failed) < len(rows) else ""

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import build_jobs, exit_status
 from kinectbench.cli.common import Common, takes
 
@@ -22,7 +23,6 @@ def evaluate_command(
     align: Annotated[bool, typer.Option(help="lay the build onto the truth by the trajectories")] = True,
 ) -> int:
     """Measure the build of a simulated recording against its truth: a table, JSON, pictures, a page."""
-    from kinectbench.cli import console
     from kinectbench.lab.evaluate.evaluation import evaluation_json
     from kinectbench.lab.evaluate.run import evaluate_recording, find_built, folder_beside
     from kinectbench.lab.evaluate.table import evaluation_table

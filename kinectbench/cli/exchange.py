@@ -1,10 +1,12 @@
 """The commands `export`, `import` and `adapt`: exchange releases and outputs with other layouts."""
 
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import SOME_FAILED, Common, takes
 from kinectbench.core.errors import SettingsError
@@ -29,9 +31,6 @@ def export_command(
     ] = None,
 ) -> int:
     """Write a release in another layout: of the paper's authors, BOP, WebDataset; Parquet; images by view."""
-    from importlib import import_module
-
-    from kinectbench.cli import console
     from kinectbench.release.exchange.rgbd import HOW_TO_PUBLISH
     from kinectbench.release.view_images import COLOR
 
@@ -51,7 +50,6 @@ def export_command(
 
 def _export_views(common: Common, out: Path, method: str | None) -> int:
     """Do the work of `export --layout rgbd`, and print notes on missing colour and cut objects."""
-    from kinectbench.cli import console
     from kinectbench.release.exchange.rgbd import export_rgbd
     from kinectbench.scoring.adapters.registry import export_for
 
@@ -77,7 +75,6 @@ def adapt_command(
     ] = None,
 ) -> int:
     """Convert the output of a published method into predictions in the camera frame, in metres."""
-    from kinectbench.cli import console
     from kinectbench.scoring.adapters.registry import adapt as write_adapted
 
     release, rows = find_release(common)
@@ -107,7 +104,6 @@ def import_command(
     ] = "recgan",
 ) -> None:
     """Make a release from files in the layout of the paper's authors, or of SDS-Complete."""
-    from kinectbench.cli import console
     from kinectbench.release.exchange.recgan import import_recgan
     from kinectbench.release.exchange.redwood10 import import_redwood10
 

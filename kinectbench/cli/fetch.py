@@ -5,8 +5,10 @@ from typing import Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.store.address import shown, url_of
 
 # Most files that `gc` lists one by one: a screenful.
 SHOWN = 20
@@ -66,7 +68,6 @@ def _fetch_release(
     views: int | None,
     out: Path | None,
 ) -> int:
-    from kinectbench.cli import console
     from kinectbench.core.artefacts.targets import SPLITS
     from kinectbench.release.fetch import ReleasePart, fetch_release, release_url
 
@@ -101,7 +102,6 @@ def gc_command(
     ] = False,
 ) -> None:
     """List files in a store's build/ that no manifest names, left by killed runs; --delete removes them."""
-    from kinectbench.core.store.address import shown, url_of
     from kinectbench.core.store.store import Store
     from kinectbench.engine.unnamed import remove, unnamed
 

@@ -14,6 +14,7 @@ from typing import Annotated, Any, NoReturn, cast
 import typer
 
 from kinectbench._version import __version__
+from kinectbench.cli import console
 from kinectbench.cli.baseline import baseline_command, check_command
 from kinectbench.cli.build import STAGE_COMMANDS, build_command
 from kinectbench.cli.common import Command, on_interrupt
@@ -154,8 +155,6 @@ def main() -> None:
         with _own_words_only():
             status, messages = _run()
         if messages:
-            from kinectbench.cli import console
-
             console.lines("error", messages, "red")
         if status == INTERRUPTED:
             # Inside the block: after it, another SIGTERM would end the process with its own status.
@@ -258,11 +257,7 @@ def _call() -> tuple[int, tuple[str, ...]]:
 
 
 def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
-    """Raise an error for an unusable URL on the command line, before typer turns it into a path.
-
-    Raises:
-        SettingsError: a URL lacks its bucket or host, or has another scheme.
-    """
+    """Raise an error for an unusable URL on the command line, before typer turns it into a path."""
     for before, argument in pairwise(("", *arguments)):
         if before == "--cluster" or argument.startswith("--cluster="):  # tcp://, tls://: the engine checks it
             continue

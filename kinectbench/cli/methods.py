@@ -2,12 +2,17 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from kinectbench.cli.common import Common, takes
+from kinectbench.cli import console
+from kinectbench.cli.common import SOME_FAILED, Common, takes
+from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import listed
+from kinectbench.core.untrusted import printable
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.method import UnfinishedFile
@@ -58,17 +63,14 @@ def train_command(
     device: Device = None,
 ) -> None:
     """Train a network on a release; run it again to continue."""
-    from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 
     require_torch()
     from kinectbench.core.artefacts.method import TrainingFile
-    from kinectbench.core.untrusted import printable
     from kinectbench.networks.config_file import find_config
     from kinectbench.networks.data import unknown_objects
     from kinectbench.networks.train import train as run
     from kinectbench.release.release import open_release
-    from kinectbench.settings.words import listed
 
     if minutes is not None and math.isnan(minutes):
         raise typer.BadParameter("is no number", param_hint="--minutes")
@@ -117,9 +119,8 @@ def predict_command(
     score: Score = False,
     surface: Annotated[bool, typer.Option(help="with --score: surface metrics, too")] = True,
     device: Device = None,
-) -> None:
+) -> int:
     """Write predictions of a trained network, with method.json; --score writes only their scores."""
-    from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 
     require_torch()
@@ -142,23 +143,17 @@ def predict_command(
 
     if score:
         how = run_of(trained, benchmark, threshold, chosen, where)
-        _score(common, trained, benchmark, how, splits, surface, out or Path("scores"), where)
-        return
+        return _score(common, trained, benchmark, how, splits, surface, out or Path("scores"), where)
     for line in notes(trained, benchmark):
         say(line)
+    failed = list[str]()
+    how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits, "device": where}
     with console.progress_bar(f"predict {trained.config.name}") as progress:
-        written = run(
-            trained,
-            benchmark,
-            out or Path("predictions"),
-            threshold=threshold,
-            precision=chosen,
-            splits=splits,
-            device=where,
-            progress=progress,
-            say=say,
-        )
+        how_to |= {"progress": progress, "say": say, "failed": failed.append}
+        written = run(trained, benchmark, out or Path("predictions"), **how_to)
+    console.lines(f"{trained.config.name}: error", console.by_mistake(failed), "red")
     common.tell_written(written)
+    return SOME_FAILED if failed else 0
 
 
 def _chosen(option: str, word: str, words: Sequence[Word]) -> tuple[Word, ...]:
@@ -178,9 +173,8 @@ def _score(
     surface: bool,
     folder: Path,
     device: str,
-) -> None:
+) -> int:
     """Do the work of `predict --score`: predict and score in memory; write the files of `score`."""
-    from kinectbench.cli import console
     from kinectbench.cli.report import write_page
     from kinectbench.cli.score import baselines_of, tell_problems, tell_scores
     from kinectbench.core.artefacts.gallery import write_gallery
@@ -206,6 +200,7 @@ def _score(
     write_gallery(cells, folder / SCORES_JSON)
     beside = baselines_of(release, folder, [table], HALF_PIXEL, common.workers)
     tell_scores(common, [table], beside, write_page(common, release, folder))
+    return SOME_FAILED if table.failures else 0
 
 
 @takes("as_json")
@@ -218,9 +213,6 @@ def convert_command(
     out: Annotated[Path, typer.Option(help="the method's folder, for `predict`")],
 ) -> None:
     """Convert a network trained by others into a method; TensorFlow is not needed."""
-    from dataclasses import asdict
-
-    from kinectbench.core.errors import SettingsError
     from kinectbench.networks.registry import require_torch
 
     require_torch()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import (
     build_recordings,
     chosen_jobs,
@@ -16,8 +17,8 @@ from kinectbench.cli.build import (
 )
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.store.address import shown, unusable, url_of
-from kinectbench.core.untrusted import printable
+from kinectbench.core.store.address import is_web, require_usable, shown, unusable, url_of
+from kinectbench.core.untrusted import printable, read_plain_text
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions
@@ -58,8 +59,7 @@ def publish_command(
     ] = None,
 ) -> int:
     """Build what is not up to date, and write the release to benchmark/ from all that could be built."""
-    from kinectbench.cli import console
-    from kinectbench.release.publish.archive import refuse_unstated, write_archive
+    from kinectbench.release.publish.archive import refuse_unstated
     from kinectbench.release.publish.current import publish_if_stale
 
     settings = common.settings
@@ -85,24 +85,19 @@ def publish_command(
     )
     put = None if put_there is None else put_there(summary.folder)
     parts = [part for part in (summary.folder, summary.private) if part is not None]
-    written = [write_archive(part, archives_to or root) for part in parts] if packed else []
+    written = [_packed(part, archives_to or root) for part in parts] if packed else []
     _tell(common, summary, written, put)
     return _status(rows, summary)
 
 
 def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
-    """Return a function that uploads a release's folder to the URL `to`, and returns (URL, summary).
-
-    Raises:
-        SettingsError: the URL does not allow uploads, or a package is not installed.
-    """
-    from kinectbench.cli import console
-    from kinectbench.release.hub import SCHEME, hub_name, put_on_hub
+    """Return a function that uploads a release's folder to the URL `to`, and returns (URL, summary)."""
+    from kinectbench.release.hub import SCHEME, hub_name
     from kinectbench.release.put import put_release
 
     if to.startswith(SCHEME):
         name = hub_name(to)
-        return lambda folder: (f"{SCHEME}{name}", put_on_hub(folder, name))
+        return lambda folder: (f"{SCHEME}{name}", _put_on_hub(folder, name))
     target = store_at(to)
 
     def put(folder: Path) -> "tuple[str, PutSummary]":
@@ -110,6 +105,24 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
             return target.url, put_release(folder, target, progress)
 
     return put
+
+
+def _put_on_hub(folder: Path, name: str) -> "PutSummary":
+    """Put a release on the hub as the dataset `name`; the bar is of the check, the hub has its own."""
+    from kinectbench.release.hub import put_on_hub
+    from kinectbench.release.published import listed_files
+
+    with console.progress_bar("check") as progress:
+        sums = listed_files(folder, progress)
+    return put_on_hub(folder, name, sums)
+
+
+def _packed(release: Path, out: Path) -> Path:
+    """Pack a release as a zip file in the folder `out`, with a progress bar; return the file's path."""
+    from kinectbench.release.publish.archive import write_archive
+
+    with console.progress_bar("pack") as progress:
+        return write_archive(release, out, progress)
 
 
 def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
@@ -122,7 +135,6 @@ def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
 
 def _publish_there(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
     """Publish a benchmark that is in a store, in that store, with a progress bar."""
-    from kinectbench.cli import console
     from kinectbench.release.publish.stored import publish_stored
 
     with console.progress_bar("publish") as progress:
@@ -135,7 +147,6 @@ def store_at(url: str) -> "Store":
     Raises:
         SettingsError: `url` is no URL, does not allow uploads, or obstore is not installed.
     """
-    from kinectbench.core.store.address import is_web, require_usable
     from kinectbench.core.store.store import Store
 
     if problem := unusable(url):
@@ -172,7 +183,6 @@ def publish_options(
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions
     from kinectbench.core.artefacts.targets import SPLITS
-    from kinectbench.core.untrusted import read_plain_text
     from kinectbench.release.publish.isolate import refuse_framing
     from kinectbench.scoring.thresholds import read_thresholds
 
@@ -202,8 +212,6 @@ def _tell(
     put: "tuple[str, PutSummary] | None" = None,
 ) -> None:
     """Print what was published, removed, packed and uploaded, and JSON if requested."""
-    from kinectbench.cli import console
-
     console.lines("warning", summary.warnings, "yellow")
     if summary.unanswered:
         keys = ", ".join(summary.unanswered)
@@ -237,8 +245,6 @@ def _tell(
 
 def _put_line(url: str, put: "PutSummary") -> str:
     """Return a line about the upload; print a note if it has replaced another release."""
-    from kinectbench.cli import console
-
     if put.replaced is not None:
         name = " ".join(part for part in (put.replaced.name, put.replaced.version) if part)
         line = f"{shown(url)}: replaced {name}, benchmark_sha256 {put.replaced.benchmark_sha256}"

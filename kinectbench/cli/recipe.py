@@ -1,12 +1,18 @@
 """`kinectbench fetch` for a recipe: download its scans, or with --stream build and delete them one by one."""
 
+import shutil
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from math import isclose
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common
+from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
+from kinectbench.core.untrusted import listed_below
 
 if TYPE_CHECKING:
     from kinectbench.release.recipe import FetchedScan, Recipe
@@ -36,7 +42,6 @@ def fetch_recipe(
 
     With `stream`, each is built and its frames are deleted before the next is fetched.
     """
-    from kinectbench.cli import console
     from kinectbench.core.store.attempts import StoreGoneError
     from kinectbench.release.recipe import NoRoomError, opened_recipe
     from kinectbench.stages.ingest.readers import format_of
@@ -63,10 +68,6 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
 
     Scans that are built already, or whose build would fail again, are not fetched.
     """
-    import shutil
-
-    from kinectbench.cli import console
-    from kinectbench.core.errors import SettingsError
     from kinectbench.core.extras import missing_extra
     from kinectbench.core.storage import storage_errors
     from kinectbench.engine.artefact import whole_manifest
@@ -106,8 +107,6 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
 
 def _built(common: Common, recipe: "Recipe", row: "FetchedScan") -> "FetchedScan":
     """Build a fetched scan and delete its frames; return the outcome."""
-    from dataclasses import replace
-
     from kinectbench.cli.build import build_jobs
     from kinectbench.engine.slim import keep_failed_source, slim
     from kinectbench.engine.stages import Job
@@ -131,8 +130,6 @@ def _refuse_beyond(out: Path, size: int) -> None:
         StorageError: this scan alone would exceed it; a smaller scan may still fit.
         NoRoomError: this scan and the present content of `out` together would exceed it.
     """
-    from kinectbench.core.errors import StorageError
-    from kinectbench.core.untrusted import listed_below
     from kinectbench.release.recipe import NoRoomError
 
     used = sum(path.lstat().st_size for path in listed_below(out))
@@ -151,8 +148,6 @@ def _refuse_beyond(out: Path, size: int) -> None:
 
 def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then: str) -> int:
     """Print the outcomes of the scans, then the line `then`; return 1 if all failed, 3 if some, else 0."""
-    from kinectbench.cli import console
-
     errors = [row.error for row in rows if row.error is not None]
     fetched, present = sum(row.fetched for row in rows), len(rows) - len(errors)
     lines = [f"{recipe.out}: {len(rows)} scans chosen, {fetched} fetched now, {len(errors)} failed"]
@@ -173,9 +168,6 @@ def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then:
 
 def _other_cameras(recipe: "Recipe", scans: "Sequence[Scan]") -> list[str]:
     """Return a warning for each scan that states other intrinsics than the recipe, whose values are used."""
-    from math import isclose
-
-    from kinectbench.core.errors import KinectBenchError
     from kinectbench.stages.ingest.intrinsics import NEEDED
     from kinectbench.stages.ingest.readers import open_recording, says_intrinsics
 

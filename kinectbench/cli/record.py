@@ -3,18 +3,21 @@
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, on_interrupt, takes
-from kinectbench.core.errors import SettingsError
+from kinectbench.core.errors import CaptureError, SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.record.build_process import BuildProcess
     from kinectbench.record.guide.process import GuideProcess
+    from kinectbench.record.interface import Device
     from kinectbench.record.recorder import Recorded
 
 
@@ -43,11 +46,9 @@ def record_command(
     built: Annotated[bool, typer.Option("--build", help="then build the pairs, in the new folder")] = False,
 ) -> int:
     """Record with a camera into a folder that `inspect` and `build` read; Ctrl-C ends it."""
-    from kinectbench.cli import console
     from kinectbench.record.devices import device_to_use
     from kinectbench.record.devices.replay import Replay
     from kinectbench.record.folder import check_new
-    from kinectbench.record.recorder import record as record_with
     from kinectbench.settings.models import CameraSettings
     from kinectbench.settings.overrides import settings_from_options
 
@@ -66,19 +67,36 @@ def record_command(
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
     check_new(out)
     with _begun(out) if built else nullcontext() as begun:
+        done = _recorded(camera, out, seconds, port, guided)
+        ended_s = time.monotonic()
+        _tell(common, done)
+        if done.failure:
+            return CANNOT_BE_USED
+        return _build(common, out, ended_s, begun) if built else 0
+
+
+def _recorded(
+    camera: "Device", out: Path, seconds: float | None, port: int, guided: bool | None
+) -> "Recorded":
+    """Record, with the guide if wanted; another Ctrl-C, while the guide closes, does not lose the outcome."""
+    from kinectbench.cli import console
+    from kinectbench.record.recorder import record
+
+    done = None
+    try:
         with _guide(port, guided, out) as guide, console.frames_counted(f"record {out}") as progress:
-            done = record_with(
+            done = record(
                 camera,
                 out,
                 seconds,
                 observers=[guide] if guide else [],
                 progress=lambda frames, passed_s: progress(frames, passed_s, guide.sentence if guide else ""),
             )
-        ended_s = time.monotonic()
-        _tell(common, done)
-        if done.failure:
-            return CANNOT_BE_USED
-        return _build(common, out, ended_s, begun) if built else 0
+    except KeyboardInterrupt:
+        if done is None:
+            raise
+    assert done is not None
+    return done
 
 
 @contextmanager
@@ -104,12 +122,9 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
 
     Yield None if the guide is not wanted, or (with a warning) if it cannot start.
     """
-    from kinectbench.cli import console
-
     if not (console.err.is_terminal if wanted is None else wanted):
         yield None
         return
-    from kinectbench.core.errors import CaptureError
     from kinectbench.core.extras import missing_extra
     from kinectbench.record.guide.process import GuideProcess
 
@@ -133,9 +148,6 @@ def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | Non
 
     `ended_s` is the time at which recording ended; `begun` is the process of `_begun`.
     """
-    from dataclasses import replace
-
-    from kinectbench.cli import console
     from kinectbench.cli.build import run_stage
     from kinectbench.cli.recordings import init_command
     from kinectbench.stages.ingest.partial_sequence import using_partial_sequence
@@ -168,8 +180,6 @@ def _list(common: Common) -> None:
 
 
 def _tell(common: Common, done: "Recorded") -> None:
-    from kinectbench.cli import console
-
     counts = {"frames": done.frames, "missed": done.missed, "dropped": done.dropped}
     value = {"folder": str(done.folder), "device": done.device, **counts, "seconds": done.seconds}
     value |= {"clock_set_back": done.set_back, "failure": done.failure or None}

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
 from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import RESULTS
-from kinectbench.core.storage import NAME
+from kinectbench.core.names import RESULTS, listed
+from kinectbench.core.storage import NAME, replaced_file
 
 if TYPE_CHECKING:
     from kinectbench.doctor import Diagnosis
@@ -36,8 +37,6 @@ def init_command(
     force: Annotated[bool, typer.Option("--force", help="add to a benchmark.yaml what it lacks")] = False,
 ) -> None:
     """Write a commented benchmark.yaml for the recordings found in a folder."""
-    from kinectbench.cli import console
-    from kinectbench.core.storage import replaced_file
     from kinectbench.settings.reading import read_bytes
     from kinectbench.stages.ingest.readers import find_recordings, name_suffixes
 
@@ -57,9 +56,7 @@ def init_command(
     suffixes = name_suffixes()
     left_out = _without_recording(folder, [path for path, _ in recordings], suffixes)
     if left_out:
-        names = ", ".join(path.relative_to(folder).as_posix() for path in left_out[:SHOWN_LEFT_OUT])
-        more = len(left_out) - SHOWN_LEFT_OUT
-        names += f" and {more} more" if more > 0 else ""
+        names = listed((path.relative_to(folder).as_posix() for path in left_out), SHOWN_LEFT_OUT)
         why = "`kinectbench inspect FOLDER` says why"
         console.lines("note", [f"left out, as no recording of a known format: {names}; {why}"], "yellow")
     text, said = _benchmark_text(target, written, rows, suffixes)
@@ -82,7 +79,6 @@ def _benchmark_text(
     Raises:
         SettingsError: there are no recordings, or the existing file has an error.
     """
-    from kinectbench.cli import console
     from kinectbench.settings.reading import as_text
     from kinectbench.settings.template import extended_benchmark, init_benchmark
 
@@ -110,11 +106,6 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
     What lies inside a returned folder is not returned. Ignored are hidden files and folders, folders with
     results, a simulation's truth, a benchmark.yaml, a release or an export, and folders beside a
     pyproject.toml.
-
-    Args:
-        folder: the searched folder.
-        recordings: the recordings found in it.
-        suffixes: endings of files that are recordings, such as ".bag".
     """
     known = set(recordings)
     holding = {parent for path in recordings for parent in path.relative_to(folder).parents}
@@ -170,7 +161,6 @@ def inspect_command(
     follow_links: Annotated[bool, typer.Option("--follow-links", help="follow links inside it")] = False,
 ) -> int:
     """Report in seconds what is wrong with a recording, and the remedy; builds nothing."""
-    from kinectbench.cli import console
     from kinectbench.doctor import inspect as look_over
     from kinectbench.settings.models import CameraSettings, TrackingSettings
     from kinectbench.settings.overrides import settings_from_options
@@ -218,7 +208,6 @@ def _of_benchmark(name: str) -> "RecordingSettings | None":
 def _show(diagnosis: "Diagnosis") -> None:
     from rich.text import Text
 
-    from kinectbench.cli import console
     from kinectbench.doctor.finding import fact_lines
 
     console.say(*(f"{name}: {value}" for name, value in fact_lines(diagnosis.facts)))

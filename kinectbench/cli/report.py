@@ -1,11 +1,13 @@
 """`kinectbench report`: write the page of a benchmark's build, or of a release alone."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, exit_status, release_here
 from kinectbench.cli.common import Baselines, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
@@ -51,8 +53,6 @@ def _paper_table(
     common: Common, ids: Sequence[str] | None, scores: Sequence[Path], out: Path | None, baselines: bool
 ) -> int:
     """Print score files as a table in the paper's form, or write it to the file `out`; nothing is built."""
-    from dataclasses import asdict
-
     from kinectbench.core.storage import replaced_file
     from kinectbench.release.release import open_release
     from kinectbench.report.paper_table import paper_markdown, paper_tables
@@ -93,7 +93,6 @@ def write_page(
     Returns:
         The page's path.
     """
-    from kinectbench.cli import console
     from kinectbench.report.run import page_of_benchmark, page_of_release
 
     if release is not None:

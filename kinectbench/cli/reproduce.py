@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import Common, takes
 from kinectbench.cli.methods import Device
@@ -32,7 +33,6 @@ def reproduce_command(
     All networks that come trained are run. Other methods' predictions in the same folder are scored, too.
     Thresholds come from the validation split.
     """
-    from kinectbench.cli import console
     from kinectbench.networks.registry import require_torch
 
     require_torch()

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release, release_here
 from kinectbench.cli.common import SOME_FAILED, Baselines, Common, takes
 from kinectbench.cli.report import write_page
@@ -71,7 +72,6 @@ def score_command(
     known["surface"] = surface
     if common.part is not None:
         return _score_part(common, predictions, out, known | of_one)
-    from kinectbench.cli import console
     from kinectbench.report.run import write_galleries
     from kinectbench.scoring.request import Request, check_request
 
@@ -96,7 +96,6 @@ def _score_part(
     common: Common, predictions: Path | None, out: Path | None, options: Mapping[str, Any]
 ) -> int:
     """Do the work of `score --shard`: count the pairs of one part, and print how to combine all parts."""
-    from kinectbench.cli import console
     from kinectbench.release.release import open_release
     from kinectbench.scoring.score import count_methods
 
@@ -138,7 +137,6 @@ def tell_scores(
 
     JSON has each method's means over all categories, without the baselines.
     """
-    from kinectbench.cli import console
     from kinectbench.cli.score_tables import score_table, space_lines
 
     spatial = in_space(tables)
@@ -164,7 +162,6 @@ def _recheck(
 
     Of the options that change scores, only `--thresholds` may be given.
     """
-    from kinectbench.cli import console
     from kinectbench.scoring.compare import find_scores
     from kinectbench.scoring.read_table import read_table
     from kinectbench.scoring.recheck import recheck
@@ -217,7 +214,6 @@ def _tables(
     `known` are options for predictions and baselines, `of_one` those for predictions only; scores are written
     to `folder`.
     """
-    from kinectbench.cli import console
     from kinectbench.scoring.baselines.counted import score_baselines
     from kinectbench.scoring.predictions import lines_without, split_methods
     from kinectbench.scoring.score import score_methods
@@ -262,7 +258,6 @@ def baselines_of(
     For predictions in the camera frame, baselines are scored as solids in that frame. No baseline is scored
     if all those predictions have an unknown scale, or if the first table has more than `ROWS_IN_JSON` rows.
     """
-    from kinectbench.cli import console
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
     from kinectbench.scoring.baselines.beside import baselines_beside
 
@@ -290,8 +285,6 @@ def baselines_of(
 
 def tell_problems(tables: "Sequence[ScoreTable]") -> None:
     """Print the warnings and failures of each method, one line for each mistake; of failures at most 20."""
-    from kinectbench.cli import console
-
     for table in tables:
         console.lines(f"{table.method}: warning", console.by_mistake(table.warnings), "yellow")
         reasons = console.by_mistake(failure.reason for failure in table.failures)
@@ -311,7 +304,6 @@ def compare_command(
     ] = "known",
 ) -> int:
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
-    from kinectbench.cli import console
     from kinectbench.cli.score_tables import comparison_tables
     from kinectbench.scoring.compare import compare as compare_tables
     from kinectbench.scoring.compare import find_scores

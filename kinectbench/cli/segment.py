@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status, run_stage
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.untrusted import read_plain_text
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.object import CandidatesFile
@@ -49,7 +51,6 @@ def segment_command(
 
 
 def _suggest(common: Common, ids: list[str] | None) -> int:
-    from kinectbench.cli import console
     from kinectbench.engine.stages import SUGGEST
 
     rows = build_recordings(common, ids, SUGGEST.name, (SUGGEST.name,) if common.force else ())
@@ -67,7 +68,6 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
 
 def _carry_masks(common: Common, ids: list[str] | None) -> int:
     """Do the work of `--carry-masks`: rename hand-drawn masks after the present frames of the recordings."""
-    from kinectbench.cli import console
     from kinectbench.engine.drawn_masks import carry_masks
 
     root = common.root  # masks in a store are not renamed
@@ -101,7 +101,6 @@ def _candidates(root: Path, recording: str) -> "CandidatesFile":
 
 
 def _show(recording: str, listed: "CandidatesFile") -> None:
-    from kinectbench.cli import console
     from kinectbench.settings.edit import box_line
     from kinectbench.stages.segment.find.object import NO_FLOOR
 
@@ -122,7 +121,6 @@ def _pick(common: Common, ids: list[str] | None, number: int) -> int:
     Nothing is built here: run `build` afterwards.
     """
     from kinectbench.core.storage import replaced_file
-    from kinectbench.core.untrusted import read_plain_text
     from kinectbench.engine.pipeline import listed_box
     from kinectbench.settings.edit import file_of, with_box
 

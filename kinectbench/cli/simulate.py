@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
 from kinectbench.core.errors import SettingsError
 
@@ -35,7 +36,6 @@ def simulate_command(
     demo: Annotated[Path | None, typer.Option(help="write the demo's further recordings here")] = None,
 ) -> None:
     """Write a simulated recording, with the exact truth beside it in <name>.truth/."""
-    from kinectbench.cli import console
     from kinectbench.lab.simulate.objects import families as object_families
     from kinectbench.lab.simulate.presets import PRESETS, simulate_named
     from kinectbench.lab.simulate.truth import is_truth, read_truth, truth_folder

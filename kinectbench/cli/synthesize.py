@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
 
 
@@ -26,7 +27,6 @@ def synthesize_command(
     layout: Annotated[str | None, typer.Option(help="release, or recgan: the paper authors' files")] = None,
 ) -> None:
     """Write the paper's synthetic pairs, from CAD meshes or from parametric furniture."""
-    from kinectbench.cli import console
     from kinectbench.lab.synthesize.models import SynthesisSettings
     from kinectbench.lab.synthesize.synthesize import synthesize as make_all
     from kinectbench.settings.overrides import settings_from_options

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, exit_status, show_rows
 from kinectbench.cli.common import Common, Ids, takes
 from kinectbench.core.errors import KinectBenchError
@@ -70,7 +71,6 @@ def track_command(
     ] = None,
 ) -> int:
     """Give every frame a camera pose, and leave out frames that disagree with it."""
-    from kinectbench.cli import console
     from kinectbench.engine.summary import BuiltRecording
 
     # Report an unreadable file before building.
@@ -96,7 +96,6 @@ def track_command(
 
 
 def _reference(path: Path) -> "GivenTrajectory":
-    from kinectbench.cli import console
     from kinectbench.core.trajectory.trajectory_file import read_trajectory_file
 
     reference, warnings = read_trajectory_file(path)
@@ -112,7 +111,6 @@ def _compare(
     `root` is the benchmark's folder, `name` the reference's path. Return the recording's summary and the
     comparison; on failure, the summary with its error, and None.
     """
-    from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
     from kinectbench.engine.steps import read_tracked
     from kinectbench.stages.track.comparison import compare_with
@@ -162,7 +160,6 @@ def _clock_line(recording: str, clock: "ClockOffset") -> str:
 def _show(compared: Sequence[_Compared], reference: Path | None) -> None:
     if not compared:
         return
-    from kinectbench.cli import console
 
     rows = [one.json_value() for one in compared]
     shown = [{**row, "tracked_percent": 100 * row["tracked_share"]} for row in rows]

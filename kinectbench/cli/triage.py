@@ -2,6 +2,7 @@
 
 from textwrap import shorten
 
+from kinectbench.cli import console
 from kinectbench.cli.build import SHOWN_RECORDINGS, build_recordings, built, exit_status
 from kinectbench.cli.common import Common, Ids, takes
 
@@ -16,7 +17,6 @@ def triage_command(common: Common, ids: Ids = None) -> int:
 
     If recordings are named, their decisions are printed, and nothing is written to triage/.
     """
-    from kinectbench.cli import console
     from kinectbench.core.storage import replaced_file
     from kinectbench.release.triage.triage import triage as sorted_out
     from kinectbench.report.triage import write_triage_page

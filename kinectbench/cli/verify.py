@@ -6,10 +6,12 @@ from typing import Annotated
 
 import typer
 
+from kinectbench.cli import console
 from kinectbench.cli.build import build_jobs
 from kinectbench.cli.common import CANNOT_BE_USED, Common, takes
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.store.address import shown, url_of
+from kinectbench.core.untrusted import printable
 
 
 @takes("jobs", "as_json")
@@ -35,7 +37,6 @@ def verify_command(
     ] = None,
 ) -> int:
     """Re-check every byte and every pair of a release; with --rebuild make the pairs again and compare."""
-    from kinectbench.cli import console
     from kinectbench.engine.scratch import scratch_folder
     from kinectbench.release.check.verify import reservations, verify_checksums
     from kinectbench.release.check.verify import verify as find_problems
@@ -67,8 +68,6 @@ def verify_command(
 
 def _brought(url: str, folder: Path) -> list[str]:
     """Download a release unchanged into `folder`; return a line for each other file at the URL."""
-    from kinectbench.cli import console
-    from kinectbench.core.untrusted import printable
     from kinectbench.release.fetch import mirror_release
 
     with console.progress_bar("fetch") as progress:
@@ -80,7 +79,6 @@ def _rebuild(
     release: Path, recordings: Path, work: Path | None, processes: int, objects: int | None
 ) -> list[str]:
     """Do the work of `--rebuild`: build a sound release's recordings again; return the differences."""
-    from kinectbench.cli import console
     from kinectbench.engine.scratch import scratch_folder
     from kinectbench.engine.stages import Job
     from kinectbench.release.check.rebuild import differences, find_sources, rebuild_plan

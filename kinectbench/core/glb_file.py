@@ -129,16 +129,7 @@ def _T_parent_node(facts: dict[str, Any]) -> Float64:
 def _array(
     gltf: dict[str, Any], binary: bytes, number: object, types: Types, kind: str, width: int
 ) -> NDArray[Any]:
-    """Read the values of an accessor, (count, width), from the binary part.
-
-    Args:
-        gltf: the JSON part.
-        binary: the binary part.
-        number: index of the accessor.
-        types: accepted component types, each with its numpy type.
-        kind: required type of the accessor, such as "VEC3".
-        width: how many numbers a value of this type has.
-    """
+    """Read the values of an accessor, (count, width), from the binary part."""
     accessor = gltf["accessors"][_index(number)]
     if accessor["componentType"] not in types or accessor["type"] != kind or "sparse" in accessor:
         raise ValueError("positions or indices of an uncommon type; write float32 and plain indices")

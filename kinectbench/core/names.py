@@ -12,6 +12,8 @@ from kinectbench.core.storage import name_problem
 
 # The mean over all categories has these names in tables, scores.json and `compare`.
 RESERVED = ("overall", "all")
+# Most names to list: more than a section has keys, but fewer than a thousand recordings.
+LISTED = 40
 
 
 def reserved_problem(category: str) -> str | None:
@@ -105,3 +107,10 @@ RESULTS = frozenset(
         "evaluation",
     }
 )
+
+
+def listed(names: Iterable[str], at_most: int = LISTED) -> str:
+    """Join names by commas; of more than `at_most`, the first ones, and the number of the others."""
+    all_of = list(names)
+    more = f" and {len(all_of) - at_most} more" if len(all_of) > at_most else ""
+    return ", ".join(all_of[:at_most]) + more

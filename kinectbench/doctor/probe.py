@@ -199,9 +199,6 @@ def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
     """Return a frame's colour as grey, reduced 2, 4 or 8 times if it then is at least 320 pixels wide.
 
     The result is None without colour.
-
-    Raises:
-        DamagedImageError: the colour is damaged.
     """
     import cv2
 

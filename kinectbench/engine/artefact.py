@@ -39,7 +39,7 @@ VERSIONS: dict[str, int] = {
     "track": 16,
     "fuse": 7,
     "segment": 45,
-    "sample-views": 6,
+    "sample-views": 7,
     "pairs": 4,
     "suggest": 7,
     "publish": 45,
@@ -170,16 +170,18 @@ def _hash_of(sha256: Mapping[str, str]) -> str:
     return sha256_text(canonical_json(sha256))
 
 
-def has_sizes(root: Path, cache: Path, sha256: str, names: Collection[str] | None = None) -> bool:
-    """Whether a path still holds the files with this hash, as far as names and sizes show; no file is read.
-
-    Only the sizes of some files are compared.
+def has_sizes(
+    root: Path, cache: Path, sha256: str, names: Collection[str] | None = None, *, few: bool = False
+) -> bool:
+    """Whether a path still holds the files with this hash, as far as names and sizes show.
 
     Args:
         root: path that the names are relative to.
         cache: file where `content_hash` keeps names and sizes; if missing or damaged, the result is True.
         sha256: the hash over the files, as by `content_hash`.
         names: the names of all files at the path; None: added files are not noticed.
+        few: whether the files are few and small: all are compared, and one of another time, such as a mask
+            that was drawn again, is read. Else only sizes of some files are compared, and none is read.
     """
     of_size, of_sha256 = map(SourceFile._fields.index, ("size", "sha256"))
     try:
@@ -192,10 +194,17 @@ def has_sizes(root: Path, cache: Path, sha256: str, names: Collection[str] | Non
         if names is not None and rows.keys() != set(names):
             return False
         files = [*rows.items()]
-        some = [files[n] for n in evenly(len(files), COMPARED_FILES)]
-        return all(os.stat(_place(root, name)).st_size == row[of_size] for name, row in some)  # noqa: PTH116
+        some = files if few else [files[n] for n in evenly(len(files), COMPARED_FILES)]
+        for name, row in some:
+            stat = os.stat(_place(root, name))  # noqa: PTH116
+            if stat.st_size != row[of_size]:
+                return False
+            now = SourceFile(stat.st_size, stat.st_mtime_ns, row[of_sha256], stat.st_ctime_ns)
+            if few and list(now) != row and sha256_file(Path(_place(root, name))) != row[of_sha256]:
+                return False
     except (OSError, ValueError, TypeError, LookupError, AttributeError):  # or a name that no file can have
         return False
+    return True
 
 
 def _place(root: Path, name: str) -> str:

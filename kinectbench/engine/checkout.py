@@ -22,8 +22,9 @@ from kinectbench.engine.scratch import SCRATCH_VARIABLE, scratch_folder
 from kinectbench.engine.stages import STAGES, Job
 from kinectbench.engine.stored_stage import is_stored
 from kinectbench.settings.pick import PICK_FILE
+from kinectbench.stages.ingest.readers import source_files
 from kinectbench.stages.ingest.readers.seven_scenes import names_beside
-from kinectbench.stages.ingest.sources import MOST_FILES
+from kinectbench.stages.ingest.sources import MOST_FILES, check_there
 
 SOURCES = "sources"
 # Largest failed.json, which holds a line of text.
@@ -267,9 +268,6 @@ def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
 
 def _local_rows(job: Job) -> list[object]:
     """The names, sizes and times (nanoseconds) of the files of a recording outside the store."""
-    from kinectbench.stages.ingest.readers import source_files
-    from kinectbench.stages.ingest.sources import check_there
-
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     with storage_errors(job.source):
         files = source_files(job.source, follow_links=job.recording.follow_links)

@@ -219,22 +219,22 @@ class DrawnMasks:
         frames = dict[str, tuple[int, str]]()
         for file, name in self.names.items():
             if view := shown.get((name.number, name.of_frame)):  # otherwise no view shows its frame
-                frames[file] = view.frame, picture_digest(read_pictures(views, view.name))
+                frames[file] = view.frame, self._picture_now(file, sequence, views, view)
         again = f"`kinectbench sample-views {self.recording} --set recordings.{self.recording}.masks=null`"
         look = f"{again} makes the views without masks: look at each mask on its view there"
         return self._on_pictures(sequence, frames, OTHERS_DRAWN, look)
 
+    def _picture_now(self, file: str, sequence: Sequence, views: Path, view: Shown) -> str:
+        """The digest of a view's pictures; the recorded digest, if their colour just lost its metadata."""
+        pictures, known = read_pictures(views, view.name), self.entries[file].picture
+        _, color = sequence.frames.color_encoded(view.frame) or ("", b"")
+        as_recorded = picture_digest({**pictures, "color.jpg": color}) if color else None
+        return known if known and known == as_recorded else picture_digest(pictures)
+
     def _on_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
     ) -> Self:
-        """Refuse masks drawn on other pictures than these; record the picture where none is recorded.
-
-        Args:
-            sequence: the recording.
-            frames: for each mask in use, its frame and the digest of the picture it is used on.
-            drawn: words of the message for refused masks.
-            look: words of the message on how to check the masks.
-        """
+        """Refuse masks drawn on other pictures than these; record the picture where none is recorded."""
         entries, other = dict[str, DrawnOn](), list[str]()
         for file, (frame, now) in frames.items():
             image, was = self.entries[file].image, self.entries[file].picture

@@ -67,17 +67,40 @@ def locked(
             _write(lock, "")
 
 
+@contextlib.contextmanager
+def only_writer(folder: Path) -> Iterator[None]:
+    """Keep others that call this from the folder within the block, which is short; nothing is printed.
+
+    The lock is on the folder itself: a file `.lock` would be one more in a folder that people share. Where
+    the disk keeps no such locks, the block runs without.
+    """
+    with storage_errors(folder):
+        handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
 def sweep(path: Path) -> None:
     """Remove the temporary files of killed runs beside `path`, a path or pattern that nobody uses now.
 
     A file that was moved aside is moved back if its replacement is missing.
     """
 
+    def replaced(name: str) -> str:
+        """The name of the file that one of this name was made for."""
+        return name[1:].rsplit(".", 2)[0]
+
     def is_left(name: str) -> bool:
-        return any(fnmatchcase(name, f".{path.name}.*.{end}") for end in ("part", "old"))
+        # Not of `out.v2` where `path` is `out`: another run may be writing it.
+        is_ours = any(fnmatchcase(name, f".{path.name}.*.{end}") for end in ("part", "old"))
+        return is_ours and fnmatchcase(replaced(name), path.name)
 
     for leftover in list(listed_paths(path.parent, wanted=is_left)) if path.parent.is_dir() else []:
-        original = leftover.with_name(leftover.name[1:].rsplit(".", 2)[0])
+        original = leftover.with_name(replaced(leftover.name))
         if leftover.suffix == ".old" and not original.exists():
             leftover.rename(original)
         elif leftover.is_dir():

@@ -218,11 +218,7 @@ def _masks(job: Job) -> Source:
 
 
 def _given_masks(job: Job) -> list[Path]:
-    """The files of a person's masks; none if benchmark.yaml names no folder of them.
-
-    Raises:
-        RecordingError, OSError: as of `files_below`.
-    """
+    """The files of a person's masks; none if benchmark.yaml names no folder of them."""
     if job.masks is None:
         return []
     from kinectbench.stages.ingest.sources import files_below
@@ -289,10 +285,6 @@ def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
     """Those of a recording's files that are other inputs: the reference mesh, a person's masks, masks.json.
 
     Masks in a folder that `ingest` also reads stay with the recording.
-
-    Args:
-        job: the recording.
-        files: paths as made by `_whole`, like those returned.
     """
     masks = _whole(job.masks) if job.masks else None
     drawn = [file for file in files if file.parent == masks]
@@ -343,18 +335,18 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
 
 
 def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
-    """Whether an input from outside `build/` matches a hash, by names and sizes; True if it is gone."""
+    """Whether an input from outside `build/` matches a hash, as `has_sizes` says; True if it is gone."""
     path = {RECORDING: job.source, MASKS: job.masks, REFERENCE: job.reference}[name]
     if path is None or not os.path.exists(path):  # noqa: PTH110 - of any name
         return True
     cache = _cache(build, name)
     if name == REFERENCE:
-        return has_sizes(path.parent, cache, sha256, [path.name])
+        return has_sizes(path.parent, cache, sha256, [path.name], few=True)
     try:
         names = [file.name for file in _given_masks(job)] if name == MASKS else None
     except (OSError, RecordingError):  # a build would refuse it
         return False
-    return has_sizes(path, cache, sha256, names)
+    return has_sizes(path, cache, sha256, names, few=name == MASKS)
 
 
 def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, has_input: Callable[[str, str], bool]) -> bool:
@@ -369,8 +361,8 @@ def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
     """The folders in `build/<recording>/` of stages that are up to date, by stage.
 
     Such a folder is complete, and was made by the stage's present version from the present artefacts of
-    its input stages. A change of the recording, masks or reference mesh is seen only by names and sizes of
-    some files; an input that is gone is not compared.
+    its input stages. A change of the recording is seen only by names and sizes of some files, one of masks or
+    of the reference mesh also by the files' times; an input that is gone is not compared.
 
     Args:
         build: `build/<recording>/`.

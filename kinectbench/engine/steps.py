@@ -107,7 +107,7 @@ def _track(work: Work[TrackSettings]) -> None:
     masks = frame_masks(sequence, settings.segment_by, work.masks)
     how = settings.trajectory, settings.tracking
     if masks is None:
-        trajectory = track_scene(sequence, *how, work.progress)
+        trajectory = _track_scene(sequence, *how, work.progress)
     else:
         trajectory = track_own_pixels(sequence, masks, *how, work.progress)
     write_trajectory(trajectory, work.folder)
@@ -185,23 +185,13 @@ STEPS: Mapping[str, Callable[[Work[Any]], None]] = {
 }
 
 
-def track_scene(
+def _track_scene(
     sequence: Sequence,
     mode: TrajectoryMode | None,
     settings: TrackingSettings,
     progress: Progress | None = None,
 ) -> Trajectory:
-    """Track a scene; warn in health.json if the camera stands still, unless given poses say that it moves.
-
-    Args:
-        sequence: the recording.
-        mode: how to use a given trajectory; None: the default of `track`.
-        settings: settings of `track`.
-        progress: called with (done, total).
-
-    Raises:
-        TrackingError: raised by `track`.
-    """
+    """Track a scene; warn in health.json if the camera stands still, unless given poses say that it moves."""
     given = None if mode == "ignore" else sequence.given_trajectory
     line = "" if given is not None and _moves(given) else turntable_warning(sequence)
     try:

@@ -135,7 +135,7 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
             each), or the disk is full or read-only.
         SettingsError: `out` belongs to another training.
     """
-    bundle = open_bundle(find_index(model))
+    bundle = open_bundle(_find_index(model))
     config = fitting_config(bundle.tensors, bundle.index)
     shapes = {n: tuple(v.shape) for n, v in make_network(config.network, device="meta").state_dict().items()}
     names = mapping()
@@ -159,12 +159,8 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
     return Conversion(out, len(arrays), generator, discriminator, len(optimiser), left_out)
 
 
-def find_index(model: Path) -> Path:
-    """Return a checkpoint's index: `model` itself if it ends in .index, else the only one in that folder.
-
-    Raises:
-        StorageError: the folder is missing, or holds no index or several.
-    """
+def _find_index(model: Path) -> Path:
+    """Return a checkpoint's index: `model` itself if it ends in .index, else the only one in that folder."""
     if model.suffix == SUFFIX:
         return model
     if not model.is_dir():

@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
+from kinectbench.core.errors import PairError, PredictionError
+from kinectbench.core.names import listed
 from kinectbench.core.storage import sha256_file, sha256_text, storage_errors
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.untrusted import open_plain
@@ -33,7 +35,6 @@ from kinectbench.networks.trained import Trained
 from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.packed_prediction import packed
-from kinectbench.settings.words import listed
 
 Precision = Literal["packed", "float16"]
 SPLITS: tuple[Split, ...] = ("validation", "test")
@@ -42,6 +43,8 @@ PRECISIONS: tuple[Precision, ...] = ("packed", "float16")
 # Levels of deflate. float16 at 256^3 take 26 MB; compressing them further takes longer than predicting them.
 # Packed ones take 6.7 MB at level 1, 6.1 MB at 4 and 5.8 MB at 6, in 0.15, 0.25 and 0.85 s a view.
 LEVEL, PACKED_LEVEL = 1, 4
+# Errors of one pair: the others can be predicted.
+OF_ONE_PAIR = (PairError, PredictionError)
 # Folders of installed packages; one's own code may lie above such a one.
 INSTALLED = {"site-packages", "dist-packages"}
 
@@ -57,6 +60,7 @@ def predict(
     device: str = "cpu",
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
+    failed: Callable[[str], None] | None = None,
 ) -> Path:
     """Write `out/<name>/<recording>/<view>.npz` for every pair of some splits, and method.json.
 
@@ -73,12 +77,15 @@ def predict(
         device: the network's device.
         progress: called with (pairs done, pairs in all).
         say: called with a line if another run's predictions are removed, or before waiting for another run.
+        failed: called with a line for each pair that has no prediction, because it cannot be read or an
+            output of the network is no probability; None: the first such error is raised. If no pair has a
+            prediction, the first error is raised, too.
 
     Returns:
         The method's folder.
 
     Raises:
-        PairError, ReleaseError: a pair cannot be read.
+        PairError, ReleaseError: a pair cannot be read, or a file of the release has changed.
         SettingsError: these splits have no pair, or the folder holds predictions for another release, or
             files that `predict` did not write.
         PredictionError: method.json or unfinished.json of an earlier run cannot be read, or an output of the
@@ -97,7 +104,7 @@ def predict(
 
     with locked(folder, waiting=waiting):
         kept = PredictionFolder(folder, run, every, wanted, say)
-        seconds = _write_all(kept, trained, release, run, wanted, device, progress)
+        seconds = _write_all(kept, trained, release, run, wanted, device, progress, failed)
         kept.finish(method_of(trained, release, run, seconds, device))
     return folder
 
@@ -171,36 +178,33 @@ def _write_all(
     targets: Sequence[Target],
     device: str,
     progress: Progress | None,
+    failed: Callable[[str], None] | None,
 ) -> list[float]:
-    """Predict and write the files that are missing.
-
-    Args:
-        kept: the method's folder, with the predictions that this run wrote before.
-        trained: the network.
-        release: the release that is predicted.
-        run: what determines the bytes of the files.
-        targets: all pairs to predict.
-        device: the network's device.
-        progress: called with (pairs done, pairs in all).
-
-    Returns:
-        The seconds that the network took for each predicted view.
-    """
+    """Predict and write the missing files; return the seconds that the network took for each view."""
     waiting = [target for target in targets if not kept.holds(target)]
-    seconds = []
+    seconds, first = [], None
     # A file is compressed and written while the network predicts the next view.
     with memory_kept(), ThreadPoolExecutor(1) as writer:
         written: Future[None] | None = None
         for done, target in enumerate(waiting, start=1 + len(targets) - len(waiting)):
-            probability, took = completed_target(trained, release, target, device)
-            seconds.append(took)
-            if written:
-                written.result()
-            written = writer.submit(_write, kept, target, probability, run)
+            try:
+                probability, took = completed_target(trained, release, target, device)
+            except OF_ONE_PAIR as error:
+                if failed is None:
+                    raise
+                first = first or error
+                failed(f"{target.name}: {error}")
+            else:
+                seconds.append(took)
+                if written:
+                    written.result()
+                written = writer.submit(_write, kept, target, probability, run)
             if progress:
                 progress(done, len(targets))
         if written:
             written.result()
+    if first is not None and not any(map(kept.holds, targets)):
+        raise first
     return seconds
 
 

@@ -154,14 +154,7 @@ class PredictionFolder:
         targets: Sequence[Target],
         say: Callable[[str], None] | None,
     ) -> None:
-        """Record this run and remove the files of others; safe to repeat if the process was killed within.
-
-        Args:
-            done: method.json of the run that left the folder; None without one.
-            unfinished: unfinished.json of that run; None without one.
-            targets: all targets that may be predicted.
-            say: called with a line if predictions of another run are removed.
-        """
+        """Record this run and remove the files of others; safe to repeat if the process was killed within."""
         listed = {name for name in (done and done.files) or {} if name.endswith(SUFFIX)}
         before = {*listed, *map(_name, targets)} - self._kept.keys()
         with storage_errors(self._folder):

@@ -11,11 +11,6 @@ from kinectbench.core.errors import SettingsError
 from kinectbench.core.untrusted import printable
 
 
-def rank_and_size() -> tuple[int, int]:
-    """Return the index of this process and the number of processes, set by torchrun; (0, 1) without it."""
-    return int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-
-
 def chosen_device(asked: str | None) -> str:
     """Return the network's device: as requested, else the GPU, else the CPU.
 
@@ -44,8 +39,8 @@ def chosen_device(asked: str | None) -> str:
 
 @contextmanager
 def joined_processes(device: str) -> Iterator[tuple[int, int]]:
-    """Connect the processes of torchrun within the block; yields rank and size."""
-    rank, size = rank_and_size()
+    """Connect the processes of torchrun within the block; yields rank and size, (0, 1) without it."""
+    rank, size = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     if size == 1:
         yield 0, 1
         return

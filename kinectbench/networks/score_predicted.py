@@ -1,17 +1,18 @@
 """Score a trained network without files: each view is counted as soon as it is predicted."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.method import UnfinishedFile
-from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.scores import Failure, ScoreTable
+from kinectbench.core.errors import KinectBenchError
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
 from kinectbench.networks.allocator import memory_kept
-from kinectbench.networks.predict import SPLITS, completed_target, method_of
+from kinectbench.networks.predict import OF_ONE_PAIR, SPLITS, completed_target, method_of
 from kinectbench.networks.trained import Trained
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.api import Scorer
@@ -33,7 +34,8 @@ def score_predicted(
 ) -> ScoreTable:
     """Return the table that `score` would make from `predict`'s files, without hashes; write nothing.
 
-    A stopped run leaves nothing, so it cannot be resumed.
+    A stopped run leaves nothing, so it cannot be resumed. A pair that cannot be read, or for which an output
+    of the network is no probability, is a failure of the table.
 
     Args:
         trained: the network, on its device.
@@ -46,8 +48,8 @@ def score_predicted(
         progress: called with (pairs done, pairs in all).
 
     Raises:
-        PairError, ReleaseError: a pair cannot be read, or its truth is held back.
-        PredictionError: an output of the network is no probability.
+        ReleaseError: a file of the release has changed, or its truth is held back.
+        PairError, PredictionError: the first pair's error, if all pairs fail.
     """
     method = method_of(trained, release, run, (), device)
     scorer = Scorer(
@@ -58,20 +60,34 @@ def score_predicted(
     )
     targets = [target for split in SPLITS if split in splits for target in release.split(split)]
     # A view is counted while the network predicts the next one; the order of counting is fixed.
+    errors = dict[str, KinectBenchError]()
     with memory_kept(), ThreadPoolExecutor(1) as counter:
         counted: Future[None] | None = None
         for done, target in enumerate(targets, start=1):
-            prediction = as_written(trained, release, run, target, device)
-            if counted:
-                counted.result()
-            counted = counter.submit(scorer.update, target.name, prediction)
+            try:
+                prediction = as_written(trained, release, run, target, device)
+            except OF_ONE_PAIR as error:
+                errors[target.name] = error
+            else:
+                if counted:
+                    counted.result()
+                counted = counter.submit(scorer.update, target.name, prediction)
             if progress:
                 progress(done, len(targets))
         if counted:
             counted.result()
+    if errors and len(errors) == len(targets):
+        raise next(iter(errors.values()))
     table = scorer.result()
     warnings = (*table.warnings, *method_lines(release.folder, method, release))
-    return table.model_copy(update={"warnings": warnings, "run_sha256": run.sha256})
+    failures = tuple(_with_reason(failure, errors) for failure in table.failures)
+    return table.model_copy(update={"warnings": warnings, "failures": failures, "run_sha256": run.sha256})
+
+
+def _with_reason(failure: Failure, errors: Mapping[str, KinectBenchError]) -> Failure:
+    """Return a failure with the error of its pair in place of the line about a missing file."""
+    name = f"{failure.recording}/{failure.view}"
+    return failure.model_copy(update={"reason": f"{name}: {errors[name]}"}) if name in errors else failure
 
 
 def as_written(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from kinectbench.core.artefacts.method import TrainingFile
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import listed
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.untrusted import printable
 from kinectbench.networks.config import MethodSettings
@@ -21,7 +22,6 @@ from kinectbench.networks.weights import (
     set_weights,
     shapes_of_network,
 )
-from kinectbench.settings.words import listed
 
 # One folder for each network in the package, as `train` writes it, without its checkpoint.
 FOLDER = Path(__file__).parent / "trained"

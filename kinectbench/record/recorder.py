@@ -1,11 +1,14 @@
 """Record: write a device's frames into a folder, and show them to observers."""
 
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import FrameType
 
 from kinectbench.core.errors import CaptureError, KinectBenchError
 from kinectbench.record.folder import FolderWriter, check_new
@@ -93,6 +96,9 @@ def record(
 ) -> Recorded:
     """Record until the device ends or fails, a frame cannot be written, time is up, or KeyboardInterrupt.
 
+    Another Ctrl-C does not lose the outcome: frames that wait are still written, observers are waited for no
+    more. A third one ends it at once; the folder can be read to its last row.
+
     Args:
         device: the device, which is opened and closed here.
         folder: a missing or empty folder; it is created with the first frame.
@@ -117,11 +123,43 @@ def record(
         finally:
             sys.setswitchinterval(switch_s)
     finally:
-        with suppress(Exception):  # the device is gone
+        with suppress(Exception, KeyboardInterrupt):  # the device is gone, or Ctrl-C is pressed again
             device.close()
     if run.writer is None:
         raise CaptureError(failure or f"{device.name}: gave no frame, and nothing was written")
-    return run.closed(failure)
+    with _one_interrupt_outlived() as asked:
+        return run.closed(failure, lambda: bool(asked))
+
+
+@contextmanager
+def _one_interrupt_outlived() -> Iterator[list[int]]:
+    """Keep an interrupt from ending the block, whose outcome would be lost; yield the signals so far.
+
+    Handlers of signals are called as before, but what they raise only counts from the second Ctrl-C on.
+    Signals reach the main thread alone: on another one nothing changes.
+    """
+    asked: list[int] = []
+
+    def outlive(came: int, frame: FrameType | None) -> None:
+        again = came in asked
+        asked.append(came)
+        try:
+            previous[came](came, frame)
+        except KeyboardInterrupt:
+            if again and came == signal.SIGINT:
+                raise
+
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous = {int(number): handler for number, handler in handlers.items() if callable(handler)}
+    on_main_thread = threading.current_thread() is threading.main_thread()
+    changed = [*previous] if on_main_thread else []
+    for number in changed:
+        signal.signal(number, outlive)
+    try:
+        yield asked
+    finally:
+        for number in changed:
+            signal.signal(number, previous[number])
 
 
 def _opened(device: Device) -> Setup:
@@ -179,12 +217,12 @@ class _Run:
             for watcher in self.watchers:
                 watcher.offer(number, frame)
 
-    def closed(self, failure: str) -> Recorded:
-        """Wait for the writer and the observers, and return the outcome."""
+    def closed(self, failure: str, given_up: Callable[[], bool]) -> Recorded:
+        """Wait for the writer, and for the observers until `given_up` is true; return the outcome."""
         assert self.writer is not None
         self.writer.close()
         for watcher in self.watchers:
-            watcher.end()
+            watcher.end(given_up)
         if self.writer.error is not None:
             reason = getattr(self.writer.error, "strerror", None) or in_a_line(self.writer.error)
             failure = f"{self.folder}: cannot be written any more ({reason})"

@@ -241,11 +241,7 @@ def wanted_names(names: Collection[str], targets: Collection[Target], part: Rele
 
 
 def _head(store: Store) -> tuple[str, ReleaseInfo]:
-    """Read a stored release's SHA256SUMS, as text, and benchmark.json; check that they agree.
-
-    Raises:
-        ReleaseError: there is no release, or the two do not agree.
-    """
+    """Read a stored release's SHA256SUMS, as text, and benchmark.json; check that they agree."""
     try:
         stated = _text(store, BENCHMARK_JSON)
         info = ReleaseInfo.parse(stated, store.place(BENCHMARK_JSON))

@@ -1,7 +1,7 @@
 """Upload a release to a dataset of the Hugging Face hub in one commit: it appears whole or not at all."""
 
 import re
-from collections.abc import Set
+from collections.abc import Mapping, Set
 from contextlib import suppress
 from glob import escape
 from pathlib import Path
@@ -41,7 +41,7 @@ def hub_name(url: str) -> str:
     return name
 
 
-def put_on_hub(folder: Path, name: str) -> PutSummary:
+def put_on_hub(folder: Path, name: str, sums: Mapping[str, str] | None = None) -> PutSummary:
     """Make a dataset of the hub equal to a release: upload the folder, delete files of an earlier release.
 
     The dataset is created if missing. The hub itself skips the upload of files that it already has.
@@ -50,6 +50,7 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
     Args:
         folder: the release's folder on this machine.
         name: the dataset, user/name.
+        sums: result of `listed_files`; None: the folder's files are checked here.
 
     Raises:
         ReleaseError: the dataset holds files that belong to no release, or a file in the folder is
@@ -58,7 +59,7 @@ def put_on_hub(folder: Path, name: str) -> PutSummary:
     """
     from huggingface_hub import HfApi
 
-    text, names = release_text(folder / SHA256SUMS), {SHA256SUMS, *listed_files(folder)}
+    text, names = release_text(folder / SHA256SUMS), {SHA256SUMS, *(sums or listed_files(folder))}
     there_too = (path.relative_to(folder).as_posix() for path in release_files(folder))
     others = [escape(name) for name in there_too if name not in names]
     info = ReleaseInfo.read(folder)

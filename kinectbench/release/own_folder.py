@@ -37,12 +37,8 @@ def remains(folder: Path) -> list[Path]:
     return [Path(place, name) for place, _, names in os.walk(folder) for name in names if is_ours(name)]
 
 
-def unknown_file(folder: Path, known: Set[str]) -> str | None:
-    """Return the first file or link of a folder that is neither in `known` nor `is_ignored`, or None.
-
-    Raises:
-        ReleaseError: as in `release_files`.
-    """
+def _unknown_file(folder: Path, known: Set[str]) -> str | None:
+    """Return the first file or link of a folder that is neither in `known` nor `is_ignored`, or None."""
     others = (p for p in release_files(folder) if p.relative_to(folder).as_posix() not in known)
     return next((path.relative_to(folder).as_posix() for path in others if not is_ignored(path.name)), None)
 
@@ -69,7 +65,7 @@ def refuse_other_content(out: Path) -> None:
             "folder away, then run the command again",
             what="other-content",
         ) from error
-    if other := unknown_file(out, listed):
+    if other := _unknown_file(out, listed):
         raise ReleaseError(
             f"{out / other}: is not of the release; move it out of {out.name}/, then run the command again",
             what="other-content",

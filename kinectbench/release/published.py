@@ -20,6 +20,7 @@ from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.address import shown, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store
+from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import decoded, read_plain
 from kinectbench.release.contents import MAX_READ_BYTES, Contents, most_bytes
 from kinectbench.release.opening import open_contents
@@ -70,15 +71,21 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
     return content
 
 
-def listed_files(folder: Path) -> dict[str, str]:
+def listed_files(folder: Path, progress: Progress | None = None) -> dict[str, str]:
     """Return {file: SHA-256} of a release's SHA256SUMS, after checking each file in the folder against it.
+
+    Args:
+        folder: the release's folder.
+        progress: called with (files checked, files in all).
 
     Raises:
         ReleaseError: SHA256SUMS is missing or damaged, or a file is missing or does not have its hash.
     """
     sums = parse_sums(release_text(folder / SHA256SUMS), str(folder / SHA256SUMS))
-    for name, sha256 in sums.items():
+    for done, (name, sha256) in enumerate(sums.items(), start=1):
         published_bytes(folder / name, sha256)
+        if progress:
+            progress(done, len(sums))
     return sums
 
 
@@ -141,9 +148,6 @@ def _store_of(url: str) -> tuple[Store, str]:
     """Split a file's URL: return the store of its bucket or host, and the file's name in that store.
 
     So all files of a bucket share one open store.
-
-    Raises:
-        ReleaseError: as in `release_store`.
     """
     release_store(url)
     scheme, _, place, *tail = url.split("/", 3)
@@ -179,10 +183,6 @@ def _listed(archive: Path) -> _Opened:
     """Return an archive opened by this process, from a cache; open it again if the file was replaced.
 
     A forked process opens the archive again, because it would share the file's position with its parent.
-
-    Raises:
-        ReleaseError: the archive holds no release, or is damaged.
-        OSError: the archive is gone.
     """
     status = archive.stat()
     return _opened(archive, (os.getpid(), status.st_size, status.st_mtime_ns, status.st_ino))

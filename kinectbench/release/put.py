@@ -78,7 +78,7 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
     Args:
         folder: the release's folder on this machine.
         store: the place to upload to. Files of an earlier release that are not in this one are removed.
-        progress: called with (files uploaded, files to upload).
+        progress: called with (files checked and uploaded, files to check and, once that is known, to upload).
 
     Raises:
         ReleaseError: the store holds files that belong to neither a release nor a stopped upload, its URL has
@@ -86,7 +86,7 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
         StorageError: the store fails.
     """
     release_store(store.url)
-    text, sums = release_text(folder / SHA256SUMS), listed_files(folder)
+    text, sums = release_text(folder / SHA256SUMS), listed_files(folder, progress)
     place = _look(store)
     _refuse_other(store, place, sums)
     same = {
@@ -101,7 +101,7 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
     wanted = [name for name in (SHA256SUMS, *sums) if name not in same]
     _clear(store, place, same, begins=bool(wanted))
     if wanted:
-        _put(folder, store, [name for name in wanted if name != BENCHMARK_JSON], progress)
+        _put(folder, store, [name for name in wanted if name != BENCHMARK_JSON], len(sums), progress)
     removed = sum(name not in sums and name != SHA256SUMS for name in place.sizes)
     put = {*wanted, BENCHMARK_JSON} if wanted else set[str]()
     identity = benchmark_sha256(text, release_text(folder / BENCHMARK_JSON))
@@ -109,14 +109,14 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
     return PutSummary(len(put), len(sums) + 1 - len(put), removed, replaced)
 
 
-def _put(folder: Path, store: Store, names: list[str], progress: Progress | None) -> None:
-    """Upload the named files, SHA256SUMS first, and benchmark.json last."""
-    total, first = len(names) + 1, [name for name in names if name == SHA256SUMS]
+def _put(folder: Path, store: Store, names: list[str], checked: int, progress: Progress | None) -> None:
+    """Upload the named files, SHA256SUMS first, and benchmark.json last; `checked` files count as done."""
+    total, first = checked + len(names) + 1, [name for name in names if name == SHA256SUMS]
     for name in first:
         store.put(name, folder / name)
     in_parallel(
         (partial(store.put, name, folder / name) for name in names if name != SHA256SUMS),
-        lambda done: progress(len(first) + done, total) if progress else None,
+        lambda done: progress(checked + len(first) + done, total) if progress else None,
     )
     store.put(BENCHMARK_JSON, folder / BENCHMARK_JSON)
     if progress:
@@ -128,12 +128,6 @@ def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
 
     Files that the store's SHA256SUMS lacks are deleted first, while benchmark.json is there. Of a complete
     release, files in that list are deleted after benchmark.json, so that nobody sees it incomplete.
-
-    Args:
-        store: the store.
-        place: the state of the store.
-        same: names of files that are there already and stay.
-        begins: whether an upload follows, for which benchmark.json must go, too.
     """
     kept = same | {BENCHMARK_JSON} | ({SHA256SUMS} if place.text else set())
     unlisted = [name for name in place.sizes if name not in kept and name not in place.sums]

@@ -21,7 +21,7 @@ from kinectbench.core.store.download import MOST_FILE_BYTES, Content, download, 
 from kinectbench.core.store.store import in_parallel
 from kinectbench.core.types import Progress
 from kinectbench.core.untrusted import open_plain, read_plain_text
-from kinectbench.engine.locks import locked
+from kinectbench.engine.locks import locked, only_writer
 from kinectbench.release.unpack import unpack_archive
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import load_benchmark
@@ -173,23 +173,7 @@ class Recipe:
         most_bytes: int = MOST_FILE_BYTES,
         room: Callable[[int], object] | None = None,
     ) -> bool:
-        """Download a file if missing, check it, and record its hash in sources.lock.
-
-        Args:
-            file: the file's path below each of `bases`, and its name in sources.lock.
-            path: where the file goes.
-            bases: URLs to try.
-            sha256: the hash that sources.yaml states, if any.
-            check: called with the downloaded file's path; raises an error if it is unusable.
-            most_bytes: most bytes that are downloaded.
-            room: as in `fetch`.
-
-        Returns:
-            Whether it was downloaded now.
-
-        Raises:
-            SettingsError: sources.lock and sources.yaml state different hashes.
-        """
+        """Download a missing file, check it, and record its hash; return whether it was downloaded."""
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(
@@ -220,7 +204,7 @@ class Recipe:
         Raises:
             StorageError: a fetch to another folder has recorded another file under this name.
         """
-        with self._writing:
+        with self._writing, only_writer(self.folder):
             if file in self._locked:
                 return
             # A fetch with another --out may have added entries since this one began.

@@ -214,11 +214,7 @@ def open_release(path: Path) -> Release:
 
 
 def _text(path: Path, content: bytes) -> str:
-    """Decode the bytes of a release's file as UTF-8; `path` is for messages.
-
-    Raises:
-        ReleaseError: the bytes are not UTF-8, or take too much memory as a text.
-    """
+    """Decode the bytes of a release's file as UTF-8; `path` is for messages."""
     try:
         return decoded(content, MAX_READ_BYTES, shown(path))
     except (OSError, UnicodeDecodeError) as error:

@@ -336,7 +336,8 @@ def gallery_json(
         return None, len(holders)
     methods = []
     for table, cells in zip(tables, shown_by, strict=True):
-        under = protocol if any(row.heading == protocol for row in table.rows) else _first_heading(table)
+        headings = [row.heading for row in table.rows] or [""]
+        under = protocol if protocol in headings else headings[0]
         rows = {row.pair: row for row in table.pairs(under)}
         pairs = {
             name: {
@@ -357,10 +358,6 @@ def gallery_json(
         "methods": methods,
     }
     return inert_json(content), len(holders) - len(kept)
-
-
-def _first_heading(table: ScoreTable) -> str:
-    return table.rows[0].heading if table.rows else ""
 
 
 def _truth(truth: PairTruth) -> dict[str, object]:

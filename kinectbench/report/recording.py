@@ -168,11 +168,7 @@ def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction:
 
 
 def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
-    """Read the object's closed mesh, floor frame, and a mask (m,) of its faces that were not measured.
-
-    Raises:
-        StorageError: a file is missing or damaged, or the mesh has no faces.
-    """
+    """Read the object's closed mesh, floor frame, and a mask (m,) of its faces that were not measured."""
     mesh_world = read_own_ply(folder / "mesh.ply")
     if not len(mesh_world.faces):
         raise StorageError(f"{folder / 'mesh.ply'}: has no faces; delete the folder and build it again")

@@ -56,18 +56,12 @@ def space_cells(
                 load_camera_shape(found[target], method),
             )
             free = method.scale == "free"
-            cells[target.name] = prediction_cells(truth, shape, "R+t+s" if free else None)
+            cells[target.name] = _prediction_cells(truth, shape, "R+t+s" if free else None)
     return cells
 
 
-def prediction_cells(truth: SpaceTruth, shape: CameraShape, kind: str | None) -> Packed:
-    """Return the cells of a predicted solid, packed (64, 64, 8), or those with points of its open surface.
-
-    Args:
-        truth: the truth of the view, whose cube has the cells.
-        shape: the predicted shape, camera frame.
-        kind: kind of the registration to the truth, such as `R+t+s`; None: no registration.
-    """
+def _prediction_cells(truth: SpaceTruth, shape: CameraShape, kind: str | None) -> Packed:
+    """Return the cells of a predicted solid, packed (64, 64, 8), or those with points of its open surface."""
     surface, T = surface_of(shape), truth.T_grid_camera
     if kind is not None:
         T = register_surface(truth, surface.transformed(T), kind).T @ T

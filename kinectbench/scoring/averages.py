@@ -143,13 +143,7 @@ def category_averages(
 def _category(
     here: ObjectMeans | None, rate: BaseRate | None, quality: Sequence[ObjectQuality]
 ) -> CategoryAverages:
-    """Return the averages of one category; without a counted pair, only the figures of its truth.
-
-    Args:
-        here: the category's counted objects.
-        rate: the category's base rate.
-        quality: quality of the truth of all its objects.
-    """
+    """Return the averages of one category; without a counted pair, only the figures of its truth."""
     of_truth: dict[str, Any] = {
         "truth_estimated_iou": _known_mean([of.estimated_iou for of in quality]),
         "truth_estimated_iou_low": _known_mean([of.estimated_iou_low for of in quality]),

@@ -85,14 +85,7 @@ def _scored_metrics(means: Mapping[str, ObjectMeans]) -> list[str]:
 
 
 def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[str], protocol: str) -> str:
-    """Return the message that methods were not scored under a protocol, with the protocols that all have.
-
-    Args:
-        tables: by the methods' names.
-        of: {method: {protocol: means}}.
-        lacking: the methods that were not scored under the protocol.
-        protocol: the protocol.
-    """
+    """Return the message that methods were not scored under a protocol, with the protocols that all have."""
     line = f"{', '.join(lacking)}: not scored under '{protocol}'"
     if shared := [name for name in next(iter(of.values())) if all(name in means for means in of.values())]:
         return f"{line}; all are under {', '.join(shared)}: compare with `--protocol {shared[0]}`"

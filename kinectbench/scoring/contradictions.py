@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from kinectbench.core.artefacts.score_figures import VOXEL_METRICS, ScoreRow
 from kinectbench.core.artefacts.score_marks import ACCOUNTED
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.names import Named, first_clash, reserved_problem
+from kinectbench.core.names import Named, first_clash, listed, reserved_problem
 from kinectbench.core.storage import name_problem
 from kinectbench.core.untrusted import printable
 from kinectbench.engine.artefact import VERSIONS
@@ -109,7 +109,7 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
         yield "its protocols are of different pairs"
     protocols, present = table.settings.protocols, sorted({row.protocol for row in table.rows})
     if present and protocols and present != sorted(protocols):
-        yield f"its rows are under {_listed(present)}, its settings name {_listed(protocols)}"
+        yield f"its rows are under {_named(present)}, its settings name {_named(protocols)}"
 
 
 def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
@@ -175,7 +175,7 @@ def _of_thresholds(table: ScoreTable) -> Iterator[str]:
             )
     shared = sorted({row.object for row in table.rows} & set(table.threshold_objects or ()))
     if shared:
-        yield f"its thresholds were found on objects that it scores ({_listed(shared)})"
+        yield f"its thresholds were found on objects that it scores ({_named(shared)})"
 
 
 def _of_sources(table: ScoreTable) -> Iterator[str]:
@@ -190,7 +190,7 @@ def _of_sources(table: ScoreTable) -> Iterator[str]:
         yield "'thresholds', 'threshold_source_by_category' and the rows are of different categories"
         return
     if not _fit(source, set(sources.values()), table.score_version):
-        names = _listed(sorted({printable(of, 17) for of in sources.values()}))
+        names = _named(sorted({printable(of, 17) for of in sources.values()}))
         yield f"its thresholds are from {printable(source, 17)}, those of its categories from {names}"
     for name, of in sources.items():
         if of == FIXED_SOURCE and table.thresholds[name] != FIXED:
@@ -244,7 +244,5 @@ def _near(one: float, other: float) -> bool:
     return math.isclose(one, other, rel_tol=ROUNDING, abs_tol=ROUNDING)
 
 
-def _listed(names: Sequence[str], at_most: int = 3) -> str:
-    """Return up to `at_most` names, made safe to print, and the number of the others."""
-    more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
-    return ", ".join(printable(name, 60) for name in names[:at_most]) + more
+def _named(names: Sequence[str]) -> str:
+    return listed((printable(name, 60) for name in names), 3)

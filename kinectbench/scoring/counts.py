@@ -204,12 +204,7 @@ def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
 
 
 def _overlaps(cells: int, side: int) -> Float32:
-    """Return the fraction of each coarse cell that each fine cell covers along one axis: (side, cells).
-
-    Args:
-        cells: number of fine cells along the axis.
-        side: number of coarse cells along the same length.
-    """
+    """Return the fraction of each coarse cell that each fine cell covers along one axis: (side, cells)."""
     fine, coarse = np.arange(cells), np.arange(side)[:, None] * (cells / side)
     covered = np.minimum(fine + 1, coarse + cells / side) - np.maximum(fine, coarse)
     return np.asarray(np.clip(covered, 0, None) * (side / cells), dtype=np.float32)

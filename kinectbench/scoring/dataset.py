@@ -194,11 +194,7 @@ def checked_keys(keys: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def _read(release: Release, target: Target, names: Sequence[str]) -> Arrays:
-    """Read some arrays of a pair file by key, checked.
-
-    Raises:
-        ReleaseError, PairError: as in `Dataset.__getitem__`.
-    """
+    """Read some arrays of a pair file by key, checked."""
     content, where = release.pair_content(target), release.pair_path(target)
     try:
         present = keys_there(names, content)

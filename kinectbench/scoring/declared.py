@@ -6,6 +6,7 @@ from typing import Any
 
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
 from kinectbench.core.errors import PredictionError
+from kinectbench.core.names import listed
 from kinectbench.core.untrusted import printable
 from kinectbench.release.release import Release
 from kinectbench.scoring.mesh_prediction import MESHES
@@ -113,8 +114,7 @@ def _unknown_keys(method: MethodFile) -> Iterator[str]:
         for key in method.model_extra or {}
     ]
     if keys:
-        more = f" and {len(keys) - NAMED} more" if len(keys) > NAMED else ""
-        yield f"not known, and not looked at: {', '.join(keys[:NAMED])}{more}"
+        yield f"not known, and not looked at: {listed(keys, NAMED)}"
 
 
 def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list[str]:

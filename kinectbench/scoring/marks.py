@@ -1,14 +1,16 @@
 """Caveats of a score table, as one short mark each."""
 
-from collections.abc import Sequence
-
 from kinectbench.core.artefacts import score_marks as kinds
 from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.score_marks import ACCOUNTED, Mark
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.names import listed
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHOD_SOURCE, POOLED_SOURCE
+
+# Most names in a mark.
+LISTED = 3
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
@@ -66,7 +68,7 @@ def _from(table: ScoreTable, source: str, words: str) -> str:
     value = table.thresholds.get(names[0], FIXED) if names else FIXED
     if sources and table.threshold_source == source and len(names) == len(sources):
         return f"thresholds {words} {value:g}"
-    return f"threshold {words} {value:g}: {_listed(names)}" if names else ""
+    return f"threshold {words} {value:g}: {listed(names, LISTED)}" if names else ""
 
 
 def _unchecked(table: ScoreTable) -> str:
@@ -81,9 +83,3 @@ def _closed(table: ScoreTable) -> str:
     closed = {row.pair for row in table.rows if row.closed is not None}
     views = len({row.pair for row in table.rows})
     return f"{len(closed)} of {views} open, closed by {table.settings.close}" if closed else ""
-
-
-def _listed(names: Sequence[str], at_most: int = 3) -> str:
-    """Return at most `at_most` names, and the number of the others."""
-    more = f" and {len(names) - at_most} more" if len(names) > at_most else ""
-    return ", ".join(names[:at_most]) + more

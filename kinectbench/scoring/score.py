@@ -217,9 +217,6 @@ def _left_out(
     """Return tables, without scores, of methods that the protocols do not fit, if they fit another method.
 
     Each is written, unless earlier scores of the method are there, which are kept.
-
-    Raises:
-        SettingsError: the protocols fit no method.
     """
     declared = {name: read_in_camera(folder) for name, folder in methods.items()}
     reasons = {name: unfit(protocols, of) for name, of in declared.items() if of is not None}
@@ -302,14 +299,9 @@ def _methods(release: Release, predictions: Path, method: str | None, request: R
     for name, folder in named.items():
         check_method(name)
         check_declared(request, folder, of_several=len(named) > 1)
-        if saved is not None and not _answers_validation(release, folder):
+        if saved is not None and not find_predictions(folder, release.split("validation")).files:
             raise SettingsError(f"--save-thresholds {saved}: {NOT_FROM_VALIDATION}")
     return named
-
-
-def _answers_validation(release: Release, folder: Path) -> bool:
-    """Return whether a method predicts any pair of the validation split."""
-    return bool(find_predictions(folder, release.split("validation")).files)
 
 
 def _freeze(release: Release, table: ScoreTable, path: Path | None) -> None:

@@ -56,7 +56,7 @@ def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Al
     own = nodes.get(RECORDINGS)
     if patterns is None or not _are_texts(patterns):
         return root
-    if not (own is None or isinstance(own, yaml.SequenceNode) or _is_null(own)):
+    if not (own is None or isinstance(own, yaml.SequenceNode) or own.tag == yaml_nodes.NULL_TAG):
         return root
     entries = list(own.value) if isinstance(own, yaml.SequenceNode) else []
     left = _Left(allowance, seen={followed(config)})
@@ -76,10 +76,6 @@ def _are_texts(node: yaml.Node) -> bool:
         and node.value != []
         and all(isinstance(each, yaml.ScalarNode) and each.tag == yaml_nodes.STR_TAG for each in node.value)
     )
-
-
-def _is_null(node: yaml.Node) -> bool:
-    return bool(node.tag == yaml_nodes.NULL_TAG)
 
 
 def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:

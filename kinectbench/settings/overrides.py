@@ -7,9 +7,10 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from kinectbench.core.errors import SettingsError, pydantic_message
+from kinectbench.core.names import listed
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.base import Settings
-from kinectbench.settings.words import field_at, listed, model_of, suggestion, wanted
+from kinectbench.settings.words import field_at, model_of, suggestion, wanted
 
 Model = TypeVar("Model", bound=Settings)
 

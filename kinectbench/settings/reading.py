@@ -2,7 +2,7 @@
 
 import codecs
 import fnmatch
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import takewhile
 from pathlib import Path
 
@@ -106,12 +106,8 @@ def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path
     if is_web(url):
         raise ValueError("a web server does not list its files; name each of them")
     names = (each.name.split("/") for each in Store(url).objects("/".join(known)))
-    matches = sorted(name for name in names if len(name) == len(parts) and _all_match(name, parts))
+    matches = sorted(n for n in names if len(n) == len(parts) and all(map(_matches, n, parts)))
     return [folder.joinpath(*name) for name in matches]
-
-
-def _all_match(name: Sequence[str], parts: Sequence[str]) -> bool:
-    return all(_matches(one, part) for one, part in zip(name, parts, strict=True))
 
 
 def _matches(name: str, part: str) -> bool:

@@ -2,17 +2,16 @@
 
 import difflib
 import types
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Literal, Union, get_args, get_origin
 
 import annotated_types
 from pydantic.fields import FieldInfo
 
+from kinectbench.core.names import listed
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings
 
-# Most names to list: more than a section has keys, but fewer than a thousand recordings.
-LISTED = 40
 Location = tuple[str | int, ...]
 # Error code for the type of pydantic's first error; other types have the code of the error's class.
 WHAT_OF_TYPE = {"extra_forbidden": "unknown-key", "missing": "missing-key"}
@@ -119,10 +118,3 @@ def near_miss(name: str, valid: Sequence[str]) -> str:
     """A hint with the most similar valid name; empty if none is similar."""
     near = difflib.get_close_matches(name.lower().replace("-", "_"), valid, n=1)
     return f"did you mean '{near[0]}'?" if near else ""
-
-
-def listed(names: Iterable[str]) -> str:
-    """Join names by commas; of very many, only the first ones."""
-    all_of = list(names)
-    more = f" and {len(all_of) - LISTED} more" if len(all_of) > LISTED else ""
-    return ", ".join(all_of[:LISTED]) + more

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources
-from kinectbench.core.storage import pretty_json
+from kinectbench.core.storage import pretty_json, sha256_file
 from kinectbench.engine import artefact as artefacts
 from kinectbench.engine.artefact import Artefact, has_sizes, whole_hash
 from kinectbench.engine.place import statuses
@@ -64,7 +64,7 @@ def last_current(job: Job) -> str | None:
         ({}, "rec/depth/000001.png", None),
     ],
 )
-def test_inputs_are_compared_by_names_and_sizes(
+def test_inputs_are_compared_by_names_sizes_and_times(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, named: dict[str, str], changed: str, last: str | None
 ) -> None:
     recorded(tmp_path)
@@ -72,16 +72,30 @@ def test_inputs_are_compared_by_names_and_sizes(
     listed: list[object] = []
     has_sizes = artefacts.has_sizes
 
-    def once(*of: object) -> bool:
+    def once(*of: object, **named: bool) -> bool:
         listed.append(of)
-        return has_sizes(*of)  # type: ignore[arg-type]
+        return has_sizes(*of, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr("kinectbench.engine.stages.has_sizes", once)
-    monkeypatch.setattr(artefacts, "sha256_file", lambda path: pytest.fail(f"{path} is read"))
-    for path in (tmp_path / "drawn/000002.png", tmp_path / "cad.ply"):
+    read = list[Path]()
+
+    def hashed(path: Path) -> str:
+        read.append(path)
+        return sha256_file(path)
+
+    monkeypatch.setattr(artefacts, "sha256_file", hashed)
+    assert last_current(job) == "pairs" and read == []
+    listed.clear()
+    touched = tmp_path / "drawn/000002.png", tmp_path / "cad.ply", tmp_path / "rec/depth/000001.png"
+    for path in touched:
         path.touch()
-    assert last_current(job) == "pairs"
+    assert last_current(job) == "pairs"  # the same bytes at another time, as after a copy
+    assert set(read) <= set(touched[:2]) and len(read) == len({"masks", "reference"} & named.keys())
     assert len(listed) == 1 + len({"masks", "reference"} & named.keys())  # each once
+    if named and (tmp_path / changed).exists():
+        before = (tmp_path / changed).read_bytes()
+        (tmp_path / changed).write_bytes(bytes(byte ^ 1 for byte in before))  # of equal size
+        assert last_current(job) == last
     (tmp_path / changed).write_bytes(b"of another size")
     assert last_current(job) == last
 

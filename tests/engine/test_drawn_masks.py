@@ -36,13 +36,16 @@ Command = Callable[..., Run]
 MASKS = ("--set", "recordings.chair.masks=masks/chair")
 
 
-def sequence(*images: int) -> Any:
+COLOR = bytes(cv2.imencode(".jpg", np.zeros((4, 6, 3), np.uint8))[1])
+
+
+def sequence(*images: int, color: bytes = COLOR) -> Any:
     """Frames whose depth is one number each, in mm, and whose colour is one file."""
 
     def depth_mm(index: int) -> Any:
         return np.full((4, 6), images[index], np.uint16)
 
-    frames = SimpleNamespace(depth_native=depth_mm, color_encoded=lambda index: (".jpg", b"colour"))
+    frames = SimpleNamespace(depth_native=depth_mm, color_encoded=lambda index: (".jpg", color))
     found = type("Frames", (), {"__len__": lambda _: len(images), "frames": frames})()
     found.depth_m = lambda index: depth_mm(index).astype(np.float32) / 1000
     return found
@@ -172,6 +175,16 @@ def test_other_poses_make_another_picture_of_the_same_frame(tmp_path: Path) -> N
         masks.check_views(frames, views("faster", 1.5))
 
 
+def test_a_mask_drawn_on_a_view_with_metadata_is_used_on_the_same_without(tmp_path: Path) -> None:
+    photo = COLOR[:2] + b"\xff\xe1\0\x0aExif\0\0MM" + COLOR[2:]
+    masks, frames = drawn(tmp_path / "masks", {"frame_000001.png": 11}), sequence(10, 11, color=photo)
+    of_photo = masks.check_views(frames, drawn_views(tmp_path / "older", (1, 901), color=photo))
+    now = drawn_views(tmp_path / "now", (1, 901), color=COLOR)
+    assert of_photo.check_views(frames, now) == of_photo
+    with raises(SettingsError, "settings.stale-masks", match="drawn on other pictures"):
+        of_photo.check_views(frames, drawn_views(tmp_path / "other", (1, 902), color=COLOR))
+
+
 def test_an_older_masks_file_is_used_as_it_was(tmp_path: Path) -> None:
     """Its entries are images alone; what they are used on is their picture from then on."""
     masks = drawn(tmp_path / "masks", {"frame_000001.png": 11, "frame_000000.png": 10})
@@ -190,7 +203,7 @@ def test_a_mask_of_a_frame_as_it_was_recorded_is_none_of_a_corrected_view(
     shown_mm: int, tmp_path: Path
 ) -> None:
     """Nor one of the view a mask of the frame; where nothing was corrected, both are the same picture."""
-    frames, views = sequence(10, 11), drawn_views(tmp_path / "views", (1, shown_mm), color=b"colour")
+    frames, views = sequence(10, 11), drawn_views(tmp_path / "views", (1, shown_mm), color=COLOR)
     fits = (
         nullcontext() if shown_mm == 11 else pytest.raises(SettingsError, match=r"its entry from masks\.json")
     )

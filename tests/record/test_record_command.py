@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,51 @@ def test_a_signal_ends_it_well(tmp_path: Path, source: Path, number: int) -> Non
     count = check_prefix(tmp_path / "out", source)
     assert process.returncode == 0 and f"wrote {tmp_path / 'out'}: {count} frames in" in out, err
     assert "error" not in err
+
+
+SLOW_OBSERVER = """
+import sys, threading
+from pathlib import Path
+from kinectbench.engine.interrupts import interrupts_remembered
+from kinectbench.record.devices.replay import Replay
+from kinectbench.record.recorder import record
+
+class Slow:
+    def see(self, number, frame, setup):
+        threading.Event().wait()
+
+with interrupts_remembered():
+    done = record(Replay(Path(sys.argv[1]), 1.0, None), Path(sys.argv[2]), observers=[Slow()])
+    print(done.frames)
+"""
+
+
+def test_a_second_ctrl_c_keeps_the_outcome(tmp_path: Path, source: Path) -> None:
+    """It comes while an observer, which may be the guide, is still waited for."""
+    out = tmp_path / "out"
+    words = [sys.executable, "-c", SLOW_OBSERVER, str(source), str(out)]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 60
+    while not (out / "depth.txt").is_file() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    time.sleep(1)
+    process.send_signal(signal.SIGINT)
+    said, err = process.communicate(timeout=30)
+    assert (process.returncode, said) == (0, f"{check_prefix(out, source)}\n"), err
+
+
+def test_ctrl_c_while_the_guide_closes_keeps_the_line(
+    command: Callable[..., Run], tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @contextmanager
+    def interrupted(*_: object) -> Iterator[None]:
+        yield None
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("kinectbench.cli.record._guide", interrupted)
+    run = command(tmp_path, "record", "out", "--from", str(source), "--speed", "100")
+    assert run.status == 0 and f"wrote out: {check_prefix(tmp_path / 'out', source)} frames in" in run.out
 
 
 def test_killed_at_random_moments_it_is_readable_to_the_last_second(tmp_path: Path, source: Path) -> None:

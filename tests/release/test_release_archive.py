@@ -36,6 +36,14 @@ def test_twice_the_same_bytes(release: Release, tmp_path: Path) -> None:
     subprocess.run(["sha256sum", "-c", "--quiet", f"{first.name}.sha256"], cwd=first.parent, check=True)
 
 
+def test_each_checked_and_packed_file_is_progress(release: Release, tmp_path: Path) -> None:
+    steps = list[tuple[int, int]]()
+    write_archive(release.folder, tmp_path, lambda done, total: steps.append((done, total)))
+    files = 2 * len(release.sums)
+    assert steps[0] == (1, files) and steps[-1] == (files, files)
+    assert [done for done, _ in steps] == sorted(done for done, _ in steps) and len(steps) == files + 1
+
+
 def test_content(release: Release, tmp_path: Path) -> None:
     path = write_archive(release.folder, tmp_path)
     with zipfile.ZipFile(path) as archive:

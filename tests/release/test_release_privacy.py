@@ -15,8 +15,9 @@ from synthetic_release import RECORDINGS, synthetic_settings, write_build, write
 
 from kinectbench.core.artefacts.provenance import Removed, ThresholdsFile
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.jpeg_metadata import without_metadata
 from kinectbench.release.check.verify import verify
-from kinectbench.release.publish.privacy import scrubbed, scrubbed_file, without_metadata
+from kinectbench.release.publish.privacy import scrubbed, scrubbed_file
 from kinectbench.release.publish.publish import publish
 
 NAMES = [recording[0] for recording in RECORDINGS]

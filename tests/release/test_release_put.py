@@ -39,6 +39,14 @@ def test_what_is_put_is_fetched(release: Release, url: str, tmp_path: Path) -> N
     assert put_release(release.folder, Store(url)) == PutSummary(put=0, kept=files, removed=0)
 
 
+def test_each_checked_and_put_file_is_progress(release: Release, tmp_path: Path) -> None:
+    steps, files = list[tuple[int, int]](), len(release.sums)
+    put_release(release.folder, Store(f"file://{tmp_path}/store"), lambda *step: steps.append(step))
+    assert steps[:files] == [(done, files) for done in range(1, files + 1)]
+    assert steps[-1] == (2 * files + 1, 2 * files + 1) and steps == sorted(steps)
+    assert len(steps) == 2 * files
+
+
 def test_another_release_takes_its_place(release: Release, analytic: Path, s3: str, tmp_path: Path) -> None:
     put_release(release.folder, Store(s3))
     put = put_release(analytic / "benchmark", Store(s3))

@@ -30,12 +30,7 @@ FINITE = ConfigDict(allow_inf_nan=False)
 
 
 def _share(heading: str | None, meaning: str) -> Any:
-    """Declare a metric in [0, 1] of which higher values are better.
-
-    Args:
-        heading: heading of its column on the page; None keeps it off the page.
-        meaning: what it measures, in one sentence.
-    """
+    """Declare a metric in [0, 1] of which more is better; without a heading it stays off the page."""
     return Field(None, title=heading, description=meaning, json_schema_extra=SHARE)
 
 

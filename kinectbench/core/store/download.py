@@ -282,11 +282,7 @@ def _opened(url: str, at: int = 0, mark: str = "") -> Iterator[http.client.HTTPR
 
 
 def _any_answers(urls: Sequence[str]) -> None:
-    """Check that at least one of the servers responds to a HEAD request.
-
-    Raises:
-        _BrokenError: no server answers.
-    """
+    """Check that at least one of the servers responds to a HEAD request."""
     for url in urls:
         with contextlib.suppress(_RefusedError, _BrokenError):
             _answer(urllib.request.Request(url, method="HEAD")).close()

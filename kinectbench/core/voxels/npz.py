@@ -165,9 +165,6 @@ def _inflated(file: IO[bytes], archive: zipfile.ZipFile, entry: zipfile.ZipInfo)
 
     zipfile takes 2.5 times as long for the three grids that training reads (median of real pairs: 12 ms, and
     5 ms), nearly all of it in zlib.
-
-    Raises:
-        zipfile.BadZipFile: it is damaged.
     """
     archive.open(entry).close()  # looks at the entry's head
     file.seek(entry.header_offset + _LENGTHS_AT)

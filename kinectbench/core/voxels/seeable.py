@@ -30,6 +30,7 @@ from kinectbench.core.voxels.lines_of_sight import (
     seen_along,
 )
 from kinectbench.core.voxels.morphology import from_beyond
+from kinectbench.core.voxels.pair_file import unpack
 
 # Directions of the sweeps over all voxels, and of those asked at the edge of what these found: 2.5 degrees
 # apart. With 200 for 60 what is closed moved by 0.1 % of the volume at most (eight families); with 1,600 for
@@ -362,7 +363,6 @@ def seeable_solid(
         ShapeError: the mesh is empty, or lies below the plane.
     """
     from kinectbench.core.voxels.open_mesh import voxelize_surface
-    from kinectbench.core.voxels.pair_file import unpack
     from kinectbench.core.voxels.solid import voxelize_solid
 
     if not len(mesh_world.faces):

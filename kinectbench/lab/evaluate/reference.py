@@ -13,7 +13,6 @@ from kinectbench.core.artefacts.reference import (
     DirectionPart,
     DirectionsPart,
     ReferenceFile,
-    RunnerUpPart,
 )
 from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
@@ -144,7 +143,9 @@ def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool
         )
     f_5mm, f_10mm = f_scores(model, fit, T, (0.005, 0.01))
     whole, known = solids_iou(model, fit.theirs.mesh.transformed(T)) if closed else (None, None)
-    other, axis = fit.runner_up, fit.symmetric_axis_floor
+    axis_floor = None
+    if fit.symmetric_axis_floor is not None:
+        axis_floor = tuple(round(float(value), 4) for value in fit.symmetric_axis_floor)
     return head.model_copy(
         update={
             "T_world_reference": T,
@@ -152,15 +153,8 @@ def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool
             "scale": round(fit.scale, DECIMALS),
             "mirrored_m": None if fit.mirrored_m is None else round(fit.mirrored_m, DECIMALS),
             **({"mirror_fits_as_well": True} if fit.mirror_as_well else {}),
-            "runner_up": None
-            if other is None
-            else RunnerUpPart(
-                residual_m=round(other.residual_m, DECIMALS),
-                turn_rad=other.turn_rad,
-                axis_floor=_triple(other.axis_floor),
-                fits_as_well=other.fits_as_well,
-            ),
-            "symmetric_axis_floor": None if axis is None else _triple(axis),
+            "runner_up": fit.runner_up,
+            "symmetric_axis_floor": axis_floor,
             "f_score_5mm": round(f_5mm, DECIMALS),
             "f_score_10mm": round(f_10mm, DECIMALS),
             "iou": None if known is None else round(known, DECIMALS),
@@ -168,11 +162,6 @@ def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool
             "directions": by_direction(fit, T, T_floor_world),
         }
     )
-
-
-def _triple(vector: Float64) -> tuple[float, float, float]:
-    x, y, z = (round(float(value), 4) for value in vector)
-    return x, y, z
 
 
 def f_scores(

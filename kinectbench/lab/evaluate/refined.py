@@ -73,7 +73,7 @@ def refined_figures(
         surface: samples of the true surface, with a mask of measured ones.
     """
     mesh = model.shape.mesh.transformed(registration.T_truth_built)
-    T = refining_motion(mesh, truth, surface)
+    T = _refining_motion(mesh, truth, surface)
     moved = replace(registration, T_truth_built=T @ registration.T_truth_built)
     refined = mesh.transformed(T)
     middle = truth.mesh_world.vertices.mean(axis=0)
@@ -98,17 +98,12 @@ def measured_distance_m(mesh_world: TriangleMesh, surface: MeasuredSurface) -> f
     return float(distance_m[near].mean()) if near.any() else None
 
 
-def refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> Float64:
+def _refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> Float64:
     """Return the rigid motion (4, 4) that registers a closed mesh to the measured true surface.
 
     It minimises point-to-plane distances (Chen and Medioni 1992) by Gauss-Newton, over samples at most 15 mm
     from the mesh. Samples within 15 mm of sharp edges are left out if enough remain, because built edges are
     round. Without samples, the motion is the identity.
-
-    Args:
-        mesh_world: the closed mesh, truth's world, metres.
-        truth: the exact solid.
-        surface: samples of the true surface.
     """
     faces = on_faces(truth, surface)
     chosen = np.flatnonzero(faces if faces.sum() >= LEAST_SAMPLES else surface.measured)

@@ -13,6 +13,7 @@ from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.storage import pretty_json, replaced_folder
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Progress
+from kinectbench.engine.locks import sweep
 from kinectbench.engine.stages import Job
 from kinectbench.lab.evaluate import charts
 from kinectbench.lab.evaluate.build import Build, read_build, register_build
@@ -163,6 +164,7 @@ def evaluate_recording(
         RecordingError: there is no readable truth, or it is of another recording.
         PairError: a pair is damaged.
     """
+    sweep(out)
     if out.exists() and not _replaceable(out):
         raise StorageError(
             f"{out}: holds something else than an evaluation; choose a new or empty folder",
@@ -171,7 +173,7 @@ def evaluate_recording(
     built = read_build(build)
     true = replace(read_truth(truth), limits=built.limits)
     evaluation = evaluate(built, true, align=align, progress=progress)
-    pictures = make_pictures(built, true, evaluation, align)
+    pictures = _make_pictures(built, true, evaluation, align)
     page = make_page(build.resolve().name, evaluation, pictures)
     with replaced_folder(out) as temporary:
         (temporary / FIGURES).write_text(pretty_json(evaluation_json(evaluation)), encoding="utf-8")
@@ -181,15 +183,8 @@ def evaluate_recording(
     return evaluation
 
 
-def make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
-    """Return {key of `CAPTIONS`: PNG file}, without pictures of stages that were not built.
-
-    Args:
-        build: the build.
-        truth: the simulator's truth.
-        evaluation: the figures; the picture of the path uses those of the trajectory.
-        align: whether to align the build's world with the truth's by the trajectories.
-    """
+def _make_pictures(build: Build, truth: Truth, evaluation: Evaluation, align: bool) -> dict[str, bytes]:
+    """Return {key of `CAPTIONS`: PNG file}, without pictures of stages that were not built."""
     registration = register_build(build, truth, align)
     T_object_world = invert_rigid(truth.T_world_object)
     true_object = truth.mesh_world.transformed(T_object_world)

@@ -156,12 +156,6 @@ def _spec(name: str, frames: int, form: str, world: WorldFrame) -> SimulationSpe
     """Return the spec of a short recording at 320x240 and 5 Hz; to save space, it has no noise-free depth.
 
     Around tables the camera is held low, so that it also sees below the top.
-
-    Args:
-        name: the object's name, such as "chair:seed=3".
-        frames: number of frames.
-        form: format of the recording.
-        world: which frame is the world.
     """
     low = {"elevation_rad": 0.2} if name.startswith("table") else {}
     values = {

@@ -105,13 +105,8 @@ class SimulatedFrame:
     mask: NDArray[np.bool_]
 
 
-def make_subject(spec: SimulationSpec) -> Subject:
-    """Make the object of a spec: drawn by its family and seed, or read from a mesh file.
-
-    Raises:
-        SettingsError: unknown family.
-        RecordingError: the mesh cannot be used.
-    """
+def _make_subject(spec: SimulationSpec) -> Subject:
+    """Make the object of a spec: drawn by its family and seed, or read from a mesh file."""
     if spec.mesh is None:
         return make_object(*parse_object(spec.object))
     from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
@@ -125,7 +120,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
     Raises:
         SettingsError, RecordingError: the family is unknown; the mesh cannot be used.
     """
-    subject = make_subject(spec)
+    subject = _make_subject(spec)
     min_range_m = MIN_RANGE_M[spec.sensor.model]
     path = draw_path(turning_only(spec.path), subject.mesh, spec.camera, spec.rng(PATH), min_range_m)
     rng = spec.rng(SCENE)

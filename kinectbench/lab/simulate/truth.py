@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 from kinectbench._version import __version__
 from kinectbench.core.errors import KinectBenchError, RecordingError
 from kinectbench.core.geometry import Camera, Grid, TriangleMesh
+from kinectbench.core.geometry.mesh import read_own_ply, write_ply
 from kinectbench.core.names import RESULTS
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Bools
+from kinectbench.core.voxels.npz import UNREADABLE, load_arrays, npz_bytes
+from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
 
 FORMAT_VERSION = 2
@@ -195,9 +198,7 @@ def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = 
     same poses as TUM text, without frames of another scene), floor.json, object.ply (world frame) and
     surface.npz (`points_world`, `normals_world`, `frames_seen`).
     """
-    from kinectbench.core.geometry.mesh import write_ply
     from kinectbench.core.trajectory.trajectory_file import trajectory_text
-    from kinectbench.core.voxels.npz import npz_bytes
 
     known = np.isfinite(truth.T_world_camera).all(axis=(1, 2))
     record = {
@@ -238,9 +239,6 @@ def read_truth(folder: Path) -> Truth:
     Raises:
         RecordingError: there is no truth, it is damaged, or it has another format version.
     """
-    from kinectbench.core.geometry.mesh import read_own_ply
-    from kinectbench.core.voxels.npz import UNREADABLE, load_arrays
-
     path = folder / "truth.json"
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
@@ -277,7 +275,6 @@ def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
 
     The number of cells along the grid's last axis must be a multiple of 8.
     """
-    from kinectbench.core.voxels.pair_file import unpack
     from kinectbench.core.voxels.solid import voxelize_solid
 
     return unpack(voxelize_solid(mesh_world.vertices, mesh_world.faces, grid))

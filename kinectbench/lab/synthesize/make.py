@@ -120,16 +120,7 @@ Pairs = Iterator[tuple[ViewAngles, Pair, str | None]]
 def _write_release(
     task: Task, group: str, files: Path, checked: CheckedMesh, camera: Camera, pairs: Pairs
 ) -> MadeGroup:
-    """Write a group's pairs, views and object as a recording of a release; return its views and refusals.
-
-    Args:
-        task: the model and its split.
-        group: "sv" or "cv" (same or cross viewing).
-        files: the folder to write into.
-        checked: the model's mesh.
-        camera: the virtual camera.
-        pairs: (view, pair, reason why it is refused or None) of each pair.
-    """
+    """Write a group's pairs, views and object as a recording of a release; return its views and refusals."""
     recording = f"{task.model.name}-{group}"
     for name in ("pairs", "views", "objects"):
         (files / name / recording).mkdir(parents=True)

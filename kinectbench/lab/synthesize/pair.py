@@ -87,13 +87,7 @@ def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
 
 
 def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
-    """Return the share of the shape that lies outside a cube, 0 to 1.
-
-    Args:
-        grid: the cube.
-        checked: the shape.
-        whole: a grid that contains the whole shape; its cells are counted.
-    """
+    """Return the share of the shape that lies outside a cube, 0 to 1."""
     corners = transform_points(grid.T_grid_world, checked.mesh.vertices)
     side_m = grid.shape[0] * grid.voxel_size_m
     if corners.min() >= 0 and corners.max() <= side_m:
@@ -105,13 +99,7 @@ def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
 
 
 def _reason(pair: Pair, min_containment: float, cut_share: float) -> str | None:
-    """Return the reason why a pair must not be used; None if it may be.
-
-    Args:
-        pair: the pair.
-        min_containment: least share of the visible part's cells that must lie in the full shape.
-        cut_share: share of the full shape outside the pair's cube.
-    """
+    """Return the reason why a pair must not be used; None if it may be."""
     if cut_share > MAX_CUT_SHARE:
         return f"the cube of framing view cuts off {cut_share:.1%} of it, more than {MAX_CUT_SHARE:.0%}"
     if not pair.full.any():

@@ -4,15 +4,16 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from kinectbench._version import __version__
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
 from kinectbench.core.artefacts.object import MadeModel, QualityFile
+from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError, ShapeError, StorageError
@@ -31,6 +32,7 @@ from kinectbench.lab.synthesize.models import (
     folder_models,
 )
 from kinectbench.release.contents import release_files
+from kinectbench.release.exchange.layouts import names_sha256, refuse_others
 from kinectbench.release.publish.card import CardTexts
 from kinectbench.release.publish.small_files import Head, write_small_files
 from kinectbench.release.published import release_text
@@ -48,6 +50,16 @@ TEXTS = CardTexts(
 )
 # Up to so many models are checked sooner than other processes would start.
 FEW = 40
+
+
+class SynthesisFile(Stored):
+    """What is read of synthesis.json before an earlier result is replaced."""
+
+    FILE: ClassVar[str] = SYNTHESIS_JSON
+    ERROR: ClassVar[type[KinectBenchError]] = SettingsError
+    ADVICE: ClassVar[str] = "choose a new or empty folder"
+
+    files_sha256: str | None = None
 
 
 def assemble(
@@ -87,6 +99,7 @@ def assemble(
             content["models"] = {
                 task.model.name: row.json_value() for task, row in zip(tasks, made, strict=True)
             }
+            content["files_sha256"] = names_sha256(folder, SYNTHESIS_JSON)
             (folder / SYNTHESIS_JSON).write_text(pretty_json(content), encoding="utf-8")
             return pairs, ""
         return pairs, _complete(tasks, made, settings, folder, lines)
@@ -99,15 +112,7 @@ def _complete(
     folder: Path,
     lines: Sequence[str],
 ) -> str:
-    """Write all files of a release but the pairs, views and objects; return its benchmark_sha256.
-
-    Args:
-        tasks: one for each model.
-        made: what was made of each, in the same order.
-        settings: the run's settings, without paths.
-        folder: the release, which holds the pairs, views and objects.
-        lines: the report, for the dataset card.
-    """
+    """Write all files of a release but the pairs, views and objects; return its benchmark_sha256."""
     targets: list[Target] = []
     infos: dict[str, RecordingInfo] = {}
     for task, content in zip(tasks, made, strict=True):
@@ -231,6 +236,12 @@ def _check_target(out: Path) -> None:
     """Refuse to replace a folder that `synthesize` did not write."""
     if not out.exists() and not out.is_symlink():
         return
+    if (out / SYNTHESIS_JSON).is_file():
+        written_sha256 = None
+        with suppress(KinectBenchError):  # a damaged file says nothing
+            written_sha256 = SynthesisFile.read(out).files_sha256
+        refuse_others(out, written_sha256, SYNTHESIS_JSON)
+        return
     if not out.is_dir() or (any(out.iterdir()) and not _is_ours(out)):
         raise SettingsError(
             f"{out}: holds something else; choose a new or empty folder", what="other-content"
@@ -238,9 +249,7 @@ def _check_target(out: Path) -> None:
 
 
 def _is_ours(out: Path) -> bool:
-    """Return whether a folder holds only files that `synthesize` wrote."""
-    if (out / SYNTHESIS_JSON).is_file():
-        return all(path.name == SYNTHESIS_JSON or path.name.startswith("P1_") for path in out.iterdir())
+    """Return whether a folder holds only files of a release that `synthesize` wrote."""
     if not (out / BENCHMARK_JSON).is_file() or not (out / SHA256SUMS).is_file():
         return False
     sums = parse_sums(release_text(out / SHA256SUMS), str(out / SHA256SUMS))

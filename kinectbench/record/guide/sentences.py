@@ -91,10 +91,6 @@ class Ring:
         """Centres (n,) of the sectors that are unseen from every height, radians."""
         return _middles_rad(np.asarray((self.frames < FRAMES_ENOUGH).all(axis=1)))
 
-    def unseen_at(self, height: int) -> Float64:
-        """Return the centres (n,) of the sectors that are unseen from one height, radians."""
-        return _middles_rad(self.frames[:, height] < FRAMES_ENOUGH)
-
 
 @dataclass(frozen=True)
 class Situation:
@@ -214,7 +210,7 @@ def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
     if lowest_rad > HEIGHT_EDGES_RAD[0] - THERE_RISE_RAD:
         bands = bands[1:]
     for height, kind in bands:
-        unseen_rad = now.ring.unseen_at(height)
+        unseen_rad = _middles_rad(now.ring.frames[:, height] < FRAMES_ENOUGH)
         if len(unseen_rad) and height_of(at_rad) != height:
             return Advice(kind, f"hold the camera {kind}, and go around once more")
         if len(unseen_rad):

@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 
+from yaml import ScalarNode
+
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
@@ -159,11 +161,7 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
 
 
 def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
-    """Yield a message for each violation of a JSON file's schema.
-
-    Raises:
-        ReleaseError: the file is not JSON.
-    """
+    """Yield a message for each violation of a JSON file's schema."""
     text = contents.text(name)
     release_json(text, name)
     yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
@@ -188,20 +186,11 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
     yield begin, text[begin:]
 
 
-def _license(metadata: ReleaseInfo) -> str:
-    """Return the licence that all recordings share, else the benchmark's.
-
-    A recording that states no licence has the benchmark's.
-    """
-    infos = {
-        name: info if info.license != UNSPECIFIED else info.model_copy(update={"license": metadata.license})
-        for name, info in metadata.recordings.items()
-    }
-    return common_license(infos, metadata.license)
-
-
 def _card_problems(text: str, stated: Stated) -> Iterator[str]:
-    for what, stated_value in (("name", stated.metadata.name), ("licence", _license(stated.metadata))):
+    for what, stated_value in (
+        ("name", stated.metadata.name),
+        ("licence", common_license(stated.metadata.recordings, stated.metadata.license)),
+    ):
         if stated_value not in text and markdown_line(stated_value) not in text:
             yield f"does not state the {what} '{printable(stated_value)}' of {BENCHMARK_JSON}"
     yield from _missing(
@@ -279,7 +268,6 @@ def _license_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _citation_problems(text: str, stated: Stated) -> Iterator[str]:
-    from yaml import ScalarNode
 
     # Nodes instead of values, so that aliases are never expanded.
     version = items(compose(text, CITATION)).get("version")
@@ -302,7 +290,10 @@ def _croissant_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _datacite_problems(text: str, stated: Stated) -> Iterator[str]:
-    content, license = release_json(text, DATACITE), _license(stated.metadata)
+    content, license = (
+        release_json(text, DATACITE),
+        common_license(stated.metadata.recordings, stated.metadata.license),
+    )
     rights = content.get("rightsList") or [{}]
     for what, said, wanted in (
         ("version", content.get("version"), stated.metadata.version),

@@ -18,6 +18,7 @@ from kinectbench.core.artefacts.manifest import Sources
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording, files_hash
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording, parse_targets
 from kinectbench.core.errors import PairError, ReleaseError, SettingsError
+from kinectbench.core.names import listed
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.types import FileArray
 from kinectbench.core.untrusted import read_plain
@@ -255,8 +256,7 @@ def _source_difference(row: LineageRecording, recording: str, build: Path) -> It
         hashes = dict.fromkeys(published, hashes[""])
     names = [name for name in {**published, **hashes} if published.get(name) != hashes.get(name)]
     if published and names:
-        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-        yield f"{recording}: not the recording that was published: {', '.join(names[:SHOWN])}{more} differ"
+        yield f"{recording}: not the recording that was published: {listed(names, SHOWN)} differ"
     if row.files_sha256 not in (None, files_hash(hashes)):
         yield f"{recording}: not the recording that was published: its {len(hashes)} files are others"
 

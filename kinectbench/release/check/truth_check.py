@@ -75,15 +75,12 @@ class ObjectTruth:
     cells: Mapping[str, KnownGrid] = field(default_factory=dict)
 
 
-def object_truth(contents: Contents, recording: str, whole: Collection[str]) -> tuple[ObjectTruth, list[str]]:
+def _object_truth(
+    contents: Contents, recording: str, whole: Collection[str]
+) -> tuple[ObjectTruth, list[str]]:
     """Return the truth of an object, and a message for each difference of its volume or GLB from its mesh.
 
     Missing and damaged files are skipped: `object_problems` reports them.
-
-    Args:
-        contents: the release.
-        recording: id of the object's recording.
-        whole: names of the files whose bytes are the published ones.
     """
     folder = f"objects/{recording}"
     try:
@@ -127,11 +124,6 @@ def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.inte
     """Read a volume.npz: return its grid and its arrays (nx, ny, nz) `solid`, `labels` and `underside`.
 
     An early volume without `underside` gives an empty array for it.
-
-    Raises:
-        TooLargeError: the volume is too large to be compared.
-        ReleaseError: the file cannot be read.
-        UNREADABLE: one of the exceptions in this tuple: the file is damaged.
     """
     names = ("solid", "labels", "voxel_size_m", "T_world_grid", "underside")
     with contents.stream(name) as file:
@@ -265,7 +257,7 @@ class TruthCheck:
         self.visible_shares.setdefault(recording, []).append(pair.visible_share)
         if self._last[0] != recording:
             self._last = recording, ObjectTruth()  # frees memory before the next is read
-            truth, lines = object_truth(self.contents, recording, self.whole)
+            truth, lines = _object_truth(self.contents, recording, self.whole)
             self._last = recording, truth
         return lines + [f"{name}: {problem}" for problem in truth_problems(pair, self._last[1])]
 

@@ -107,18 +107,7 @@ def _write_dataset_files(
     infos: dict[str, object],
     camera: Camera | None,
 ) -> None:
-    """Write the files about all scenes, such as camera.json, models_info.json and export.json.
-
-    Args:
-        release: the opened release.
-        folder: the export's folder.
-        scenes: for each scene its row of export.json.
-        infos: {id of an object: its row of models_info.json}.
-        camera: camera of the first scene; None if the release has no pair.
-
-    Raises:
-        ReleaseError: the release has no pair.
-    """
+    """Write the files about all scenes, such as camera.json, models_info.json and export.json."""
     if camera is None:
         raise ReleaseError(
             f"{shown(release.folder)}: no pair, so there is no image to export", what="no-pairs"

@@ -9,6 +9,7 @@ from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.storage import replaced_file, sha256_file
+from kinectbench.core.types import Progress
 from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.release.published import listed_files
 from kinectbench.settings.models import BenchmarkSettings
@@ -55,7 +56,7 @@ def _refuse(reasons: Sequence[str]) -> None:
         raise ReleaseError(f"no archive is made: {'; and '.join(reasons)}", what="no-archive")
 
 
-def write_archive(release: Path, out: Path) -> Path:
+def write_archive(release: Path, out: Path, progress: Progress | None = None) -> Path:
     """Pack a release as `out/<stem>.zip`, with its checksum in `<stem>.zip.sha256`; return the zip's path.
 
     Only SHA256SUMS and the files in it are packed. Entries are sorted, with fixed times and permissions. npz
@@ -64,6 +65,7 @@ def write_archive(release: Path, out: Path) -> Path:
     Args:
         release: the release's folder.
         out: the folder for the archive, which is made if missing.
+        progress: called with (files checked and packed, twice the files in all).
 
     Raises:
         ReleaseError: there is no release, it must not be distributed, or a file is missing or lacks its hash.
@@ -71,12 +73,15 @@ def write_archive(release: Path, out: Path) -> Path:
     """
     info = ReleaseInfo.read(release)
     _refuse(info.distribution.reasons if info.distribution else ())
-    stem, names = archive_stem(info), [SHA256SUMS, *listed_files(release)]
+    show = progress or (lambda done, total: None)
+    listed = listed_files(release, lambda done, total: show(done, 2 * total))
+    stem, names = archive_stem(info), [SHA256SUMS, *listed]
     path = out / f"{stem}.zip"
     with replaced_file(path) as temporary:
         with zipfile.ZipFile(temporary, "w") as archive:
-            for name in sorted(names):
+            for done, name in enumerate(sorted(names)):
                 _add(archive, release / name, f"{stem}/{name}")
+                show(len(listed) + done, 2 * len(listed))
         sha256 = sha256_file(temporary)
     with replaced_file(path.with_name(f"{path.name}.sha256")) as temporary:
         temporary.write_text(f"{sha256}  {path.name}\n", encoding="utf-8")

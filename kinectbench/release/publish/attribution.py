@@ -48,8 +48,12 @@ def reasons_against_distribution(
 
 
 def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> str:
-    """Return the licence that all recordings share, or `otherwise` if there is not exactly one."""
-    licenses = {info.license for info in recordings.values()}
+    """Return the licence that all recordings share, or `otherwise` if there is not exactly one.
+
+    A recording that states no licence has that of the benchmark, `otherwise`.
+    """
+    silent = otherwise or UNSPECIFIED
+    licenses = {silent if info.license == UNSPECIFIED else info.license for info in recordings.values()}
     return licenses.pop() if len(licenses) == 1 else otherwise
 
 

@@ -121,13 +121,11 @@ class CardTexts:
     Attributes:
         source: the end of the card's first sentence, "A benchmark for ... shape completion from ...".
         beside: text on what the folders beside `pairs/` contain.
-        origin: source of recordings that state none; empty: every recording has to state its source.
         pictured: whether previews/ has a picture of each pair.
     """
 
     source: str
     beside: str
-    origin: str = ""
     pictured: bool = False
 
 

@@ -17,6 +17,7 @@ from kinectbench.core import images
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewRow
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import Grid, invert_rigid
+from kinectbench.core.names import listed
 from kinectbench.core.storage import write_below
 from kinectbench.core.types import MM_PER_M
 from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
@@ -24,7 +25,6 @@ from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.release.publish.held_back import DECIMALS
 from kinectbench.release.publish.rebuilt import PosedView
 from kinectbench.settings.models import BenchmarkSettings
-from kinectbench.settings.words import listed
 
 Row = TypeVar("Row", PairRow, ViewRow)
 # Name of every isolated view: the original name would tell its place in the order of sampling.

@@ -18,6 +18,7 @@ from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.images import data_uri, png
 from kinectbench.core.listing import SHOWN, Listing, spread
+from kinectbench.core.names import listed
 from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.turntable import FRAMES, QUALITY, turntable
 from kinectbench.core.types import Bools, Float64, Rgb
@@ -27,7 +28,6 @@ from kinectbench.release.publish.card import quality_words
 from kinectbench.release.publish.object_glb import colored_scene
 from kinectbench.release.publish.view_pictures import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
-from kinectbench.settings.words import listed
 
 VIEWS = 3
 # Most warnings at the page's head; a large release has one for each recording.
@@ -127,17 +127,7 @@ def _part(
     held_back: bool,
     views: int,
 ) -> dict[str, object]:
-    """Return the values for a recording's section of the page.
-
-    Args:
-        folder: the release's folder.
-        scenes: folder with scene meshes that give objects their colours, or None.
-        name: id of the recording.
-        info: the recording's entry in benchmark.json.
-        here: the recording's pairs.
-        held_back: whether the recording's truth is held back.
-        views: number of pairs to show, evenly spread.
-    """
+    """Return the values for a recording's section of the page."""
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,

@@ -23,6 +23,7 @@ from kinectbench.core.artefacts.provenance import (
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile
 from kinectbench.core.errors import ReleaseError
+from kinectbench.core.names import listed
 from kinectbench.core.storage import replaced_folder
 from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.own_folder import refuse_other_content
@@ -39,7 +40,6 @@ from kinectbench.release.publish.rebuilt import rebuilt_line
 from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
 from kinectbench.release.publish.view_pictures import write_view_pictures
 from kinectbench.settings.models import BenchmarkSettings
-from kinectbench.settings.words import listed
 
 PRIVATE = "-private"
 SHOWN_VIEWS = 6  # most views of a recording in a warning

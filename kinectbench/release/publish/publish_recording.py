@@ -231,12 +231,6 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
     Images are copied from the build, colour without private metadata; those of an isolated view are made
     again. Return whether the build has colour images of these views.
-
-    Args:
-        built: the recording.
-        targets: the recording's pairs.
-        folder: the release's folder.
-        removals: a list to which removed private facts are added.
     """
     source, name = built.folder / "views", f"views/{built.recording.id}"
     (folder / name).mkdir(parents=True)
@@ -294,8 +288,8 @@ def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]
         if (reference := current_reference(built.folder)) is not None:
             more["reference"] = reference.info
         return info.model_copy(update=more)
-    bound = rebuilt(built.posed_views, lambda view: _read_pair(built, view)[1])
-    return info.model_copy(update={"rebuilt_iou": bound.iou, "rebuilt_single_iou": bound.single_iou})
+    iou, single_iou = rebuilt(built.posed_views, lambda view: _read_pair(built, view)[1])
+    return info.model_copy(update={"rebuilt_iou": iou, "rebuilt_single_iou": single_iou})
 
 
 def _without_method(quality: QualityFile) -> QualityFile:
@@ -365,11 +359,7 @@ def _stage(folder: Path, hidden: bool) -> LineageStage:
 
 
 def _copy_built(source: Path, target: Path) -> None:
-    """Copy one built file's bytes.
-
-    Raises:
-        ReleaseError: the file is missing.
-    """
+    """Copy one built file's bytes."""
     if not source.is_file():
         raise ReleaseError(f"{source}: missing; run the build again", what="not-built")
     target.parent.mkdir(parents=True, exist_ok=True)

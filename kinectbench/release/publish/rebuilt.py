@@ -52,19 +52,6 @@ class PosedView:
     T_world_camera: Float64
 
 
-@dataclass(frozen=True)
-class Rebuilt:
-    """IoU on known cells between rebuilt solids and the truth, in [0, 1]: means over the cubes of some views.
-
-    Attributes:
-        iou: IoU of the solid rebuilt from all views.
-        single_iou: IoU of the solid rebuilt from one view, the one that the cube belongs to.
-    """
-
-    iou: float
-    single_iou: float
-
-
 def rebuilt_line(infos: Mapping[str, RecordingInfo]) -> str | None:
     """Return a warning with the highest IoU of a rebuilt held-back object, and the remedy; None if none is.
 
@@ -98,17 +85,22 @@ def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Flo
     return PosedView(depth_mm.astype(np.float32) / np.float32(MM_PER_M), mask, camera, T_world_camera)
 
 
-def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> Rebuilt:
+def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> tuple[float, float]:
     """Return how well one object can be rebuilt from its public views, by the best method of `solids`.
 
     Args:
         views: {name: public view} of the object.
         pair_of: function that returns the complete pair of a view by its name.
+
+    Returns:
+        IoU on known cells with the truth, means over the cubes of some views: of the solid rebuilt from all
+        views, and of that from one view, the one that the cube belongs to.
     """
     pairs = {name: pair_of(name) for name in spread(sorted(views), CUBES)}
     every = [_ious(pair, list(views.values())) for pair in pairs.values()]
     single = [_ious(pair, [views[name]]) for name, pair in pairs.items()]
-    return Rebuilt(*(round(float(np.mean(ious, axis=0).max()), DECIMALS) for ious in (every, single)))
+    iou, single_iou = (round(float(np.mean(ious, axis=0).max()), DECIMALS) for ious in (every, single))
+    return iou, single_iou
 
 
 def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:

@@ -3,7 +3,6 @@
 import heapq
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core.artefacts.manifest import SourceFile, Sources
@@ -18,15 +17,9 @@ SAME_SHARE = 0.5
 LOOKED_FOR = 16
 
 
-@dataclass(frozen=True)
-class SameFrames:
-    """Two recordings in benchmark.yaml with the same frames and selected object, but two object names."""
-
-    first: RecordingSettings
-    second: RecordingSettings
-
-
-def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> Iterator[SameFrames]:
+def same_frames(
+    settings: BenchmarkSettings, build: Path, recordings: Sequence[str]
+) -> Iterator[tuple[RecordingSettings, RecordingSettings]]:
     """Yield every two recordings that have the same frames but name different objects.
 
     Recordings with different boxes, picks or masks select different objects, and are left out.
@@ -53,7 +46,7 @@ def same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[s
             if others and (a, b) not in found and _shared(files, _files(build / other)) >= SAME_SHARE:
                 found.add((a, b))
     for a, b in sorted(found):
-        yield SameFrames(by_id[recordings[a]], by_id[recordings[b]])
+        yield by_id[recordings[a]], by_id[recordings[b]]
 
 
 def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> list[str]:
@@ -63,8 +56,7 @@ def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Seq
         ReleaseError: two such recordings are in different splits.
     """
     lines = []
-    for same in same_frames(settings, build, recordings):
-        first, second = same.first, same.second
+    for first, second in same_frames(settings, build, recordings):
         if first.split != second.split:
             raise ReleaseError(
                 f"{first.id} ({first.split}) and {second.id} ({second.split}) hold the same frames, so that "

@@ -116,7 +116,11 @@ def write_small_files(
         warnings: the release's warnings, one line each, for the card.
         scenes: `build/`, where scene meshes give the GLBs' colours; None if no colour is published.
     """
-    infos = {name: _with_origin(info, head) for name, info in infos.items()}
+    licensed = {"license": head.license or UNSPECIFIED}  # in place of a missing one
+    infos = {
+        name: info if info.license != UNSPECIFIED else info.model_copy(update=licensed)
+        for name, info in infos.items()
+    }
     info = _info(head, infos)
     license = common_license(infos, head.license)
     _write_targets(folder, targets)
@@ -160,13 +164,6 @@ def note_in_benchmark_json(folder: Path, **more: str) -> None:
         BENCHMARK_JSON: sha256_file(folder / BENCHMARK_JSON)
     }
     path.write_text(sums_text(sums), encoding="utf-8")
-
-
-def _with_origin(info: RecordingInfo, head: Head) -> RecordingInfo:
-    """Return a recording's entry with the benchmark's licence and source in place of missing ones."""
-    defaults = {"license": head.license, "source": head.texts.origin}
-    update = {key: value for key, value in defaults.items() if value and getattr(info, key) == UNSPECIFIED}
-    return info.model_copy(update=update)
 
 
 def _info(head: Head, infos: Mapping[str, RecordingInfo]) -> ReleaseInfo:

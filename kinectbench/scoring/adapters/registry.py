@@ -14,6 +14,7 @@ from kinectbench.core.geometry.rigid import similarity_problem
 from kinectbench.core.storage import replaced_folder
 from kinectbench.core.types import Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
+from kinectbench.engine.locks import sweep
 from kinectbench.release.exchange.layouts import names_sha256, refuse_others
 from kinectbench.release.exchange.rgbd import ViewCamera, camera_of, export_rgbd
 from kinectbench.release.release import Release, Target
@@ -38,12 +39,8 @@ FILES = "files_sha256"
 SAME_POSE = 1e-6
 
 
-def adapter_of(name: str) -> Adapter:
-    """Return the adapter of a method.
-
-    Raises:
-        SettingsError: no adapter has this name.
-    """
+def _adapter_of(name: str) -> Adapter:
+    """Return the adapter of a method."""
     if name not in ADAPTERS:
         raise SettingsError(f"'{name}': no such method; choose among {', '.join(ADAPTERS)}")
     return ADAPTERS[name]
@@ -62,7 +59,7 @@ def export_for(
             something else.
         ReleaseError, StorageError: as in `export_rgbd`, or the adapter cannot write a view.
     """
-    adapter = adapter_of(name)
+    adapter = _adapter_of(name)
     if adapter.module and find_spec(adapter.module) is None:
         raise SettingsError(f"--for {name}: {missing_extra('methods')}", what="no-package")
     return export_rgbd(release, out, progress, name, adapter.write, "color" in adapter.inputs)
@@ -90,9 +87,10 @@ def adapt(
         ReleaseError: a pair of the release cannot be read.
         StorageError: the disk is full or read-only.
     """
-    adapter = adapter_of(name)
+    adapter = _adapter_of(name)
     if not output.is_dir():
         raise PredictionError(f"{output}: no such folder", what="no-folder")
+    sweep(out)
     earlier = MethodFile.read_if_there(out) if out.is_dir() else None
     refuse_others(out, ((earlier and earlier.settings) or {}).get(FILES), MethodFile.FILE)
     problems, volumes, written = list[str](), dict[str, Float64](), 0
@@ -130,19 +128,7 @@ def adapt(
 def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
-    """Convert one view's output; return its camera.json, or None if the method wrote nothing for the view.
-
-    Args:
-        release: the release that contains the view.
-        name: the method's name.
-        adapter: the method's adapter.
-        output: the folder that holds `<recording>/<view>/` with the output and camera.json.
-        target: the view.
-        folder: the prediction is written to `<recording>/<view>` below it.
-
-    Raises:
-        PredictionError: the output or camera.json cannot be used.
-    """
+    """Convert one view's output; return its camera.json, or None if the method wrote nothing for the view."""
     view_folder = output / target.recording / target.view
     try:
         path = find_output(view_folder, adapter.output)

@@ -6,6 +6,7 @@ import numpy as np
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import Grid, transform_points
+from kinectbench.core.geometry.mesh import poisson_surface
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
@@ -44,7 +45,6 @@ def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShap
     """
     if close == "winding":
         return shape if shape.form == "mesh" else None
-    from kinectbench.core.geometry.mesh import poisson_surface
 
     if surface.normals is None:
         return None
@@ -92,18 +92,14 @@ def solid_in(
         @ np.linalg.inv(T)
         @ np.diag([*[truth.voxel_size_m] * 3, 1])
     )
-    if shape.form == "voxels" and shape.cells.shape == (FULL_CELLS,) * 3 and _is_same_place(T_cells):
+    is_same_place = np.abs(T_cells - np.eye(4)).max() < 1e-6
+    if shape.form == "voxels" and shape.cells.shape == (FULL_CELLS,) * 3 and is_same_place:
         return Solid(pack(shape.cells.astype(bool)), 0.0)
     from kinectbench.scoring.camera.kernels import inside_cells, inside_distances
 
     inside = inside_cells if shape.form == "voxels" else inside_distances
     found = inside(shape.cells, np.ascontiguousarray(T_cells[:3]), FULL_CELLS)
     return Solid(pack(found), _cells_outside(truth, shape, T))
-
-
-def _is_same_place(T_cells: Float64) -> bool:
-    """Return whether a transform between cell coordinates is the identity, up to rounding."""
-    return bool(np.abs(T_cells - np.eye(4)).max() < 1e-6)
 
 
 def _of_mesh(truth: SpaceTruth, mesh: ClosedMesh, T_grid_mesh: Float64) -> Solid:

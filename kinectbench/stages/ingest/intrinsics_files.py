@@ -141,12 +141,7 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
 
 
 def _read_yaml(file: Path) -> Intrinsics | None:
-    """Read the pinhole camera from a YAML file of OpenCV, ROS or others; None if it has none.
-
-    Raises:
-        RecordingError: the file names a matrix but does not contain it, as after truncation; or it has two
-            cameras.
-    """
+    """Read the pinhole camera from a YAML file of OpenCV, ROS or others; None if it has none."""
     text = read_text(file, YAML_BYTES)
     values = _yaml_numbers(text, (*YAML_MATRICES, *YAML_DISTORTIONS), file)
     sizes: dict[str, Any] = {key: int(value) for key, value in YAML_SIZE.findall(text)}

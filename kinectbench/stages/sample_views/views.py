@@ -3,6 +3,7 @@
 They are stored as views.json with depth, colour and mask images.
 """
 
+import contextlib
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -20,6 +21,7 @@ from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import TOO_FAR, depth_in_mm, too_far_for_mm
 from kinectbench.core.images import png
+from kinectbench.core.jpeg_metadata import without_metadata
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
@@ -228,7 +230,7 @@ def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
     """The images of a view: {"depth.png": PNG file (uint16 mm), "color.jpg": JPEG file if there is colour}.
 
     Raises:
-        StorageError: depth is missing or damaged, or colour is damaged and no JPEG.
+        StorageError: depth is missing or damaged, or colour is damaged.
     """
     encoded = sequence.frames.color_encoded(frame)
     color = {} if encoded is None else {"color.jpg": _jpeg(*encoded)}
@@ -304,7 +306,7 @@ def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
 def picture_digest(pictures: Mapping[str, bytes]) -> str:
     """SHA-256 (hex) of a view's images: the shape and pixels of depth in mm, and any colour file.
 
-    The depth file itself may differ with the version of zlib; colour is usually stored as recorded.
+    The depth file itself may differ with the version of zlib; colour is usually that of the recording.
 
     Args:
         pictures: {"depth.png": PNG file, "color.jpg": JPEG file if there is one}.
@@ -350,15 +352,25 @@ def _read_mask(path: Path) -> Bools | None:
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:
-    """Colour as a JPEG: a recorded JPEG as it is, unchecked; else encoded here, StorageError if damaged."""
+    """Colour as a JPEG: a recorded JPEG without its metadata, its pixels as they are; else encoded here.
+
+    A JPEG whose metadata cannot be separated from its pixels is encoded here, too. What EXIF says of the
+    orientation goes, because depth and mask are not turned by it.
+
+    Raises:
+        StorageError: the image is damaged.
+    """
     import cv2
 
-    if suffix in (".jpg", ".jpeg"):
-        return data
     try:
+        if suffix in (".jpg", ".jpeg"):
+            image_head(data)
+            with contextlib.suppress(ValueError):
+                clean, removed = without_metadata(data)
+                return clean if removed else data
         image = decoded_image(data, cv2.IMREAD_COLOR)
     except ValueError as error:
-        line = "a stored colour image is damaged; `kinectbench build --force` makes it again"
+        line = f"a stored colour image is damaged ({error}); `kinectbench build --force` makes it again"
         raise StorageError(line) from error
     encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
     return bytes(encoded.tobytes())

@@ -244,10 +244,6 @@ def _open_gap_s(case: _Case, closed: Bools) -> float | None:
     """The longest gap of lost frames that no loop spans, seconds; None without one.
 
     The pose after such a gap comes from one registration across the gap, which nothing checks.
-
-    Args:
-        case: the inputs.
-        closed: (steps,) whether an accepted loop spans the step to the next pose.
     """
     frames = np.flatnonzero(case.posed)
     lost_before = np.concatenate([[0], np.cumsum(case.lost)])

@@ -215,14 +215,7 @@ def comparison_picture(
 
 
 def _draw_gaps(axes: "Axes", places: Float64, good: NDArray[np.int64], health: TrajectoryHealth) -> None:
-    """Draw dotted lines over lost stretches, and crosses at the interpolated places of rejected frames.
-
-    Args:
-        axes: the picture, seen from above.
-        places: (n, 2 or more) camera positions in the picture, metres.
-        good: (k,) indices of the frames with a pose, ascending.
-        health: has the lost stretches and the rejected frames.
-    """
+    """Draw dotted lines over lost stretches, and crosses at the interpolated places of rejected frames."""
     label = "lost"
     for row in health.lost_stretches:
         ends = [*good[good < row.first_frame][-1:], *good[good > row.last_frame][:1]]
@@ -246,13 +239,7 @@ def _draw_loops(axes: "Axes", places: Float64, health: TrajectoryHealth) -> None
 
 
 def _mark_states(axes: "Axes", moments: Float64, states: Sequence[str]) -> None:
-    """Shade frames without a pose, up to half-way to their neighbours; mark relocalisations.
-
-    Args:
-        axes: the picture, over time.
-        moments: (n,) horizontal position of each frame.
-        states: (n,) state of each frame: tracked, relocalised, lost or rejected.
-    """
+    """Shade frames without a pose, up to half-way to their neighbours; mark relocalisations."""
     edges = np.concatenate([moments[:1], (moments[:-1] + moments[1:]) / 2, moments[-1:]])
     for state, color, label in (("lost", RED, "lost"), ("rejected", ORANGE, "left out")):
         for first, last in _runs(states, state):

@@ -218,6 +218,24 @@ def test_layout_recgan(models: Path, tmp_path: Path) -> None:
     assert {row["quality"]["method"] for row in content["models"].values()} == {"winding"}
 
 
+def test_only_what_it_wrote_is_replaced(models: Path, tmp_path: Path) -> None:
+    """A person's own files may be in a folder that is named as the authors name theirs."""
+    chosen, out = settings(models, layout="recgan", categories=["chair"]), tmp_path / "out"
+    synthesize(chosen, out)
+    before = {path.name for path in out.iterdir()}
+    synthesize(chosen, out)
+    assert {path.name for path in out.iterdir()} == before
+    mine = out / "P1_03001627_chair" / "of the thesis.npz"
+    mine.write_bytes(b"years of work")
+    with raises(SettingsError, "settings.other-content"):
+        synthesize(chosen, out)
+    assert mine.read_bytes() == b"years of work"
+    mine.unlink()
+    (out / "synthesis.json").write_text("damaged")
+    with raises(SettingsError, "settings.other-content"):
+        synthesize(chosen, out)
+
+
 def test_what_else_lies_there_is_not_replaced(models: Path, tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
     with raises(SettingsError, "settings.other-content"):

@@ -1,5 +1,6 @@
 """Sampling views of a simulated chair: how many, which, and with which masks."""
 
+import io
 import json
 from dataclasses import fields, replace
 from pathlib import Path
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 from chair_model import Chair
 from chair_model import chair as make_chair
+from PIL import Image
 from raising import raises
-from read_pictures import read_picture
+from read_pictures import decoded_picture, read_picture
 from same_fields import assert_same_fields
 from typed import present
 
@@ -216,7 +218,38 @@ def test_depth_too_far_for_an_image_is_none_and_said(chair: Chair, views: Views,
     ]
 
 
-@pytest.mark.parametrize("damaged", [b"", b"\x89PNG nothing"])
-def test_damaged_colour_is_refused(damaged: bytes) -> None:
+@pytest.mark.parametrize(
+    ("suffix", "damaged"),
+    [(".png", b""), (".png", b"\x89PNG nothing"), (".jpg", b""), (".jpg", b"\xff\xd8\xff\xe0 nothing")],
+)
+def test_damaged_colour_is_refused(suffix: str, damaged: bytes) -> None:
     with raises(StorageError, "storage.damaged", match="colour image is damaged"):
-        _jpeg(".png", damaged)
+        _jpeg(suffix, damaged)
+
+
+def photo(**segments: Any) -> bytes:
+    buffer = io.BytesIO()
+    pixels = np.random.default_rng(0).integers(0, 256, (32, 48, 3), np.uint8)
+    Image.fromarray(pixels).save(buffer, "JPEG", quality=90, **segments)
+    return buffer.getvalue()
+
+
+def test_a_view_has_the_recorded_pixels_without_their_metadata() -> None:
+    """Orientation 6 would turn the colour against its depth; the position is nobody's business."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    exif.get_ifd(0x8825).update({1: "N", 2: (51.0, 45.0, 7.0)})
+    assert photo(exif=exif, comment=b"by Jo") != photo()
+    assert _jpeg(".jpg", photo(exif=exif, comment=b"by Jo")) == photo()
+    profile = photo(icc_profile=b"of colours")
+    assert _jpeg(".jpg", profile) == profile
+    assert _jpeg(".jpg", photo() + bytes(9)) == photo() + bytes(9)  # some cameras fill up with zeros
+
+
+def test_a_jpeg_of_odd_structure_keeps_its_pixels_but_no_metadata() -> None:
+    odd = photo(comment=b"by Jo")
+    at = odd.index(b"\xff\xc4")
+    odd = odd[:at] + b"\0Jo\0" + odd[at:]  # libjpeg skips what is between segments
+    view = _jpeg(".jpg", odd)
+    assert b"Jo" not in view
+    assert np.abs(decoded_picture(view).astype(int) - decoded_picture(odd)).mean() < 10

@@ -57,11 +57,11 @@ def test_the_side_never_seen_is_the_middle_of_the_gap(arc_deg: float) -> None:
     turns = np.radians(np.linspace(-arc_deg / 2, arc_deg / 2, 13) + 70.0)
     poses = np.tile(np.eye(4), (13, 1, 1))
     poses[:, :3, 3] = np.array([2.0, -1.0, 0.3]) + np.column_stack([np.cos(turns), np.sin(turns), turns])
-    side = unseen_side(poses, np.array([2.0, -1.0, 0.3]))
-    assert np.degrees(side.gap_rad) == pytest.approx(360 - arc_deg)
+    gap_rad, towards_rad, share = unseen_side(poses, np.array([2.0, -1.0, 0.3]))
+    assert np.degrees(gap_rad) == pytest.approx(360 - arc_deg)
     # The widest gap is the arc's own: 180 degrees from its middle, unless steps are wider.
-    assert np.degrees(side.towards_rad) == pytest.approx(-110.0)
-    assert side.share == pytest.approx(max(0.0, 360 - arc_deg - 150) / 360)
+    assert np.degrees(towards_rad) == pytest.approx(-110.0)
+    assert share == pytest.approx(max(0.0, 360 - arc_deg - 150) / 360)
 
 
 def test_one_side_never_seen() -> None:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kinectbench.core.errors import SettingsError
+from kinectbench.core.names import listed
 from kinectbench.lab.plugins import plugins
 from kinectbench.lab.simulate.objects.benches import bench
 from kinectbench.lab.simulate.objects.chairs import chair
@@ -19,7 +20,7 @@ from kinectbench.lab.simulate.objects.couches import couch
 from kinectbench.lab.simulate.objects.joinery import Draw, Family, glue
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.objects.tables import table
-from kinectbench.settings.words import listed, near_miss
+from kinectbench.settings.words import near_miss
 
 # The paper's categories that are furniture: `synthesize` draws these if no family is named.
 PAPER_FURNITURE: Mapping[str, Family] = {

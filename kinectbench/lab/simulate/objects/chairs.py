@@ -258,16 +258,7 @@ def _tubular(draw: Draw, size: _Size) -> Parts:
 
 
 def _tube_arms(draw: Draw, size: _Size, slope: float, frame_z: float, radius: float, look: Look) -> Parts:
-    """Draw armrests: two bent tubes, each from the back to the front of the frame on its side.
-
-    Args:
-        draw: draws the height and length of the armrests.
-        size: the chair's size.
-        slope: metres that the back leans backwards for each metre up.
-        frame_z: height of the frame's tubes beside the seat.
-        radius: radius of the frame's tubes.
-        look: material of the tubes.
-    """
+    """Draw armrests: two bent tubes, each from the back to the front of the frame on its side."""
     z, front = size.seat + draw.between(0.17, 0.23), size.y - draw.between(0.05, 0.12)
     wood = draw.pick(looks.WOODS)
     for s in SIDES:

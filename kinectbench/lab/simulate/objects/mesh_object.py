@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Grid, TriangleMesh, rigid
-from kinectbench.core.geometry.mesh import join, raycaster
+from kinectbench.core.geometry.mesh import isosurface, join, raycaster
 from kinectbench.core.types import Float64, Int64
 from kinectbench.lab.simulate.objects.mesh_repair import closed_bodies, merged_vertices, open_edges, united
 from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, solid, standing_shift, surface
@@ -91,7 +91,6 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
     """
     from scipy import ndimage
 
-    from kinectbench.core.geometry.mesh import isosurface
     from kinectbench.core.voxels.open_mesh import voxelize_open
 
     low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)

@@ -154,11 +154,7 @@ def color_of(message: Message, name: str) -> tuple[str, bytes]:
 
 
 def _pixels(message: Message, name: str, dtype: np.dtype[_Value], channels: int) -> NDArray[_Value]:
-    """A raw image's pixels (height, width, channels), `dtype` in its byte order, without row padding.
-
-    Raises:
-        DamagedImageError: the image is too large, or has too few bytes.
-    """
+    """A raw image's pixels (height, width, channels), `dtype` in its byte order, without row padding."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     if is_too_large(width, height):
         raise DamagedImageError(

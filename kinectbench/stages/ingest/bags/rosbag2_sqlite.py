@@ -144,12 +144,7 @@ class _Reader:
 
 
 def _check_tables(database: sqlite3.Connection) -> None:
-    """Refuse views, virtual tables and generated columns, because reading them would run the file's SQL.
-
-    Raises:
-        ValueError: a table is missing or of these kinds; the message says which.
-        DatabaseError: the database is damaged.
-    """
+    """Refuse views, virtual tables and generated columns, because reading them would run the file's SQL."""
     for name in TABLES:
         rows = database.execute(
             "SELECT type, rootpage FROM sqlite_master WHERE name = ? COLLATE NOCASE LIMIT 2", (name,)

@@ -96,27 +96,22 @@ def open_recording(
         RecordingError: the recording is missing, of unknown format, or unusable.
     """
     try:
-        reader = reader_of(known_format(path))
+        reader = reader_of(_known_format(path))
         _files_of(reader, path, follow_links)
         settings = camera or CameraSettings()
         recording = reader.open(path, settings)
         for scale in (recording.depth_scale, settings.depth_scale or recording.depth_scale):
             _check_scale(path, scale)
         check_count(path, len(recording))
-        return with_depth_code(_with_delays(_with_unused(recording, settings), settings), settings)
+        return _with_depth_code(_with_delays(_with_unused(recording, settings), settings), settings)
     except OSError as error:
         raise RecordingError(
             f"{error.filename or path}: cannot be read ({error.strerror})", what="unreadable"
         ) from error
 
 
-def known_format(path: Path) -> str:
-    """The name of a folder's or file's format; see `format_of`.
-
-    Raises:
-        RecordingError: the path is missing, or its format is unknown.
-        OSError: the path cannot be read.
-    """
+def _known_format(path: Path) -> str:
+    """The name of a folder's or file's format; see `format_of`."""
     check_there(path)
     if not (path.is_dir() or path.is_file()):
         raise RecordingError(
@@ -143,7 +138,7 @@ def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
             something that is no plain file, or too many files.
     """
     try:
-        files = _files_of(reader_of(known_format(path)), path, follow_links)
+        files = _files_of(reader_of(_known_format(path)), path, follow_links)
         return [file for file in files if file != path / PICK_FILE]
     except OSError as error:
         raise RecordingError(
@@ -273,16 +268,12 @@ def _unknown(path: Path) -> str:
     return f"{path}: not a recording of a known format; {known}{hint}"
 
 
-def with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
+def _with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
     """The recording with its depth code set: the code that the settings give, or the one that is detected.
 
     Rotated bits are searched for if depth is PNG in mm and the settings give no `depth_scale`. In a layout
     that usually has rotated bits (`often_rotated`), multiples of eight suffice as evidence, without a
     warning.
-
-    Raises:
-        RecordingError: the settings name a code, but depth is not in a file for each image; or a code of
-            bits, but depth is float.
     """
     of_bits = camera.depth_code in ("rotated", "float16")
     if not isinstance(recording, FileRecording) or (of_bits and recording.float_scale is not None):

@@ -259,9 +259,6 @@ def _find_images(
     """Find where the images are stored: {"DEPTH", "COLOR", "IR": list in file order}; and the file's faults.
 
     `names` is {index of track: name}. The list of "IR" stays empty. Images of impossible times are left out.
-
-    Raises:
-        RecordingError: there are more images than a recording may have, or Matroska has compressed them.
     """
     import av
 

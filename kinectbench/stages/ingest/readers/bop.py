@@ -191,9 +191,6 @@ def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str
 
     Without `object_id`, the scene's only object is used; a scene of several gives no masks, but a warning. If
     the object occurs twice in an image, the first mask is used.
-
-    Raises:
-        RecordingError: the requested object is not in the scene.
     """
     file = path / "scene_gt.json"
     if not file.is_file() or not (path / "mask_visib").is_dir():

@@ -144,12 +144,7 @@ class Record3dRecording(Recording):
 
 
 def _unpacked(data: bytes, size: int, name: str) -> bytes:
-    """Unpack LZFSE data to exactly `size` bytes, allocating at most one byte more.
-
-    Raises:
-        DamagedImageError: the data is damaged, or unpacks to another size.
-        RecordingError: imagecodecs is not installed.
-    """
+    """Unpack LZFSE data to exactly `size` bytes, allocating at most one byte more."""
     try:
         import imagecodecs
     except ImportError as error:

@@ -87,11 +87,7 @@ class ScannerAppRecording(PhoneRecording):
 
 
 def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
-    """The matrix (side, side) under a key, which is stored row-major.
-
-    Raises:
-        RecordingError: the key is missing, or has another number of values.
-    """
+    """The matrix (side, side) under a key, which is stored row-major."""
     numbers = json_numbers(camera.get(key))
     if numbers.size != side * side:
         raise RecordingError(f"{camera['file']}: '{key}' must hold {side * side} numbers")

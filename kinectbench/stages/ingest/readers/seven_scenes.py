@@ -169,7 +169,7 @@ def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, 
     if file is None:
         return None
     if file.name in INFO_FILES:
-        return read_info(file, color_px)
+        return _read_info(file, color_px)
     # Depth to be used with colour's intrinsics has colour's pixels.
     return ScannetRig(
         file, read_intrinsics_matrix(file), registered="color" in file.name and color_px == size_px
@@ -214,15 +214,12 @@ def is_info(file: Path) -> bool:
     return file.is_file() and DEPTH_INTRINSIC.encode() in read_head(file)
 
 
-def read_info(file: Path, color_px: tuple[int, int]) -> ScannetRig:
+def _read_info(file: Path, color_px: tuple[int, int]) -> ScannetRig:
     """Read info.txt: rows of `name = numbers`, matrices as 16 row-major numbers.
 
     Args:
         file: `info.txt` or `_info.txt`.
         color_px: width and height of the colour images; 0, 0 without colour.
-
-    Raises:
-        RecordingError: depth's intrinsics are missing, or a row has unexpected values.
     """
     rows = {}
     for where, row in text_rows(file):

@@ -138,11 +138,7 @@ class YcbRecording(FileRecording):
 
 
 def _bitmap(data: bytes, name: str) -> NDArray[np.uint8]:
-    """Read a Netpbm bitmap: (height, width), 0 where it is black.
-
-    Raises:
-        DamagedImageError: the data is no bitmap, is damaged, or has too many pixels.
-    """
+    """Read a Netpbm bitmap: (height, width), 0 where it is black."""
     import cv2
 
     head = BITMAP.match(data)

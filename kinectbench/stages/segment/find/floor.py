@@ -219,19 +219,15 @@ def _given_floor(
     Points within twice `inlier_m` are near. `up_world` (3,) is up by gravity, if known; else the poses
     (m, 4, 4) show how the cameras were held.
     """
-    check_below_cameras(plane_world, T_world_camera)
+    _check_below_cameras(plane_world, T_world_camera)
     near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
     noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
     tilt_rad = _tilt_rad(plane_world, T_world_camera, up_world)
     return Floor(plane_world, floor_frame(plane_world), noise_m, len(near) / len(points_world), tilt_rad)
 
 
-def check_below_cameras(plane_world: Float64, T_world_camera: Float64) -> None:
-    """Refuse a given plane (4,) that lies above most cameras (n, 4, 4).
-
-    Raises:
-        SegmentationError: it does.
-    """
+def _check_below_cameras(plane_world: Float64, T_world_camera: Float64) -> None:
+    """Refuse a given plane (4,) that lies above most cameras (n, 4, 4)."""
     if np.median(T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]) <= 0:
         raise SegmentationError(ABOVE_CAMERAS, what="bad-plane")
 

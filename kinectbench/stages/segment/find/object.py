@@ -1,5 +1,7 @@
 """Find the floor of a fused scene, and the object on it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +26,7 @@ from kinectbench.stages.segment.find.select import (
     select_in_box,
     select_object,
 )
+from kinectbench.stages.track.outliers import far_warnings
 
 # The focus of the cameras lies at most this far beside the object.
 MAX_BESIDE_FOCUS_M = 0.3
@@ -98,13 +101,10 @@ def find_scene(
     return Scene(floor, points_floor, surface.owner, focus_floor, scale, hint.picked_world is not None)
 
 
-def check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
+def _check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
     """Refuse an object more than 0.3 m beside the cameras' focus, seen from above.
 
     The box and the focus (3,) are in the floor frame, in metres divided by `scale`.
-
-    Raises:
-        SegmentationError: the box is too far from the focus.
     """
     local = transform_points(invert_rigid(box.T_floor_box), focus_floor)[:2]
     beside_m = float(np.linalg.norm(np.maximum(np.abs(local) - np.array(box.size_m[:2]) / 2, 0)))
@@ -177,7 +177,7 @@ def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell
     chosen = select_object(points_floor, cut_m, focus_floor)
     box = fit_box(points_floor[chosen])
     if not scene.picked:
-        check_focus(box, focus_floor, scale)
+        _check_focus(box, focus_floor, scale)
     others = (points_floor[:, 2] > cut_m) & ~chosen
     specks = np.zeros(len(others), dtype=bool)
     specks[others] = low_pieces(points_floor[others], CELL_M)
@@ -275,9 +275,22 @@ def find_floor_and_object(
         SegmentationError: an empty scene, no floor (without a box), a given plane above the cameras, no
             object where they look, or a box that holds nothing or was chosen in another floor frame.
     """
-    scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
-    with scene.floor.explained_in_errors():
-        return _find_on_floor(scene, mesh, trajectory, given_box, settings)
+    with _far_poses_named(trajectory):
+        scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
+        with scene.floor.explained_in_errors():
+            return _find_on_floor(scene, mesh, trajectory, given_box, settings)
+
+
+@contextmanager
+def _far_poses_named(trajectory: Trajectory) -> Iterator[None]:
+    """Within the block, a `SegmentationError` also names poses far away from all others, if any."""
+    try:
+        yield
+    except SegmentationError as error:
+        far = far_warnings(trajectory.T_world_camera)
+        if not far:
+            raise
+        raise SegmentationError(f"{error}; {far[0]}", what=error.what) from error
 
 
 def _find_on_floor(

@@ -87,21 +87,6 @@ def beyond_depth_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, m
 
 
 @dataclass(frozen=True)
-class UnseenSide:
-    """The widest range of directions from which no camera looked at the object.
-
-    Attributes:
-        gap_rad: its width, radians, 0 to 2 pi.
-        towards_rad: its middle, seen from the object, from the floor's x axis, counter-clockwise from above.
-        share: share of the directions, seen from above, in which an upright side was seen by no camera.
-    """
-
-    gap_rad: float
-    towards_rad: float
-    share: float
-
-
-@dataclass(frozen=True)
 class CoverageReport:
     """The part of quality.json about the recording, with a warning for each fault.
 
@@ -127,10 +112,14 @@ class CoverageReport:
     first_rad: float = 0.0
 
 
-def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> UnseenSide:
+def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> tuple[float, float, float]:
     """The widest gap between the cameras (n, 4, 4), n > 0, around the object, seen from above.
 
     A side within 75 degrees of a camera's direction is seen: a gap of 150 degrees hides nothing upright.
+
+    Returns:
+        Its width, 0 to 2 pi; its middle from the floor's x axis, counter-clockwise; both in radians; and the
+        share of the directions in which an upright side was seen by no camera.
     """
     x, y, _ = (T_floor_camera[:, :3, 3] - center_floor).T
     angles = np.sort(np.arctan2(y, x))
@@ -138,7 +127,7 @@ def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> UnseenSide:
     widest = int(np.argmax(gaps))
     gap_rad = float(gaps[widest])
     towards_rad = float(np.angle(np.exp(1j * (angles[widest] + gap_rad / 2))))
-    return UnseenSide(gap_rad, towards_rad, max(0.0, gap_rad - 2 * SEEN_WITHIN_RAD) / (2 * np.pi))
+    return gap_rad, towards_rad, max(0.0, gap_rad - 2 * SEEN_WITHIN_RAD) / (2 * np.pi)
 
 
 def _of_trajectory(trajectory: Trajectory) -> list[str]:
@@ -197,17 +186,17 @@ def coverage_report(
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
     center = np.array(chosen.box.center_m)
-    side = unseen_side(T_floor_camera, center)
+    gap_rad, towards_rad, hidden_share = unseen_side(T_floor_camera, center)
     first_rad = float(np.arctan2(*(T_floor_camera[0, :2, 3] - center[:2])[::-1]))
     moving = moving_frames(sequence, trajectory, scene, chosen.floor)
     choice_warnings = (*_of_floor(chosen.floor), *chosen.warnings)
     warnings = [*_of_trajectory(trajectory), *choice_warnings]
-    if side.share > 0:
-        towards = np.array([np.cos(side.towards_rad), np.sin(side.towards_rad), 0.0])
+    if hidden_share > 0:
+        towards = np.array([np.cos(towards_rad), np.sin(towards_rad), 0.0])
         show = "show it to the camera, too"
         warnings.append(
-            f"no frame looks at the object's side {turn_in_words(side.towards_rad, first_rad)}, over "
-            f"{360 * side.share:.0f} degrees of arc: what is there is inferred; "
+            f"no frame looks at the object's side {turn_in_words(towards_rad, first_rad)}, over "
+            f"{360 * hidden_share:.0f} degrees of arc: what is there is inferred; "
             + (f"{MOVE_AWAY} {show}" if is_obstructed(chosen, center, towards, limits) else show)
         )
     if len(good) < MIN_FRAMES:
@@ -225,9 +214,9 @@ def coverage_report(
             "surface: its far side and cavities may be wrong; raise `fusion.max_depth_m`, or leave it out"
         )
     figures = UnseenSidePart(
-        gap_rad=np.radians(round(np.degrees(side.gap_rad), 1)),
-        towards_rad=np.radians(round(np.degrees(side.towards_rad), 1)),
-        share=round(side.share, 4),
+        gap_rad=np.radians(round(np.degrees(gap_rad), 1)),
+        towards_rad=np.radians(round(np.degrees(towards_rad), 1)),
+        share=round(hidden_share, 4),
     )
     share, lines = round(too_far, 4), tuple(warnings)
     return CoverageReport(len(good), figures, moving, max_depth_m, share, lines, choice_warnings, first_rad)

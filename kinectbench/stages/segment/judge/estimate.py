@@ -205,14 +205,7 @@ def _regions_sigma(shape: SolidShape, expected: _Volumes) -> float:
 def _reasons(
     frontiers: tuple[Frontier, ...], per_mm: float, shifted_share: float, checked: bool
 ) -> tuple[str, ...]:
-    """A line for each cause of a wider interval.
-
-    Args:
-        frontiers: openings that no frame saw into.
-        per_mm: share of the solid's volume that changes if its surface moves by 1 mm.
-        shifted_share: share of the solid's volume that the error of the poses may move.
-        checked: whether other frames could check the poses.
-    """
+    """A line for each cause of a wider interval."""
     reasons = (
         (
             any(not each.underside for each in frontiers),

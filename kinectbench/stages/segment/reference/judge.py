@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kinectbench.core.artefacts.reference import RunnerUpPart
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.geometry.rigid import rotation_angle_rad
 from kinectbench.core.types import Float64
@@ -50,23 +51,6 @@ STEPS, SYMMETRIC = 24, 0.003
 
 
 @dataclass(frozen=True)
-class RunnerUp:
-    """The second-best pose of the reference.
-
-    Attributes:
-        residual_m: residual of this pose, metres.
-        turn_rad: angle of the rotation from the best pose to this one, radians.
-        axis_floor: (3,) of that rotation, floor frame.
-        fits_as_well: whether it fits so well that the measured surface cannot exclude it.
-    """
-
-    residual_m: float
-    turn_rad: float
-    axis_floor: Float64
-    fits_as_well: bool
-
-
-@dataclass(frozen=True)
 class RegisteredReference:
     """The registration of a reference mesh to a built object, and whether it is refused.
 
@@ -89,7 +73,7 @@ class RegisteredReference:
     pose: Pose | None = None
     scale: float | None = None
     mirrored_m: float | None = None
-    runner_up: RunnerUp | None = None
+    runner_up: RunnerUpPart | None = None
     symmetric_axis_floor: Float64 | None = None
     mirror_as_well: bool = False
 
@@ -183,7 +167,7 @@ def _refusal(
     return None
 
 
-def _runner_up(found: tuple[Pose, ...], T_floor_world: Float64, least_m: float) -> RunnerUp:
+def _runner_up(found: tuple[Pose, ...], T_floor_world: Float64, least_m: float) -> RunnerUpPart:
     best, other = found[:2]
     turn = other.T[:3, :3] @ best.T[:3, :3].T
     skew = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
@@ -191,7 +175,13 @@ def _runner_up(found: tuple[Pose, ...], T_floor_world: Float64, least_m: float) 
         skew = np.linalg.eigh(turn + turn.T)[1][:, 2]
     axis = T_floor_world[:3, :3] @ skew
     as_well = other.residual_m <= AS_WELL * best.residual_m + least_m
-    return RunnerUp(other.residual_m, float(rotation_angle_rad(turn)), axis / np.linalg.norm(axis), as_well)
+    x, y, z = (round(float(value), 4) for value in axis / np.linalg.norm(axis))
+    return RunnerUpPart(
+        residual_m=round(other.residual_m, 6),
+        turn_rad=float(rotation_angle_rad(turn)),
+        axis_floor=(x, y, z),
+        fits_as_well=as_well,
+    )
 
 
 def symmetric_axis(theirs: Sampled) -> Float64 | None:
