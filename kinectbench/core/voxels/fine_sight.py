@@ -21,10 +21,8 @@ from kinectbench.core.voxels.lines_of_sight import (
 )
 
 # Behind a gap directions are tried 2.5 degrees apart, then 1.3. In a crate with a slot, of voxels that 1,600
-# directions do not see the first find 54,200, the second 20,600, and four times as many would find 3,500.
+# directions do not see the first find 54,000, the second 20,000, and four times as many would find 3,500.
 FINER = (6400, 25600)
-# A direction is tried if it is so many spacings from one that sees a voxel which few directions see.
-REACH = 1.6
 # Voxels that few directions see lie behind few gaps: so many of them are asked for their directions.
 MOST_ASKED = 1000
 # Fewer of them, of all voxels, lead to nothing: a chair's 37 to 22 others, a desk's 139 to 84.
@@ -41,12 +39,11 @@ def seen_closely(space: Space, to_camera: Float64, count: int) -> NDArray[np.uin
 
     Deep behind a gap a voxel is seen along few directions, and its neighbour perhaps along none of those
     given, but along one between them. So the directions that see such voxels at the edge of the unseen are
-    refined: those of a finer lattice that are near them are tried, too, and once more those that are near
-    these.
+    refined: those of a finer lattice within their spacing are tried, too, and then once more.
 
     Args:
         space: the voxels.
-        to_camera: (n, 3) unit vectors, from a point to a camera; none looks up if none of them does.
+        to_camera: (n, 3) unit vectors, from a point to a camera; if none points down, no further one does.
         count: number of directions of the whole lattice of which `to_camera` is a part.
     """
     marks = ways_along(space, to_camera)
@@ -58,10 +55,12 @@ def seen_closely(space: Space, to_camera: Float64, count: int) -> NDArray[np.uin
             break
         cells = edge[evenly(len(edge), MOST_ASKED)]
         seeing = _some_see(space.state, cells, to_camera, space.heights_m, *space.lengths_m)
+        if not seeing.any():
+            break
         tried = directions(finer)
         tried = tried[tried[:, 2] >= -LEVEL] if only_from_above else tried
         nearest = (tried @ to_camera[seeing].T).max(axis=1)
-        to_camera = tried[nearest > np.cos(REACH * spacing_rad(count))]
+        to_camera = tried[nearest > np.cos(spacing_rad(count))]
         count = finer
         marks = ways_along(space, to_camera) * (seen == 0)
         seen |= marks & np.uint8(SEEN)
