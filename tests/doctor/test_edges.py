@@ -59,7 +59,7 @@ def test_colour_that_lies_elsewhere_is_told_with_where(zoom: float, right_px: fl
 
 def flat(depth: NDArray[np.generic]) -> NDArray[np.generic]:
     """Depth of a bare wall."""
-    return np.where(depth > 0, 8000, 0).astype(np.uint16)
+    return np.where(depth == 0, 0, 8000).astype(np.uint16)
 
 
 def test_where_nothing_shows_registration_it_is_called_assumed(tmp_path: Path) -> None:
