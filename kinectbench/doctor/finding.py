@@ -90,7 +90,7 @@ def fact_lines(facts: Mapping[str, object]) -> list[tuple[str, str]]:
     """
     shown = {name: value for name, value in facts.items() if value is not None}
     registration = REGISTERED.get(shown.pop("color_registration", None))
-    if registration and shown.get("color_registered") and shown.get("color_images"):
+    if registration and shown.get("color_registered") and shown.get("color_size_px"):
         shown["color_registered"] = registration
     return [_in_words(name, value) for name, value in shown.items()]
 
