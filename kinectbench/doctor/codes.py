@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import Float32
-from kinectbench.doctor.depth import is_likely
+from kinectbench.doctor.depth import depth_quantiles_m, is_likely
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.probe import Probe
-from kinectbench.doctor.trajectory import PoseFit, fit_trajectory
+from kinectbench.doctor.scales import solve_scale
+from kinectbench.doctor.trajectory import PoseFit, fit_trajectory, fits_no_better
 from kinectbench.stages.ingest.depth_codes import float16_m, ray_lengths, unrotated
-from kinectbench.stages.ingest.plausibility import COMMON_SCALES
 from kinectbench.stages.ingest.recording import FileRecording
 
 UInt16 = NDArray[np.uint16]
@@ -50,7 +50,9 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
 
     Nothing is tried without given poses, or if `depth_code` is set. Only distance along the ray is tried if
     the poses fit already (it must then fit clearly better), or if the files have float depth, whose values
-    the probe no longer has. If the images are not files, as in a bag, only other scales are tried.
+    the probe no longer has. Another scale is tried, too, where such poses fit no better than a static camera,
+    or best at the limit of what `lengths` tries. If the images are not files, as in a bag, only other scales
+    are tried.
 
     Args:
         probe: the probe of the recording.
@@ -63,7 +65,13 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
         return
     # Poses that fit unchanged depth determine the scale, but distance along the ray differs only a little.
     as_given = poses is not None and poses.fits and poses.convention.changes == 0
-    codes = _along_the_ray(probe) if as_given or recording.float_scale is not None else _codes(probe)
+    if recording.float_scale is not None:
+        codes = [*_along_the_ray(probe)]
+    elif as_given and poses is not None:
+        far_off = fits_no_better(poses) or poses.lengths.at_limit
+        codes = [*(_other_scale(probe) if far_off else ()), *_along_the_ray(probe)]
+    else:
+        codes = [*_codes(probe)]
     fits = [(code, fit) for code in codes if (fit := _fit(probe, code)) is not None]
     if as_given and poses is not None:
         fits = [each for each in fits if each[1].residual_m < BETTER * poses.residual_m]
@@ -77,16 +85,8 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
 
 
 def _codes(probe: Probe) -> Iterator[Code]:
-    recording = probe.recording
-    for scale in COMMON_SCALES:
-        if scale != recording.depth_scale:
-            yield Code(
-                "depth_scale",
-                f"{scale:g} units a metre",
-                f"`camera: {{depth_scale: {scale:g}}}`",
-                _scaled(scale),
-            )
-    if not isinstance(recording, FileRecording):
+    yield from _other_scale(probe)
+    if not isinstance(probe.recording, FileRecording):
         return
     for scale in (1000.0, 10000.0):
         written = f"`camera: {{depth_code: rotated, depth_scale: {scale:g}}}`"
@@ -108,6 +108,20 @@ def _codes(probe: Probe) -> Iterator[Code]:
             f"n = {near_m:g}, f = {far_m:g}",
             _z_buffer(near_m, far_m),
         )
+
+
+def _other_scale(probe: Probe) -> Iterator[Code]:
+    solved = solve_scale(probe)
+    if solved is None:
+        return
+    present = probe.recording.depth_scale
+    _, median_m, far_m = depth_quantiles_m(probe).tolist()
+    advice = f"`camera: {{depth_scale: {solved.units:g}}}`"
+    if is_likely(median_m, far_m):  # the poses may be in another unit instead
+        advice = (
+            f"if {present:g} is right, multiply the poses' positions by {solved.factor:.3g}; else {advice}"
+        )
+    yield Code("depth_scale", f"{solved.units:g} units a metre", advice, _scaled(solved.units))
 
 
 def _along_the_ray(probe: Probe) -> Iterator[Code]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.trajectory.association import pairing_tolerance_ns
 from kinectbench.core.trajectory.clock_offset import steps_to_vertex
 from kinectbench.core.trajectory.stamps import NS_PER_S
-from kinectbench.doctor.color import color_edges, depth_jumps
+from kinectbench.doctor.edges import color_edges, depth_jumps
 from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.probe import END_RUN, Probe, SmallFrame
 

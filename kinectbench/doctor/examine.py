@@ -14,7 +14,7 @@ from kinectbench.core.trajectory.stamps import typical_period_ns
 from kinectbench.core.untrusted import printable
 from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.codes import EXPLAINED, check_codes
-from kinectbench.doctor.color import EdgeFit, check_edges, check_light, fit_edges
+from kinectbench.doctor.color import check_light
 from kinectbench.doctor.delays import check_color_delay, check_color_drift
 from kinectbench.doctor.depth import (
     SETTLED_BY_POSES,
@@ -24,6 +24,7 @@ from kinectbench.doctor.depth import (
     depth_quantiles_m,
     range_by_look,
 )
+from kinectbench.doctor.edges import EdgeFit, check_edges, fit_edges
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
 from kinectbench.doctor.floor import Ground, check_floor, seen_floor
 from kinectbench.doctor.grade import check_grade
@@ -250,6 +251,7 @@ def _late_facts(
     facts: dict[str, object] = {
         "floor_seen_in": f"{len(seen)} of {len(heights_m)} frames",
         "camera_height_m": _rounded(float(np.median(seen)), 2) if len(seen) else None,
+        "color_registration": edges.registration if edges else "unclear",
         "color_shift_px": edges.shift_px.tolist() if edges and edges.clear else None,
     }
     if poses is not None:

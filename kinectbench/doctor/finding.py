@@ -11,6 +11,12 @@ UNITS = {"_hz": " Hz", "_px": " px", "_mm": " mm", "_deg": "°", "_m": " m", "_s
 # Meaning of the value of a fact without a unit.
 NOTES = {"pose_disagreement": " (0: the depth fits the poses, 1: nowhere)"}
 SIZE = ("width", "height")
+# What edges show of colour's registration, and what stands for "yes" by it.
+Registration = Literal["seen", "unclear", "contradicted"]
+REGISTERED: dict[object, str] = {
+    "unclear": "assumed: nothing shows it",
+    "contradicted": "assumed, but its edges lie elsewhere",
+}
 
 
 @dataclass(frozen=True)
@@ -76,11 +82,17 @@ def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 def fact_lines(facts: Mapping[str, object]) -> list[tuple[str, str]]:
     """Return a diagnosis's facts as printable (name, value with unit), in order, without those that are None.
 
+    `color_registration` has no line: that of `color_registered` says it.
+
     Args:
         facts: facts of a `Diagnosis`: {name: plain JSON value}; the name of a value with a unit ends in it,
             such as duration_s.
     """
-    return [_in_words(name, value) for name, value in facts.items() if value is not None]
+    shown = {name: value for name, value in facts.items() if value is not None}
+    registration = REGISTERED.get(shown.pop("color_registration", None))
+    if registration and shown.get("color_registered") and shown.get("color_size_px"):
+        shown["color_registered"] = registration
+    return [_in_words(name, value) for name, value in shown.items()]
 
 
 def _in_words(name: str, value: object) -> tuple[str, str]:

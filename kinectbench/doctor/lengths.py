@@ -1,5 +1,6 @@
 """Check whether another depth scale or focal length fits the given poses better."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -41,6 +42,11 @@ class Lengths:
     def implausible(self) -> bool:
         """Whether the factors fit so much better that the present values are implausible."""
         return self.left < MIN_RATIO_LEFT
+
+    @property
+    def at_limit(self) -> bool:
+        """Whether the factors fit so much better, and that of depth is as far from 1 as was tried."""
+        return self.implausible and abs(math.log(self.depth)) > (MOST_STEPS - 0.5) * math.log(STEP)
 
 
 def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:

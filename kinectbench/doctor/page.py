@@ -11,7 +11,7 @@ from kinectbench.core.even_choice import evenly
 from kinectbench.core.images import data_uri, depth_picture, shrunk
 from kinectbench.core.pages import render_page
 from kinectbench.core.storage import replaced_file
-from kinectbench.doctor.color import depth_jumps
+from kinectbench.doctor.edges import depth_jumps
 from kinectbench.doctor.finding import Diagnosis, fact_lines
 from kinectbench.doctor.probe import Probe, WholeFrame
 

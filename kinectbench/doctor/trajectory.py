@@ -86,17 +86,27 @@ class PoseFit:
     lengths: Lengths
 
 
-def fit_trajectory(probe: Probe) -> PoseFit | None:
-    """Find the convention in which the given poses fit the depth; None without poses or enough pairs."""
+def posed_pairs(probe: Probe) -> tuple[NDArray[np.float64], tuple[FramePair, ...]] | None:
+    """Return the given poses (n, 4, 4) of the probe's n frames, NaN without one, and the pairs to compare.
+
+    The poses are as given, in any convention. The result is None without poses, or with too few pairs.
+    """
     given = probe.recording.given_trajectory
     if given is None or not probe.frames:
         return None
     moved = on_clock(probe, given)
     poses = poses_at(moved, clock_ns(probe, probe.frames), longest_gap_s(moved))
-    known = np.isfinite(poses[:, 0, 0])
     pairs = choose_pairs(probe, poses)
-    if len(pairs) < LEAST_PAIRS:
+    return None if len(pairs) < LEAST_PAIRS else (poses, pairs)
+
+
+def fit_trajectory(probe: Probe) -> PoseFit | None:
+    """Find the convention in which the given poses fit the depth; None without poses or enough pairs."""
+    posed = posed_pairs(probe)
+    if posed is None:
         return None
+    poses, pairs = posed
+    known = np.isfinite(poses[:, 0, 0])
     standing = np.tile(np.eye(4), (len(poses), 1, 1))
     (unmoved,) = disagreements(pairs, standing[None])
     conventions = list(likely_conventions())
@@ -145,6 +155,11 @@ def shows_motion(fit: PoseFit) -> bool:
     """
     camera, views = fit.pairs[0].camera, fit.T_world_camera[:, :3, 2]
     return fit.fits and bool((views @ views[0]).min() < math.cos(math.atan(camera.width / 2 / camera.fx)))
+
+
+def fits_no_better(fit: PoseFit) -> bool:
+    """Whether the camera moved, but the poses fit the depth no better than a static camera would."""
+    return fit.still > MOVED and fit.best > NO_BETTER * fit.still
 
 
 def _disagreements(
@@ -277,7 +292,7 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
         if fit.convention.images == "mirrored":
             name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"
         yield Finding(name, "stops", what, probe.where, advice)
-    elif fit.still > MOVED and fit.best > NO_BETTER * fit.still:
+    elif fits_no_better(fit):
         what = (
             "the given poses fit the depth no better than if the camera had stood still, in any "
             "convention that was tried"

@@ -15,12 +15,15 @@ from read_pictures import read_picture
 
 from kinectbench.doctor import inspect
 from kinectbench.doctor.during_build import likely_cause
+from kinectbench.doctor.probe import probe_recording
+from kinectbench.doctor.scales import solve_scale
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.settings.models import CameraSettings, TrackingSettings
 from kinectbench.stages.ingest.depth_codes import ray_lengths
 from kinectbench.stages.ingest.readers import open_recording
 
+SAMPLES = Path(__file__).parents[2] / "recordings"
 Metres = NDArray[np.float64]
 pytestmark = pytest.mark.xdist_group("depth codes")
 
@@ -65,6 +68,10 @@ def mm(metres: Metres) -> NDArray[np.uint16]:
     return np.rint(1000 * metres).astype(np.uint16)
 
 
+def units(scale: float) -> Callable[[Metres], NDArray[np.uint16]]:
+    return lambda metres: np.rint(scale * metres).clip(0, 65535).astype(np.uint16)
+
+
 def z_buffer(metres: Metres) -> NDArray[np.uint16]:
     z = np.maximum(metres, 0.1)
     return np.where(metres > 0, np.rint(65535 * 10 / 9.9 * (1 - 0.1 / z)), 0).astype(np.uint16)
@@ -74,8 +81,12 @@ def z_buffer(metres: Metres) -> NDArray[np.uint16]:
     ("encode", "name", "advice"),
     [
         (mm, None, ""),
-        (lambda metres: np.rint(10000 * metres).astype(np.uint16), "depth_scale", "depth_scale: 10000"),
-        (lambda metres: np.rint(256 * metres).astype(np.uint16), "depth_scale", "depth_scale: 256"),
+        (units(10000), "depth_scale", "depth_scale: 10000"),
+        (units(256), "depth_scale", "depth_scale: 256"),
+        (units(1250), "depth_scale", "if 1000 is right, multiply the poses' positions by 1.2"),
+        (units(2000), "depth_scale", "if 1000 is right, multiply the poses' positions by 2;"),
+        (units(4000), "depth_scale", "depth_scale: 4000"),
+        (units(6553.5), "depth_scale", "depth_scale: 6553.5"),
         (lambda metres: metres.astype(np.float16).view(np.uint16), "depth_code", "depth_code: float16"),
         (
             lambda metres: rotated(np.rint(10000 * metres).astype(np.uint16)),
@@ -106,6 +117,11 @@ def test_what_the_poses_prove_is_offered_and_then_fits(
     )
     plain = open_recording(base)
     np.testing.assert_allclose(depth / scale, plain.frame(0).depth / plain.depth_scale, atol=0.003)
+
+
+@pytest.mark.parametrize("name", ["chair_01", "table_01.bag"])
+def test_no_scale_is_better_than_the_right_one(name: str) -> None:
+    assert solve_scale(probe_recording(open_recording(SAMPLES / name))) is None
 
 
 def test_depth_along_the_ray(base: Path, tmp_path: Path) -> None:

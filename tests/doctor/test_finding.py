@@ -46,6 +46,20 @@ def test_words() -> None:
     ]
 
 
+def test_registration_that_nothing_shows_is_no_plain_yes() -> None:
+    """Even of images without stamps, which are not counted."""
+    facts: dict[str, object] = {"color_images": None, "color_size_px": [320, 240], "color_registered": True}
+    for registration, said in (
+        ("seen", "yes"),
+        ("unclear", "assumed: nothing shows it"),
+        ("contradicted", "assumed, but its edges lie elsewhere"),
+    ):
+        lines = fact_lines(facts | {"color_registration": registration})
+        assert lines == [("colour size", "320 x 240 px"), ("colour registered", said)]
+    without = fact_lines({"color_registered": True, "color_registration": "unclear"})
+    assert without == [("colour registered", "yes")]
+
+
 def test_terminal_and_page_say_the_same(command: Callable[..., Run], tmp_path: Path) -> None:
     page = tmp_path / "inspect.html"
     said = command(tmp_path, "inspect", str(CHAIR), "--page", str(page))

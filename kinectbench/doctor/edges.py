@@ -1,0 +1,285 @@
+"""Check the registration of colour to depth: compare the edges of both."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.types import Float64
+from kinectbench.doctor.finding import Finding, Registration
+from kinectbench.doctor.probe import Probe
+
+COLUMNS = 320
+JUMP_SHARE = 0.06
+REACH_PX = 24
+# A larger shift is an error; pixels of images 320 wide.
+OFF_PX = 4.0
+# The best shift must exceed the mean of the others by so many of their standard deviations.
+CLEAR = 5.0
+MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
+# Colour that lies elsewhere is looked for in images 160 wide, from which structure wider than this is taken.
+PLACED_COLUMNS, FINE_PX = 160, 4.0
+# How many times as large colour is tried: 0.6 to 1.73, as a D435's colour is 1.5 times as large as its depth;
+# and shifts (right, down) in these images. A step is 4 %: zooms that are 3 % off score nearly as much.
+ZOOM_STEP, ZOOMS = 1.04, np.arange(-13, 15)
+PLACED_REACH_PX = (40, 24)
+# A place is reported if its score is this high, and this many times that of colour as it is. Measured: 14 to
+# 38 where colour lies elsewhere (7 recordings); at most 10.5 where it fits nowhere, as it is mirrored, upside
+# down or of another frame (20 recordings, real and simulated, 60 trials).
+PLACED, PLACED_BETTER = 12.0, 1.5
+
+
+@dataclass(frozen=True)
+class ColorPlace:
+    """Where colour lies on depth, if it is enlarged about the middle of the image and then shifted.
+
+    A score is as in `EdgeFit`, but by edges without wide structure, and at all shifts.
+
+    Attributes:
+        zoom: how many times as large colour shows things.
+        shift_px: (2,) how far colour lies to the right of and below depth at the middle, depth pixels.
+        score: the score there.
+        here: the score without zoom, at shifts of at most one pixel of the images compared.
+    """
+
+    zoom: float
+    shift_px: NDArray[np.float64]
+    score: float
+    here: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether colour fits there clearly better than as it is."""
+        return self.score > max(PLACED, PLACED_BETTER * self.here)
+
+
+@dataclass(frozen=True)
+class EdgeFit:
+    """How well edges of colour coincide with depth discontinuities.
+
+    A score is a correlation minus the median of the correlations at all shifts up to 96 px, in images 320 px
+    wide, divided by their standard deviation.
+
+    Attributes:
+        here: the score without a shift.
+        best: the best score at a shift up to 24 px in these images; the shift is `shift_px`.
+        mirrored: the best score with colour mirrored left to right.
+        shift_px: (2,) best shift: how far colour lies to the right of and below depth, depth pixels.
+        pixel_px: pixels of depth per pixel of these images.
+        place: where colour fits best, if it is enlarged, too; None: not looked for.
+    """
+
+    here: float
+    best: float
+    mirrored: float
+    shift_px: NDArray[np.float64]
+    pixel_px: float
+    place: ColorPlace | None = None
+
+    @property
+    def clear(self) -> bool:
+        """Whether the best score is significant."""
+        return self.best > CLEAR
+
+    @property
+    def off(self) -> bool:
+        """Whether the best shift is too large for registered colour."""
+        return bool(np.linalg.norm(self.shift_px) > OFF_PX * self.pixel_px)
+
+    @property
+    def shifted(self) -> bool:
+        """Whether colour fits clearly better with the best shift."""
+        return self.clear and self.off and self.best > MUCH_BETTER * self.here
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether colour fits clearly better with a shift, or enlarged and with a shift."""
+        return self.shifted or (self.place is not None and self.place.clear)
+
+    @property
+    def registration(self) -> Registration:
+        """What the edges show of whether colour lies on depth, if the recording says that it does."""
+        if self.elsewhere:
+            return "contradicted"
+        seen = self.here > CLEAR or (self.place is not None and self.place.here > PLACED)
+        return "seen" if seen else "unclear"
+
+
+def fit_edges(probe: Probe) -> EdgeFit | None:
+    """Correlate depth discontinuities with colour edges, summed over the probe's full-size frames.
+
+    Frames are left out if they have no colour, if colour has another aspect ratio than depth, or if the image
+    has too few rows for the shifts that are tried. The result is None if no frame is left.
+    """
+    import cv2
+
+    sums: list[NDArray[np.float64]] = []
+    factor = 1.0
+    for frame in probe.whole:
+        height, width = frame.depth.shape
+        factor = width / COLUMNS
+        size = (COLUMNS, round(height / factor))
+        if frame.bgr is None or not _of_one_shape(frame.bgr, frame.depth) or size[1] <= 2 * REACH_PX:
+            continue
+        gray = cv2.cvtColor(frame.bgr, cv2.COLOR_BGR2GRAY)
+        jumps, edges = depth_jumps(frame.depth, size), color_edges(np.asarray(gray, np.uint8), size)
+        sums.append(np.stack([_correlation(jumps, edges), _correlation(jumps, edges[:, ::-1])]))
+    if not sums:
+        return None
+    right, mirrored = np.sum(sums, axis=0)
+    near = _around(right)
+    row, column = np.unravel_index(int(np.argmax(near)), near.shape)
+    shift = np.array([column - REACH_PX, row - REACH_PX]) * factor
+    here, best = float(near[REACH_PX, REACH_PX]), float(near.max())
+    fit = EdgeFit(here, best, float(_around(mirrored).max()), shift, factor)
+    unclear = probe.recording.color_registered and (here <= CLEAR or fit.shifted)
+    return replace(fit, place=_place(probe)) if unclear else fit
+
+
+def _place(probe: Probe) -> ColorPlace | None:
+    """Find where colour lies on depth, by many zooms; None without frames of colour in depth's shape."""
+    import cv2
+
+    parts = []
+    for frame in probe.whole:
+        if frame.bgr is None or not _of_one_shape(frame.bgr, frame.depth):
+            continue
+        height, width = frame.depth.shape
+        size = (PLACED_COLUMNS, round(height * PLACED_COLUMNS / width))
+        edges = color_edges(np.asarray(cv2.cvtColor(frame.bgr, cv2.COLOR_BGR2GRAY), np.uint8), size)
+        fine = edges - cv2.GaussianBlur(edges, (0, 0), FINE_PX)
+        parts.append((np.conj(np.fft.rfft2(depth_jumps(frame.depth, size))), fine.astype(np.float32)))
+    if not parts:
+        return None
+    scores = {zoom: _at_zoom(parts, zoom) for zoom in (ZOOM_STEP**ZOOMS).tolist()}
+    here = next(table for zoom, table in scores.items() if zoom == 1)
+    down, right = (count // 2 for count in here.shape)
+    at = max(scores, key=lambda zoom: float(scores[zoom].max()))
+    row, column = np.unravel_index(int(np.argmax(scores[at])), here.shape)
+    shift = np.array([column - right, row - down]) * at * probe.recording.camera.width / PLACED_COLUMNS
+    beside = here[down - 1 : down + 2, right - 1 : right + 2]
+    return ColorPlace(at, shift, float(scores[at].max()), float(beside.max()))
+
+
+def _at_zoom(parts: list[tuple[NDArray[np.complex128], NDArray[np.float32]]], zoom: float) -> Float64:
+    """Return the scores at all shifts of colour that is reduced by a zoom: 0 in the middle of the table.
+
+    Args:
+        parts: for each frame the conjugate spectrum of its depth jumps, and its colour edges (height, width).
+        zoom: how many times as large colour shows things.
+    """
+    import cv2
+
+    height, width = parts[0][1].shape
+    middle = np.array([(width - 1) / 2, (height - 1) / 2])
+    reduce = np.column_stack([zoom * np.eye(2), (1 - zoom) * middle])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    spectra = (
+        jumps * np.fft.rfft2(cv2.warpAffine(edges, reduce, (width, height), flags=flags))
+        for jumps, edges in parts
+    )
+    table = np.roll(np.fft.irfft2(sum(spectra), (height, width)), (height // 2, width // 2), (0, 1))
+    table = (table - np.median(table)) / (table.std() + 1e-9)
+    right, down = (
+        min(reach, count // 2) for reach, count in zip(PLACED_REACH_PX, (width, height), strict=True)
+    )
+    return np.asarray(
+        table[height // 2 - down : height // 2 + down + 1, width // 2 - right : width // 2 + right + 1]
+    )
+
+
+def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
+    """Return whether colour (height, width, 3) and depth (height, width) have the same aspect ratio."""
+    ratio, of_depth = (image.shape[1] / image.shape[0] for image in (bgr, depth))
+    return bool(abs(ratio - of_depth) <= 0.02)
+
+
+def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
+    """Report colour that is mirrored, or not registered to depth although the recording says that it is.
+
+    A note reports colour that is only for display, because it is neither registered nor calibrated.
+    """
+    if fit is None:
+        shapes = (_of_one_shape(frame.bgr, frame.depth) for frame in probe.whole if frame.bgr is not None)
+        if probe.recording.color_registered and not all(shapes):
+            what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
+            advice = "`color_registered: false` in camera.json"
+            yield Finding("color_not_registered", "warning", what, probe.where, advice)
+        return
+    if fit.mirrored > CLEAR and fit.mirrored > MIRROR_BETTER * fit.best:
+        what = "colour is mirrored left to right against depth"
+        yield Finding("color_mirrored", "warning", what, probe.where, "mirror one of the two, and look which")
+        return
+    if probe.recording.color_registered and fit.elsewhere:
+        what = f"colour is said to lie on depth, but its edges are {_where(fit)}"
+        advice = "register it, give its calibration, or say `color_registered: false` in camera.json"
+        yield Finding("color_not_registered", "warning", what, probe.where, advice)
+    elif not probe.recording.color_registered and probe.recording.color_calibration is None:
+        lies = " although its edges are near those of depth" if fit.clear and not fit.off else ""
+        what = f"colour does not lie on depth, or it is not known that it does{lies}: it is for display only"
+        yield Finding("color_display_only", "note", what, probe.where)
+
+
+def _where(fit: EdgeFit) -> str:
+    """Say how large the edges of colour that is not registered are, and where."""
+    (right, down), place, large = fit.shift_px.tolist(), fit.place, ""
+    if place is not None and place.score > PLACED:
+        if place.zoom != 1:
+            large = f"about {place.zoom:.2g} times as large as depth's, and "
+        if place.zoom != 1 or not fit.shifted:  # else the shift in the larger images is more precise
+            right, down = place.shift_px.tolist()
+    return (
+        f"{large}{abs(right):.0f} px to the {'right' if right > 0 else 'left'} and {abs(down):.0f} px "
+        f"{'down' if down > 0 else 'up'}"
+    )
+
+
+def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np.float64]:
+    """Return an image, resized to `size` (width, height), that is 1 at depth discontinuities, else 0.
+
+    A discontinuity is a large relative difference between measured neighbours on both sides of a pixel.
+    """
+    import cv2
+
+    pixels = depth.astype(np.float32)
+    z = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_NEAREST), np.float64)
+    jumps = np.zeros(z.shape)
+    for axis in (0, 1):
+        before, after = (np.roll(z, shift, axis) for shift in (1, -1))
+        measured = (before > 0) & (after > 0)
+        far = np.abs(before - after) > JUMP_SHARE * np.minimum(before, after)
+        jumps[measured & far] = 1.0
+    jumps[[0, -1]] = jumps[:, [0, -1]] = 0.0
+    return jumps
+
+
+def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
+    """Return a grey image's gradient magnitude at `size` (width, height), relative to its mean, at most 4."""
+    import cv2
+
+    small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 1.0)
+    steep = cv2.magnitude(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
+    mean = float(steep.mean()) + 1e-3
+    return np.asarray(np.minimum(steep / mean, 4.0), np.float64)
+
+
+def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the correlation of depth jumps and colour edges at each cyclic shift (down, right) of colour."""
+    spectrum = np.conj(np.fft.rfft2(jumps)) * np.fft.rfft2(edges - edges.mean())
+    return np.asarray(np.fft.irfft2(spectrum, jumps.shape))
+
+
+def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normalise correlations; return those at shifts up to REACH_PX (r): (2 r + 1, 2 r + 1), 0 in the middle.
+
+    Their median is subtracted, then they are divided by their standard deviation, both at shifts up to 4 r.
+    """
+
+    def window(reach: int) -> NDArray[np.float64]:
+        rolled = np.roll(scores, (reach, reach), axis=(0, 1))
+        return rolled[: 2 * reach + 1, : 2 * reach + 1]
+
+    wide = window(4 * REACH_PX)
+    return np.asarray((window(REACH_PX) - np.median(wide)) / (wide.std() + 1e-9))
