@@ -13,10 +13,11 @@ from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.trajectory.text_rows import read_numbers, read_text
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
-from kinectbench.core.types import MM_PER_M, Float64
+from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import quoted
 from kinectbench.core.untrusted_text import parsed_json
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.depth_units import stated_scale
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 NEEDED = ("fx", "fy", "cx", "cy")
@@ -30,8 +31,6 @@ LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
 JSON_BYTES = 16 << 20
 # Limit for the JSON of one frame: apps write a few kilobytes.
 FRAME_JSON_BYTES = 256 << 10
-# No unit of depth images is as long as this many mm: a larger scale is in units per metre.
-MOST_MM_A_UNIT = 100.0
 # librealsense's and Record3D's names of keys; and keys of a matrix instead of fx, fy, cx and cy.
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
 MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "camera_matrix", "K", "k")
@@ -140,11 +139,10 @@ def scale_warnings(path: Path, said_scale: float | None, settings: CameraSetting
 def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 
-    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered.
+    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), color_registered, and a unit (`stated_scale`).
     Instead of fx ... cy a matrix: `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K` or `k`: three rows, or
     nine numbers, column-major (as by Open3D) or row-major (the zeros show which); or an object with these
-    as `data`. A depth_scale below 100 beside `cam_K` is BOP's, mm per unit; another one below 1 is in metres
-    per unit, as in librealsense, because no unit of depth images is longer.
+    as `data`.
 
     Raises:
         RecordingError: not JSON, a value of the wrong type or out of range, no pinhole matrix, or values that
@@ -152,19 +150,17 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     """
     raw = read_json_object(path, HELD)
     known = {SAME_AS.get(key, key): value for key, value in raw.items() if value is not None}
-    if "depth_factor" in known:
-        known.setdefault("depth_scale", known["depth_factor"])
-    keys = [key for key in (*NEEDED, "depth_scale", "width", "height") if key in known]
+    keys = [key for key in (*NEEDED, "depth_scale", "depth_factor", "width", "height") if key in known]
     values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
     values |= {key: int(values[key]) for key in ("width", "height") if key in values}
-    if values.get("depth_scale", 1.0) <= 0:
-        raise IntrinsicsError(f"{path}: 'depth_scale' must be above 0 (native units per metre)")
+    for key in ("depth_scale", "depth_factor"):
+        if values.pop(key, 1.0) <= 0:
+            raise IntrinsicsError(f"{path}: '{key}' must be above 0 (native units per metre)")
     if "color_registered" in known:
         if not isinstance(known["color_registered"], bool):
             raise RecordingError(f"{path}: 'color_registered' must be true or false")
         values["color_registered"] = known["color_registered"]
-    if "depth_scale" in values:
-        values |= _units_a_metre(values["depth_scale"], path, of_bop="cam_K" in known)
+    values["depth_scale"], values["notes"] = stated_scale(known, path, of_bop="cam_K" in known)
     # Other programs store something else under "k".
     key = next((key for key in MATRIX_KEYS if key in known and (key != "k" or _is_matrix(known[key]))), None)
     if key is not None:
@@ -177,18 +173,6 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
                 )
         return replace(matrix, **values)
     return Intrinsics(**values)
-
-
-def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, object]:
-    """A file's depth scale in units per metre, as fields of `Intrinsics`; converted if BOP's or below 1."""
-    if of_bop and stated < MOST_MM_A_UNIT:
-        scale, how = MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
-    elif stated < 1:
-        scale, how = 1 / stated, "metres a unit, as librealsense has it"
-    else:
-        return {"depth_scale": stated}
-    note = f"{path}: its depth_scale {stated:g} is taken for {how}: 1 m is {scale:g} units"
-    return {"depth_scale": scale, "notes": (note,)}
 
 
 def read_color_calibration(path: Path) -> ColorCalibration | None:

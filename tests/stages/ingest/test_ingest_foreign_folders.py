@@ -116,7 +116,9 @@ def test_files_of_one_camera_with_a_distortion_agree(tmp_path: Path) -> None:
     assert camera_of(recording) == CAMERA and "0.yaml: its distortion is" in recording.warnings[0]
     (folder / "calib/2.yaml").write_text(YAML.replace(f"{FX}", "61.5"))
     with raises(
-        RecordingError, "recording.bad-intrinsics", match=r"2\.yaml: has another camera than .*0\.yaml"
+        RecordingError,
+        "recording.bad-intrinsics",
+        match=r"2\.yaml: has another camera or unit .*0\.yaml",
     ):
         opened(folder)
 
