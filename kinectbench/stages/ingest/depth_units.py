@@ -31,7 +31,7 @@ YAML_UNIT = re.compile(
 MOST_MM_A_UNIT = 100.0
 
 
-def stated_scale(
+def scale_of_keys(
     stated: Mapping[str, object], path: Path, *, of_bop: bool
 ) -> tuple[float | None, tuple[str, ...]]:
     """The units per metre of depth that a file states, and warnings.
@@ -65,7 +65,7 @@ def stated_scale(
 
 
 def yaml_scale(text: str, path: Path, *, of_bop: bool) -> tuple[float | None, tuple[str, ...]]:
-    """The units per metre of depth that a YAML text states, and warnings; see `stated_scale`.
+    """The units per metre of depth that a YAML text states, and warnings; see `scale_of_keys`.
 
     A scale below 10 is not used: it is of depth in floats (ORB-SLAM's examples for ROS have 1), or of
     something else. Neither is a name that repeats with another value.
@@ -75,7 +75,7 @@ def yaml_scale(text: str, path: Path, *, of_bop: bool) -> tuple[float | None, tu
         value = _number_or_text(word)
         if values.setdefault(name, value) != value:
             values[name] = f"{values[name]}, {value}"
-    scale, notes = stated_scale(values, path, of_bop=of_bop)
+    scale, notes = scale_of_keys(values, path, of_bop=of_bop)
     if scale is None or scale >= MM_PER_M / MOST_MM_A_UNIT:
         return scale, notes
     return None, (f"{path}: says that 1 m is {scale:g} units of depth, which is not used for 16-bit depth",)

@@ -17,7 +17,7 @@ from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import quoted
 from kinectbench.core.untrusted_text import parsed_json
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.depth_units import stated_scale
+from kinectbench.stages.ingest.depth_units import scale_of_keys
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 NEEDED = ("fx", "fy", "cx", "cy")
@@ -27,6 +27,9 @@ MATRIX_SHAPES = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
 LEAST_FOCAL, MOST_FOCAL = 0.2, 10.0
 # Limits of focal lengths for any image, pixels.
 LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
+# Focal lengths of square pixels differ by less than the first share of fx, others by more than the second
+# (our own bounds; calibrations of square pixels differ by some 0.5 %).
+SAME_FOCAL, NOT_SQUARE = 0.02, 0.1
 # Limit for poses and intrinsics of 50,000 frames; the number of values has its own limit.
 JSON_BYTES = 16 << 20
 # Limit for the JSON of one frame: apps write a few kilobytes.
@@ -139,7 +142,7 @@ def scale_warnings(path: Path, said_scale: float | None, settings: CameraSetting
 def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 
-    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), color_registered, and a unit (`stated_scale`).
+    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), color_registered, and a unit (`scale_of_keys`).
     Instead of fx ... cy a matrix: `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K` or `k`: three rows, or
     nine numbers, column-major (as by Open3D) or row-major (the zeros show which); or an object with these
     as `data`.
@@ -160,7 +163,7 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
         if not isinstance(known["color_registered"], bool):
             raise RecordingError(f"{path}: 'color_registered' must be true or false")
         values["color_registered"] = known["color_registered"]
-    values["depth_scale"], values["notes"] = stated_scale(known, path, of_bop="cam_K" in known)
+    values["depth_scale"], values["notes"] = scale_of_keys(known, path, of_bop="cam_K" in known)
     # Other programs store something else under "k".
     key = next((key for key in MATRIX_KEYS if key in known and (key != "k" or _is_matrix(known[key]))), None)
     if key is not None:
@@ -225,8 +228,7 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
     """
     numbers = read_numbers(path)
     if len(numbers) == len(NEEDED):
-        fx, fy, cx, cy = numbers
-        return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
+        return of_four_numbers(numbers, path)
     shape = MATRIX_SHAPES.get(len(numbers))
     if shape is None:
         raise IntrinsicsError(
@@ -234,6 +236,21 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
             "cx cy)"
         )
     return pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
+
+
+def of_four_numbers(numbers: Sequence[float], path: Path) -> Intrinsics:
+    """Intrinsics from [fx, fy, cx, cy]; or from [fx, cx, fy, cy], as OpenLORIS has them, with a warning.
+
+    The latter are recognised by a first and a third number that are nearly equal, unlike the second: in the
+    usual order, pixels would not be square, and the principal point as far from the edge as fx is long.
+    """
+    first, second, third, fourth = numbers
+    near, far = SAME_FOCAL * abs(first), NOT_SQUARE * abs(first)
+    if not (abs(third - first) <= near and abs(second - first) > far):
+        return Intrinsics(fx=first, fy=second, cx=third, cy=fourth)
+    read = f"fx {first:g}, cx {second:g}, fy {third:g}, cy {fourth:g}"
+    note = f"{path}: its four numbers are read as {read}; if not so, give them under `camera:`"
+    return Intrinsics(fx=first, fy=third, cx=second, cy=fourth, notes=(note,))
 
 
 def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: Path) -> None:

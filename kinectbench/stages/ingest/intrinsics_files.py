@@ -14,13 +14,14 @@ from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.text_rows import parse_floats, read_text
 from kinectbench.core.untrusted import listed_paths, printable
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.depth_units import stated_scale, yaml_scale
+from kinectbench.stages.ingest.depth_units import scale_of_keys, yaml_scale
 from kinectbench.stages.ingest.intrinsics import (
     HELD,
     MATRIX_SHAPES,
     NEEDED,
     Intrinsics,
     gives_intrinsics,
+    of_four_numbers,
     pinhole,
     read_intrinsics_json,
     read_intrinsics_matrix,
@@ -100,7 +101,7 @@ def _scale_beside(path: Path) -> tuple[float | None, tuple[str, ...]]:
         with suppress(RecordingError, OSError):
             if file.suffix == ".json":
                 stated = read_json_object(file, HELD, YAML_BYTES)
-                scale, _ = stated_scale(stated, file, of_bop="cam_K" in stated)
+                scale, _ = scale_of_keys(stated, file, of_bop="cam_K" in stated)
             elif file.name != "benchmark.yaml":
                 text = read_text(file, YAML_BYTES)
                 scale, _ = yaml_scale(text, file, of_bop="cam_K" in text)
@@ -178,8 +179,8 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
             continue
         if first is not None and _differ(first[1], intrinsics):
             raise IntrinsicsError(
-                f"{file}: has another camera or unit than {first[0]}; a recording must keep one: correct them, or "
-                "give fx, fy, cx, cy under `camera:`"
+                f"{file}: has another camera or unit than {first[0]}; a recording must keep one: correct "
+                "them, or give fx, fy, cx, cy under `camera:`"
             )
         if first is None or (first[1].depth_scale is None and intrinsics.depth_scale is not None):
             first = (file, intrinsics)
@@ -212,8 +213,8 @@ def _read_yaml(file: Path) -> Intrinsics | None:
         if numbers is None:  # text: a file name, or another program's settings
             continue
         if len(numbers) == len(NEEDED):
-            fx, fy, cx, cy = numbers
-            return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, **sizes)
+            four = of_four_numbers(numbers, file)
+            return replace(four, **sizes | {"notes": (*sizes["notes"], *four.notes)})
         shape = MATRIX_SHAPES.get(len(numbers))
         if shape is not None:
             K = pinhole(np.array(numbers).reshape(shape)[:3, :3], file)

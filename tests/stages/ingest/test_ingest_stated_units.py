@@ -4,12 +4,14 @@ import json
 from pathlib import Path
 
 import pytest
-from ingest_writers import CX, CY, FX, FY, write_folder
+from ingest_writers import CX, CY, FX, FY, write_folder, write_tum
 from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.intrinsics_files import find_intrinsics
 from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.recording import FileRecording
 
 MATRIX = [FX, 0, CX, 0, FY, CY, 0, 0, 1]
 BY_KEY = {"fx": FX, "fy": FY, "cx": CX, "cy": CY}
@@ -68,3 +70,33 @@ def test_files_of_one_camera_with_two_units_are_refused(tmp_path: Path) -> None:
     files: dict[str, object] = {f"{n}.yaml": f"{ORB}DepthMapFactor: {n}000\n" for n in (1, 5)}
     with raises(RecordingError, "recording.bad-intrinsics", match=r"5\.yaml: has another camera or unit"):
         open_recording(folder_with(tmp_path, files))
+
+
+@pytest.mark.parametrize("name", ["sensors.yaml", "K.txt"])
+def test_four_numbers_in_the_order_of_openloris(tmp_path: Path, name: str) -> None:
+    # The numbers of its camera d400_color, halved.
+    numbers = [305.725, 216.6, 305.745, 124.735]
+    text = f"intrinsics: !!opencv-matrix\n   rows: 1\n   cols: 4\n   data: {numbers}\n"
+    folder = folder_with(tmp_path, {name: text if name != "K.txt" else " ".join(map(str, numbers))})
+    found, _ = find_intrinsics(folder, CameraSettings())
+    assert (found.fx, found.cx, found.fy, found.cy) == tuple(numbers)
+    assert "its four numbers are read as fx 305.725, cx 216.6, fy 305.745" in found.notes[0]
+
+
+def test_four_numbers_of_pixels_that_are_not_square_keep_their_order(tmp_path: Path) -> None:
+    found, _ = find_intrinsics(folder_with(tmp_path, {"K.txt": "600 450 320 180"}), CameraSettings())
+    assert (found.fx, found.fy, found.cx, found.cy, found.notes) == (600, 450, 320, 180, ())
+
+
+def test_the_lists_of_openloris_are_read(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "r")
+    (folder / "rgb.txt").rename(folder / "color.txt")
+    recording = open_recording(folder)
+    assert isinstance(recording, FileRecording) and recording.places[0].color is not None
+    (folder / "depth").rename(folder / "aligned_depth")
+    text = (folder / "depth.txt").read_text()
+    (folder / "aligned_depth.txt").write_text(text.replace("depth/", "aligned_depth/"))
+    recording = open_recording(folder)
+    assert isinstance(recording, FileRecording)
+    assert recording.places[0].depth.parent.name == "aligned_depth" and recording.places[0].color is not None
+    assert any("aligned_depth.txt: is read, and not depth.txt" in line for line in recording.warnings)
