@@ -70,6 +70,12 @@ def z_buffer(metres: Metres) -> NDArray[np.uint16]:
     return np.where(metres > 0, np.rint(65535 * 10 / 9.9 * (1 - 0.1 / z)), 0).astype(np.uint16)
 
 
+def disparity(metres: Metres) -> NDArray[np.uint16]:
+    """The raw disparity of a Kinect v1; 2047: none."""
+    raw = (3.3309495161 - 1 / np.maximum(metres, 0.01)) / 0.0030711016
+    return np.where(metres > 0.35, np.rint(raw), 2047).astype(np.uint16)
+
+
 @pytest.mark.parametrize(
     ("encode", "name", "advice"),
     [
@@ -83,6 +89,8 @@ def z_buffer(metres: Metres) -> NDArray[np.uint16]:
             "depth_code: rotated, depth_scale: 10000",
         ),
         (z_buffer, "depth_code", "n = 0.1, f = 10"),
+        (disparity, "depth_code", "write 1000 / (-0.0030711016 * raw + 3.3309495161) mm"),
+        (lambda metres: disparity(metres) % 2047, "depth_code", "FREENECT_DEPTH_REGISTERED"),
     ],
 )
 def test_what_the_poses_prove_is_offered_and_then_fits(
@@ -153,6 +161,18 @@ def test_holes_of_65535_are_no_exchanged_bytes(base: Path, tmp_path: Path) -> No
 
     said = {found.name for found in inspect(recoded(base, tmp_path / "r", with_holes))[0].findings}
     assert "invalid_code" in said and "byte_order" not in said
+
+
+def test_raw_disparity_is_told_from_mm_with_the_same_code(base: Path, tmp_path: Path) -> None:
+    """By freenect's code alone, without poses; depth in mm that reaches farther only has a code."""
+    advice = {}
+    for name, encode in (("raw", disparity), ("mm", lambda m: np.where((m > 1.4) | (m == 0), 2047, mm(m)))):
+        folder = recoded(base, tmp_path / name, lambda m, encode=encode: encode(m).astype(np.uint16))
+        (folder / "poses.txt").unlink()
+        (found,) = [each for each in inspect(folder)[0].findings if each.name == "invalid_code"]
+        advice[name] = found
+    assert "raw disparity" in advice["raw"].what and advice["raw"].advice.startswith("write 1000 / (-0.003")
+    assert "disparity" not in advice["mm"].what
 
 
 def test_depth_images_of_two_sizes_end_in_one_line(base: Path, tmp_path: Path) -> None:
