@@ -14,6 +14,8 @@ COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 # YCB-Video has 000001-depth.png beside 000001-color.png; other data sets have the word first, or in between.
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
+# What librealsense's tools and DexYCB add to the name of an image that lies on the other camera's pixels.
+TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
 # Bytes of a PNG that contain its number of bits.
 HEAD_BYTES = 26
 
@@ -82,7 +84,7 @@ def lie_beside_each_other(path: Path) -> bool:
         return False
     depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))
     color = listed_paths(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES))
-    return any(color) and any(map(is_16_bit, depth))
+    return any(_is_of(COLOR_WORD, file) for file in color) and any(map(is_16_bit, depth))
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
@@ -97,7 +99,7 @@ def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
     suffixes = DEPTH_SUFFIXES if word is DEPTH_WORD else COLOR_SUFFIXES
     files = listed_paths(path, wanted=lambda name: _word(name, word, suffixes))
     named = sorted(
-        ((_without(word, file.stem), file) for file in files),
+        ((_without(word, file.stem), file) for file in files if _is_of(word, file)),
         key=lambda each: (counting_key(each[0]), each[1].name),
     )
     return NamedImages(tuple(file for _, file in named), tuple(stem for stem, _ in named))
@@ -113,7 +115,19 @@ def _word(name: str, word: re.Pattern[str], suffixes: frozenset[str]) -> bool:
     return f"{dot}{suffix.lower()}" in suffixes and not name.startswith(".") and bool(word.fullmatch(stem))
 
 
+def _is_of(word: re.Pattern[str], file: Path) -> bool:
+    """Whether an image is of the stream of this word, and not of the other one, of which its name has both.
+
+    Depth in aligned_depth_to_color_000000.png has 16 bits per pixel; colour has not.
+    """
+    if file.suffix.lower() not in COLOR_SUFFIXES:
+        return True
+    both = DEPTH_WORD.fullmatch(file.stem) and COLOR_WORD.fullmatch(file.stem)
+    return not both or is_16_bit(file) == (word is DEPTH_WORD)
+
+
 def _without(word: re.Pattern[str], stem: str) -> str:
     """A name without the word in it; the parts before and after are joined by an underscore."""
+    stem = TO_OTHER.sub(r"\1", stem)
     match = word.fullmatch(stem)
     return "_".join(part for part in match.groups() if part) if match else stem
