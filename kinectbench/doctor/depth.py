@@ -202,8 +202,8 @@ def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     )
     advice = "find out its unit, and give `depth_scale` (units a metre)"
     # Some cameras record objects on a table from such a small distance.
-    stored = probe.recording.float_scale is None
-    if stored and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
+    offers = probe.recording.float_scale is None and not math.isclose(better, scale)
+    if offers and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
         advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
     yield Finding("depth_scale", severity, what, probe.where, advice)
 

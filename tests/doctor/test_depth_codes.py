@@ -134,6 +134,17 @@ def test_without_poses_nothing_is_offered_as_right(base: Path, tmp_path: Path) -
     assert "find out its unit" in found.advice and "which nothing here proves" in found.advice
 
 
+def test_the_scale_that_depth_has_already_is_not_offered(base: Path, tmp_path: Path) -> None:
+    """The left eighth is far away, which is unlikely; the median is as usual."""
+    far = np.arange(160) < 20
+    folder = recoded(base, tmp_path / "r", lambda m: np.where((m > 0) & far, mm(4 * m + 10), mm(m)))
+    (folder / "poses.txt").unlink()
+    (found,) = [found for found in inspect(folder)[0].findings if found.name == "depth_scale"]
+    assert (
+        "at 1000 units per metre, which is unlikely" in found.what and "median would be" not in found.advice
+    )
+
+
 def test_poses_of_another_recording_offer_nothing(base: Path, tmp_path: Path) -> None:
     """By no scale and no code do they fit."""
     folder = recoded(base, tmp_path / "r", mm)

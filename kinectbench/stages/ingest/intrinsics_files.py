@@ -140,21 +140,23 @@ def named_like_intrinsics(path: Path) -> str:
     return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
 
 
-def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
+def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:
     """The end of an error message with the names of files that `wanted` accepts; "" without such files.
 
     Args:
         path: the recording's folder; it and its direct subfolders are searched; "" is returned for a file.
         wanted: predicate on names.
         how: words before the names.
+        by_folder: whether the predicate gets names with their subfolder, such as pose/000000.npy.
     """
     if not path.is_dir():
         return ""
     children = sorted(islice(listed_paths(path), LOOKED_AT))
     folders = [child for child in children if child.is_dir() and not child.name.startswith(".")]
-    below = (file for folder in folders for file in islice(listed_paths(folder), LOOKED_AT))
-    matches = (file for file in (*children, *below) if file.is_file() and wanted(file.name))
-    names = [str(file.relative_to(path)) for file in islice(matches, MOST_NAMED)]
+    below = (file for folder in folders for file in sorted(islice(listed_paths(folder), LOOKED_AT)))
+    inside = ((file, file.relative_to(path)) for file in (*children, *below) if file.is_file())
+    matches = (name for file, name in inside if wanted(str(name) if by_folder else file.name))
+    names = [str(name) for name in islice(matches, MOST_NAMED)]
     return f"; {how} {printable(', '.join(names))}" if names else ""
 
 

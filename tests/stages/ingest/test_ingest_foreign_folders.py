@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -191,6 +192,14 @@ def test_a_second_file_with_intrinsics_is_named(tmp_path: Path) -> None:
     (folder / "cam_K.txt").write_text(f"{FX} {FY} {CX} {CY}\n")
     (line,) = opened(folder).warnings
     assert "camera_intrinsic.json: is read, and not cam_K.txt beside it" in line
+
+
+@pytest.mark.parametrize(("name", "is_depth"), [("aligned_depth", True), ("depth_view", False)])
+def test_a_second_folder_of_depth_is_named(tmp_path: Path, name: str, is_depth: bool) -> None:
+    folder = write_folder(tmp_path / "r")
+    shutil.copytree(folder / ("depth" if is_depth else "color"), folder / name)
+    said = opened(folder).warnings
+    assert len(said) == is_depth and all("and not from aligned_depth/ beside it" in line for line in said)
 
 
 def test_a_hostile_yaml_is_read_in_no_time(tmp_path: Path) -> None:

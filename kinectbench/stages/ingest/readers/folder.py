@@ -40,6 +40,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     color_images,
     depth_images,
     lie_beside_each_other,
+    other_depth,
     unread_depth,
 )
 from kinectbench.stages.ingest.readers.pose_files import (
@@ -181,6 +182,7 @@ class FolderRecording(FileRecording):
             trajectory_error=error,
             warnings=(
                 *unread_depth(path, depth),
+                *other_depth(path),
                 *paired,
                 *stored.warnings,
                 *said_warnings(path, said, settings),

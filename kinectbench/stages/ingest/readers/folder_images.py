@@ -69,6 +69,24 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
     return (f"{read.files[0].parent}: {line}",)
 
 
+def other_depth(path: Path) -> tuple[str, ...]:
+    """A warning on each folder of depth beside depth/, such as aligned_depth/; empty without such folders."""
+    if not (path / "depth").is_dir():
+        return ()
+    folders = sorted(f for f in listed_paths(path, wanted=DEPTH_WORD.fullmatch) if f.is_dir())
+    others = [f for f in folders if f.name != "depth" and _first_is_depth(f)]
+    return tuple(
+        f"{path}: depth is read from depth/, and not from {printable(f.name)}/ beside it: if colour lies on "
+        "the pixels of the latter, or if it is the better one, rename it to depth/"
+        for f in others
+    )
+
+
+def _first_is_depth(folder: Path) -> bool:
+    first = next(iter(in_folder(folder, DEPTH_SUFFIXES).files), None)
+    return first is not None and (first.suffix.lower() != ".png" or is_16_bit(first))
+
+
 def color_images(path: Path) -> NamedImages:
     """The colour images in a recording's folder, of the first subfolder that has any; empty without any."""
     folders = [path / name for name in COLOR_FOLDERS if (path / name).is_dir()]

@@ -204,15 +204,15 @@ def _with_focal_lengths(frame: Frame, color_px: tuple[int, int], file: Path) -> 
     """
     if frame.get("fl_x") is not None or frame.get("camera_angle_x") is None:
         return frame
-    size = [number_of(frame.get(key, px), f"{file}: '{key}'") for key, px in zip("wh", color_px, strict=True)]
+    given = {key: value for key, value in frame.items() if value is not None}
+    size = [number_of(given.get(key, px), f"{file}: '{key}'") for key, px in zip("wh", color_px, strict=True)]
     focal = dict[str, object]()
     for key, fl, side in (("camera_angle_x", "fl_x", size[0]), ("camera_angle_y", "fl_y", size[1])):
-        angle = None if frame.get(key) is None else number_of(frame[key], f"{file}: '{key}'")
+        angle = number_of(given[key], f"{file}: '{key}'") if key in given else None
         if angle is not None and not 0 < angle < math.pi:
             raise IntrinsicsError(f"{file}: '{key}' is {angle:g}, and no angle of view between 0 and pi")
         focal[fl] = focal["fl_x"] if angle is None else side / (2 * math.tan(angle / 2))
-    usual = {**focal, "cx": size[0] / 2, "cy": size[1] / 2}
-    return usual | {key: value for key, value in frame.items() if value is not None}
+    return {**focal, "cx": size[0] / 2, "cy": size[1] / 2} | given
 
 
 def _intrinsics(

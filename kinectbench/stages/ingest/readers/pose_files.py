@@ -36,7 +36,7 @@ POSE_FOLDERS = ("pose", "poses")
 
 def named_like_poses(path: Path) -> str:
     """The end of an error message that names files which look like poses; "" if there are none."""
-    return names_like(path, LIKE_POSES.fullmatch, "not read, by name poses:")
+    return names_like(path, LIKE_POSES.fullmatch, "not read, by name poses:", by_folder=True)
 
 
 def unread_poses(path: Path) -> list[str]:
