@@ -176,14 +176,17 @@ def test_holes_of_65535_are_no_exchanged_bytes(base: Path, tmp_path: Path) -> No
 
 def test_raw_disparity_is_told_from_mm_with_the_same_code(base: Path, tmp_path: Path) -> None:
     """By freenect's code alone, without poses; depth in mm that reaches farther only has a code."""
-    advice = {}
-    for name, encode in (("raw", disparity), ("mm", lambda m: np.where((m > 1.4) | (m == 0), 2047, mm(m)))):
-        folder = recoded(base, tmp_path / name, lambda m, encode=encode: encode(m).astype(np.uint16))
+
+    def with_code(metres: Metres) -> NDArray[np.uint16]:
+        return np.where((metres > 1.4) | (metres == 0), 2047, mm(metres)).astype(np.uint16)
+
+    found = {}
+    for encode in (disparity, with_code):
+        folder = recoded(base, tmp_path / encode.__name__, encode)
         (folder / "poses.txt").unlink()
-        (found,) = [each for each in inspect(folder)[0].findings if each.name == "invalid_code"]
-        advice[name] = found
-    assert "raw disparity" in advice["raw"].what and advice["raw"].advice.startswith("write 1000 / (-0.003")
-    assert "disparity" not in advice["mm"].what
+        (found[encode],) = [each for each in inspect(folder)[0].findings if each.name == "invalid_code"]
+    assert "raw disparity" in found[disparity].what and "write 1000 / (-0.003" in found[disparity].advice
+    assert "disparity" not in found[with_code].what
 
 
 def test_depth_images_of_two_sizes_end_in_one_line(base: Path, tmp_path: Path) -> None:

@@ -156,9 +156,9 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     keys = [key for key in (*NEEDED, "depth_scale", "depth_factor", "width", "height") if key in known]
     values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
     values |= {key: int(values[key]) for key in ("width", "height") if key in values}
-    for key in ("depth_scale", "depth_factor"):
-        if values.pop(key, 1.0) <= 0:
-            raise IntrinsicsError(f"{path}: '{key}' must be above 0 (native units per metre)")
+    for stated in ("depth_scale", "depth_factor"):
+        if values.pop(stated, 1.0) <= 0:
+            raise IntrinsicsError(f"{path}: '{stated}' must be above 0 (native units per metre)")
     if "color_registered" in known:
         if not isinstance(known["color_registered"], bool):
             raise RecordingError(f"{path}: 'color_registered' must be true or false")
