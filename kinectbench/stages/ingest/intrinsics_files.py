@@ -56,7 +56,7 @@ YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
 # Files that may state a unit, most of them to read (some programs write one for each image), and the units
 # per metre of 16-bit depth, 0.01 to 10 mm, that are believed of a file without intrinsics.
-UNIT_NAMES, MOST_UNIT_FILES = ("*.json", "*.y*ml"), 20
+UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)"), 20
 LEAST_UNITS, MOST_UNITS = 100.0, 100_000.0
 # Names of files that may contain intrinsics in an unsupported layout.
 LIKE_INTRINSICS = re.compile(
@@ -96,7 +96,7 @@ def _scale_beside(path: Path) -> tuple[float | None, tuple[str, ...]]:
     Implausible values, and files that cannot be read, are passed over: they are of other programs.
     """
     by_file = dict[Path, float]()
-    for file in sorted(f for pattern in UNIT_NAMES for f in visible(path, pattern))[:MOST_UNIT_FILES]:
+    for file in sorted(listed_paths(path, wanted=UNIT_NAMES.fullmatch))[:MOST_UNIT_FILES]:
         scale = None
         with suppress(RecordingError, OSError):
             if file.suffix == ".json":

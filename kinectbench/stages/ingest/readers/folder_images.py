@@ -10,6 +10,14 @@ from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import is_depth_png
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
+# Names of folders with depth on the pixels of colour, by OpenLORIS, librealsense and ROS.
+OTHER_DEPTH = (
+    "aligned_depth",
+    "depth_aligned",
+    "aligned_depth_to_color",
+    "depth_registered",
+    "depth_to_color",
+)
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 # YCB-Video has 000001-depth.png beside 000001-color.png; other data sets have the word first, or in between.
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
@@ -71,13 +79,11 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
 
 def other_depth(path: Path) -> tuple[str, ...]:
     """A warning on each folder of depth beside depth/, such as aligned_depth/; empty without such folders."""
-    if not (path / "depth").is_dir():
-        return ()
-    folders = sorted(f for f in listed_paths(path, wanted=DEPTH_WORD.fullmatch) if f.is_dir())
-    others = [f for f in folders if f.name != "depth" and _first_is_depth(f)]
+    folders = [path / name for name in OTHER_DEPTH] if (path / "depth").is_dir() else []
+    others = [folder for folder in folders if folder.is_dir() and _first_is_depth(folder)]
     return tuple(
-        f"{path}: depth is read from depth/, and not from {printable(f.name)}/ beside it: if colour lies on "
-        "the pixels of the latter, or if it is the better one, rename it to depth/"
+        f"{path}: depth is read from depth/, and not from {f.name}/ beside it: if colour lies on "
+        "the pixels of the latter, rename it to depth/"
         for f in others
     )
 
