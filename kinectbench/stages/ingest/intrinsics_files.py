@@ -1,5 +1,6 @@
 """Find intrinsics in files beside the images, and mention files that only look like intrinsics."""
 
+import math
 import re
 from collections.abc import Callable, Collection
 from contextlib import suppress
@@ -67,7 +68,9 @@ LIKE_INTRINSICS = re.compile(
 MOST_NAMED, LOOKED_AT = 4, 20_000
 
 
-def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
+def find_intrinsics(
+    path: Path, settings: CameraSettings, usual_scale: float
+) -> tuple[Intrinsics, Path | None]:
     """Find the intrinsics in the files of a recording's folder, and the unit of depth.
 
     If the file with the intrinsics states no unit, that of another file is taken, with a warning.
@@ -76,6 +79,7 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
         path: the folder.
         settings: intrinsics given by a person. If they are complete, files with ambiguous names are not read,
             because these may describe another camera.
+        usual_scale: units per metre of depth in the recording's format; no warning is needed on the same.
 
     Returns:
         The intrinsics as far as found; and the JSON file that they are from, or None.
@@ -86,11 +90,11 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
     found, file = _camera_of_files(path, settings)
     if found.depth_scale is not None or settings.depth_scale is not None:
         return found, file
-    scale, notes = _scale_beside(path)
+    scale, notes = _scale_beside(path, usual_scale)
     return replace(found, depth_scale=scale, notes=(*found.notes, *notes)), file
 
 
-def _scale_beside(path: Path) -> tuple[float | None, tuple[str, ...]]:
+def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[str, ...]]:
     """The units per metre of depth that a folder's JSON and YAML files state, and warnings.
 
     Implausible values, and files that cannot be read, are passed over: they are of other programs.
@@ -112,7 +116,8 @@ def _scale_beside(path: Path) -> tuple[float | None, tuple[str, ...]]:
     (file, scale), *_ = by_file.items()
     if len({f"{each:.6g}" for each in by_file.values()}) == 1:
         how = "is taken for 16-bit depth, as the file of intrinsics states none"
-        return scale, (f"{file}: says that 1 m is {scale:g} units, which {how}",)
+        note = f"{file}: says that 1 m is {scale:g} units, which {how}"
+        return scale, () if math.isclose(scale, usual_scale) else (note,)
     said = " and ".join(f"{each:g} by {printable(name.name)}" for name, each in by_file.items())
     return None, (f"{path}: 1 m is {said} units of depth: none is taken: give `depth_scale`",)
 

@@ -117,8 +117,10 @@ def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
     (folder / "pose").mkdir()
     for i in range(4):
         np.save(folder / f"pose/{i:06d}.npy", np.eye(4))
+    (folder / "extrinsics").mkdir()
+    (folder / "extrinsics" / "20150118.txt").touch()  # SUN RGB-D's tilt of the camera
     (line,) = opened(folder).warnings
-    assert "not read, by name poses: pose/000000.npy, pose/000001.npy" in line
+    assert "extrinsics" not in line and "not read, by name poses: pose/000000.npy, pose/000001.npy" in line
 
 
 def test_poses_that_are_no_whole_matrices_are_named(tmp_path: Path) -> None:

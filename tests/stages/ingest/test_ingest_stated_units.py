@@ -47,6 +47,7 @@ def folder_with(tmp_path: Path, files: dict[str, object]) -> Path:
             1000,
             "1 m is 2000 by a.json and 4000 by b.json units of depth: none is taken",
         ),
+        ({"camera.json": BY_KEY, "config.json": {"depth_scale": 1000.0}}, 1000, ""),
         # Settings of other programs, and lists of this one.
         ({"camera.json": BY_KEY, "net.json": {"depth_scale": 1.0}, "l.json": [1]}, 1000, ""),
         ({"camera.json": BY_KEY, "benchmark.yaml": "camera:\n  depth_scale: 4000\n"}, 1000, ""),
@@ -78,13 +79,13 @@ def test_four_numbers_in_the_order_of_openloris(tmp_path: Path, name: str) -> No
     numbers = [305.725, 216.6, 305.745, 124.735]
     text = f"intrinsics: !!opencv-matrix\n   rows: 1\n   cols: 4\n   data: {numbers}\n"
     folder = folder_with(tmp_path, {name: text if name != "K.txt" else " ".join(map(str, numbers))})
-    found, _ = find_intrinsics(folder, CameraSettings())
+    found, _ = find_intrinsics(folder, CameraSettings(), 1000)
     assert (found.fx, found.cx, found.fy, found.cy) == tuple(numbers)
     assert "its four numbers are read as fx 305.725, cx 216.6, fy 305.745" in found.notes[0]
 
 
 def test_four_numbers_of_pixels_that_are_not_square_keep_their_order(tmp_path: Path) -> None:
-    found, _ = find_intrinsics(folder_with(tmp_path, {"K.txt": "600 450 320 180"}), CameraSettings())
+    found, _ = find_intrinsics(folder_with(tmp_path, {"K.txt": "600 450 320 180"}), CameraSettings(), 1000)
     assert (found.fx, found.fy, found.cx, found.cy, found.notes) == (600, 450, 320, 180, ())
 
 

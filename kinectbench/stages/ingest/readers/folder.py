@@ -158,7 +158,7 @@ class FolderRecording(FileRecording):
         files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
-        said, camera_file = find_intrinsics(path, settings)
+        said, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
         if camera_file is None and said == Intrinsics() and not gives_intrinsics(settings):
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)

@@ -87,7 +87,7 @@ class TumRecording(FileRecording):
             )
             for (stamp_ns, file), partner in zip(depth, partners.of_depth, strict=True)
         )
-        recorded, camera_file = find_intrinsics(path, settings)
+        recorded, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
         intrinsics = recorded.overridden_by(settings)
         stored = DepthFormat.of(files, settings.depth_scale)
         up = _measured_up(path, camera_file, [ns for ns, _ in depth])
