@@ -306,10 +306,10 @@ def compare_command(
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli.score_tables import comparison_tables
     from kinectbench.scoring.compare import compare as compare_tables
-    from kinectbench.scoring.compare import find_scores
+    from kinectbench.scoring.compare import find_methods
     from kinectbench.scoring.read_table import read_table
 
-    tables = [read_table(path) for path in find_scores(scores)]
+    tables = [read_table(path) for path in find_methods(scores)]
     comparison = compare_tables(tables, metric, protocol)
     if common.as_json:
         console.say_json(asdict(comparison))

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import Float32
-from kinectbench.doctor.depth import depth_quantiles_m, is_likely
+from kinectbench.doctor.depth import (
+    DISPARITY_ADVICE,
+    DISPARITY_OFFSET,
+    DISPARITY_SLOPE,
+    FARTHEST_DISPARITY,
+    depth_quantiles_m,
+    is_likely,
+)
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.probe import Probe
 from kinectbench.doctor.scales import solve_scale
@@ -99,6 +106,7 @@ def _codes(probe: Probe) -> Iterator[Code]:
     yield Code(
         "depth_code", "the bits of a float16", "`camera: {depth_code: float16}`", lambda d, _: float16_m(d)
     )
+    yield Code("depth_code", "a Kinect's raw disparity", DISPARITY_ADVICE, lambda d, _: of_disparity_m(d))
     yield from _along_the_ray(probe)
     for near_m, far_m in NEAR_FAR_M:
         yield Code(
@@ -140,6 +148,12 @@ def _scaled(
     scale: float, decode: Callable[[UInt16], UInt16] = lambda depth: depth
 ) -> Callable[[UInt16, Camera], Float32]:
     return lambda depth, _: decode(depth).astype(np.float32) / np.float32(scale)
+
+
+def of_disparity_m(raw: UInt16) -> NDArray[np.floating]:
+    """Return the depth, metres, of a Kinect v1's raw disparity of any shape; 0 where it has none."""
+    read = (raw > 0) & (raw < FARTHEST_DISPARITY)
+    return np.where(read, 1 / (DISPARITY_OFFSET + DISPARITY_SLOPE * np.where(read, raw, 0)), 0.0)
 
 
 def _z_buffer(near_m: float, far_m: float) -> Callable[[UInt16, Camera], NDArray[np.floating]]:

@@ -29,6 +29,14 @@ LIKELY_FAR_M = 12.0
 SMOOTHER = 5.0
 # A maximum that is this frequent, and this far beyond all other values, is an invalid code.
 CODE_SHARE, CODE_BEYOND = 0.003, 1.3
+# Raw disparity of a Kinect v1 (11 bits) to 1 / m, by OpenKinect's wiki (Imaging Information); freenect's
+# value for no reading; and the disparity of a depth that is infinite.
+DISPARITY_SLOPE, DISPARITY_OFFSET, NO_DISPARITY = -0.0030711016, 3.3309495161, 2047
+FARTHEST_DISPARITY = -DISPARITY_OFFSET / DISPARITY_SLOPE
+DISPARITY_ADVICE = (
+    f"write 1000 / ({DISPARITY_SLOPE} * raw + {DISPARITY_OFFSET}) mm, and 0 for {NO_DISPARITY}; or record "
+    "with FREENECT_DEPTH_REGISTERED, which is in mm"
+)
 # 8-bit depth has few levels, evenly spaced. A Kinect has as few in a small room, but their spacing grows with
 # distance.
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
@@ -169,6 +177,13 @@ def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     share = 1 - len(below) / len(measured)
     if share > CODE_SHARE and len(below) and highest > CODE_BEYOND * float(np.quantile(below, 0.999)):
         what = f"{share:.1%} of the measured pixels are {highest}: that means none, but is read as depth"
+        if highest == NO_DISPARITY and float(np.quantile(below, 0.999)) < FARTHEST_DISPARITY:
+            what = (
+                f"{share:.1%} of the measured pixels are {highest}, by which freenect marks no reading in "
+                "raw disparity, and no other value is above what raw disparity has: depth is not in mm"
+            )
+            yield Finding("invalid_code", "stops", what, probe.where, DISPARITY_ADVICE)
+            return
         severity: Severity = "stops" if share > 0.02 else "warning"
         yield Finding("invalid_code", severity, what, probe.where, "write 0 there")
 
@@ -187,8 +202,8 @@ def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     )
     advice = "find out its unit, and give `depth_scale` (units a metre)"
     # Some cameras record objects on a table from such a small distance.
-    stored = probe.recording.float_scale is None
-    if stored and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
+    offers = probe.recording.float_scale is None and not math.isclose(better, scale)
+    if offers and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
         advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
     yield Finding("depth_scale", severity, what, probe.where, advice)
 

@@ -1,7 +1,7 @@
 """Make the table of scores of predictions in the camera frame, for the terminal and the page."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from kinectbench.core.artefacts.score_figures import AsPapers, ScoreRow, fields_of
@@ -35,7 +35,11 @@ EMPTY_NOTE = (
 CEILING = "(ceiling)"
 CEILING_NOTE = "(ceiling): what the truth's own uncertainty leaves to a perfect prediction"
 NOTHING_NOTE = "(n empty): views of which nothing is predicted; each counts with the diagonal of its cube"
-BESIDE_NOTE = "cut: of the truth, outside the method's volume; outside mask: of the predicted surface"
+# {heading: what it says}, for the columns that are shown.
+BESIDE_NOTES = {
+    BESIDE["cut"][0]: "of the truth, outside the method's volume",
+    BESIDE["silhouette"][0]: "of the predicted surface",
+}
 
 
 @dataclass(frozen=True)
@@ -87,14 +91,16 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
     failed = [f"{t.method}: {len(t.failures)} views failed{_reason(t)}" for t in tables if t.failures]
     left_out = dict.fromkeys(line for t in tables for name in headings if (line := t.left_out_line(name)))
     names = [name for lines in groups.values() for name, _ in lines]
+    columns = tuple(name for name, _ in (COLUMNS | BESIDE).values())
+    shown = _without_empty(SpaceTable(columns, groups, ()))
+    beside = "; ".join(f"{name}: {what}" for name, what in BESIDE_NOTES.items() if name in shown.columns)
     notes = [
         *([NOTHING_NOTE] if any(name.endswith(" empty)") for name in names) else []),
         EMPTY_NOTE,
-        BESIDE_NOTE,
+        *([beside] if beside else []),
         *([CEILING_NOTE] if CEILING in names else []),
     ]
-    columns = tuple(name for name, _ in (COLUMNS | BESIDE).values())
-    return _without_empty(SpaceTable(columns, groups, (*failed, *left_out, *notes)))
+    return replace(shown, notes=(*failed, *left_out, *notes))
 
 
 def _reason(table: ScoreTable) -> str:

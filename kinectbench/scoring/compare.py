@@ -27,6 +27,8 @@ from kinectbench.scoring.uncertainty import (
 
 ALPHA = 0.05
 ALL = "all"
+# Most folders in an error message.
+MOST_NAMED = 6
 GROUPS_NOTE = (
     "group: methods that share a letter cannot be distinguished; of methods that share none a difference is "
     "shown (paired sign-flip test over objects, 5 %, Holm)"
@@ -189,6 +191,24 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
             files.append(path)
         else:
             raise SettingsError(f"{path}: no such file or folder", what="no-file")
+    return files
+
+
+def find_methods(paths: Sequence[Path]) -> list[Path]:
+    """Return what `find_scores` does, for a comparison.
+
+    Raises:
+        SettingsError: as `find_scores`; or a folder has one method's scores.json and further methods' below
+            it, as after one method was scored into the folder of all, so that there is nothing to compare.
+    """
+    files = find_scores(paths)
+    below = [file.parent for path in paths if path.is_dir() for file in sorted(path.glob(f"*/{SCORES_JSON}"))]
+    if len(files) == 1 and below and files[0].parent in paths:
+        raise SettingsError(
+            f"compare: {files[0]} is of one method, and is read instead of those below it: delete it if it "
+            "is an old one, or move it into a folder of its own; or name "
+            f"{' '.join(map(str, below[:MOST_NAMED]))}"
+        )
     return files
 
 

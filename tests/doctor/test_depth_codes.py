@@ -77,6 +77,12 @@ def z_buffer(metres: Metres) -> NDArray[np.uint16]:
     return np.where(metres > 0, np.rint(65535 * 10 / 9.9 * (1 - 0.1 / z)), 0).astype(np.uint16)
 
 
+def disparity(metres: Metres) -> NDArray[np.uint16]:
+    """The raw disparity of a Kinect v1; 2047: none."""
+    raw = (3.3309495161 - 1 / np.maximum(metres, 0.01)) / 0.0030711016
+    return np.where(metres > 0.35, np.rint(raw), 2047).astype(np.uint16)
+
+
 @pytest.mark.parametrize(
     ("encode", "name", "advice"),
     [
@@ -94,6 +100,8 @@ def z_buffer(metres: Metres) -> NDArray[np.uint16]:
             "depth_code: rotated, depth_scale: 10000",
         ),
         (z_buffer, "depth_code", "n = 0.1, f = 10"),
+        (disparity, "depth_code", "write 1000 / (-0.0030711016 * raw + 3.3309495161) mm"),
+        (lambda metres: disparity(metres) % 2047, "depth_code", "FREENECT_DEPTH_REGISTERED"),
     ],
 )
 def test_what_the_poses_prove_is_offered_and_then_fits(
@@ -142,6 +150,17 @@ def test_without_poses_nothing_is_offered_as_right(base: Path, tmp_path: Path) -
     assert "find out its unit" in found.advice and "which nothing here proves" in found.advice
 
 
+def test_the_scale_that_depth_has_already_is_not_offered(base: Path, tmp_path: Path) -> None:
+    """The left eighth is far away, which is unlikely; the median is as usual."""
+    far = np.arange(160) < 20
+    folder = recoded(base, tmp_path / "r", lambda m: np.where((m > 0) & far, mm(4 * m + 10), mm(m)))
+    (folder / "poses.txt").unlink()
+    (found,) = [found for found in inspect(folder)[0].findings if found.name == "depth_scale"]
+    assert (
+        "at 1000 units per metre, which is unlikely" in found.what and "median would be" not in found.advice
+    )
+
+
 def test_poses_of_another_recording_offer_nothing(base: Path, tmp_path: Path) -> None:
     """By no scale and no code do they fit."""
     folder = recoded(base, tmp_path / "r", mm)
@@ -169,6 +188,21 @@ def test_holes_of_65535_are_no_exchanged_bytes(base: Path, tmp_path: Path) -> No
 
     said = {found.name for found in inspect(recoded(base, tmp_path / "r", with_holes))[0].findings}
     assert "invalid_code" in said and "byte_order" not in said
+
+
+def test_raw_disparity_is_told_from_mm_with_the_same_code(base: Path, tmp_path: Path) -> None:
+    """By freenect's code alone, without poses; depth in mm that reaches farther only has a code."""
+
+    def with_code(metres: Metres) -> NDArray[np.uint16]:
+        return np.where((metres > 1.4) | (metres == 0), 2047, mm(metres)).astype(np.uint16)
+
+    found = {}
+    for encode in (disparity, with_code):
+        folder = recoded(base, tmp_path / encode.__name__, encode)
+        (folder / "poses.txt").unlink()
+        (found[encode],) = [each for each in inspect(folder)[0].findings if each.name == "invalid_code"]
+    assert "raw disparity" in found[disparity].what and "write 1000 / (-0.003" in found[disparity].advice
+    assert "disparity" not in found[with_code].what
 
 
 def test_depth_images_of_two_sizes_end_in_one_line(base: Path, tmp_path: Path) -> None:

@@ -93,6 +93,9 @@ def test_ceilings_and_empty_views_are_named_alike(release: Release, tmp_path: Pa
     assert (
         list(found.groups) == ["camera", "camera-visible", "camera-occluded"] and "cut" not in found.columns
     )
+    # Only columns that are shown are explained.
+    assert "outside mask" not in found.columns
+    assert not any("cut:" in note or "outside mask:" in note for note in found.notes)
     assert {str(cell) for cell in terminal.columns[0].cells} == {"camera"}
     # Both of what names a line stands in each piece.
     narrow = Console(width=80, file=StringIO())

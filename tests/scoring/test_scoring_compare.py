@@ -18,7 +18,7 @@ from kinectbench.core.artefacts.score_marks import MISSING_AS_EMPTY, Mark
 from kinectbench.core.artefacts.scores import Failure, ScoreSettings, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import object_means
-from kinectbench.scoring.compare import compare, find_scores
+from kinectbench.scoring.compare import compare, find_methods, find_scores
 from kinectbench.scoring.uncertainty import (
     bootstrap_interval,
     holm,
@@ -306,6 +306,10 @@ def test_scores_are_read_back(tmp_path: Path) -> None:
         (tmp_path / "wrong.json").write_text(text)
         with raises(StorageError, "storage.damaged", match=r"wrong\.json"):
             ScoreTable.read_file(tmp_path / "wrong.json")
+    made.write(tmp_path)  # by itself into the folder of all
+    with pytest.raises(SettingsError, match=r"scores\.json is of one method.*or name .*/bad .*/good"):
+        find_methods([tmp_path])
+    assert len(find_methods([tmp_path / "bad", tmp_path / "good"])) == 2
     (tmp_path / "empty").mkdir()
     with raises(SettingsError, "settings.no-file"):
         find_scores([tmp_path / "empty"])

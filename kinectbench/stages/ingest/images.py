@@ -58,9 +58,11 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
     head = _head(data, name)
     if not head.is_gray16:
         channels = "1 channel" if head.color_type in (0, 3) else "several channels"
+        packed = head.bits == 8 and head.color_type in (2, 6)
+        joined = "; or, if its channels are bytes of depth, join them by the data set's own tool"
         raise OddImageError(
             f"{name}: depth is {head.bits}-bit (uint{max(head.bits, 8)}) with {channels}, not 16-bit grey "
-            "(uint16): export the raw depth again, not a picture of it"
+            f"(uint16): export the raw depth again, not a picture of it{joined if packed else ''}"
         )
     return np.asarray(decode_unchanged(data, name), dtype=np.uint16)
 

@@ -13,10 +13,11 @@ from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.trajectory.text_rows import read_numbers, read_text
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
-from kinectbench.core.types import MM_PER_M, Float64
+from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import quoted
 from kinectbench.core.untrusted_text import parsed_json
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.depth_units import scale_of_keys
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 NEEDED = ("fx", "fy", "cx", "cy")
@@ -26,12 +27,13 @@ MATRIX_SHAPES = {9: (3, 3), 12: (3, 4), 16: (4, 4)}
 LEAST_FOCAL, MOST_FOCAL = 0.2, 10.0
 # Limits of focal lengths for any image, pixels.
 LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
+# Focal lengths of square pixels differ by less than the first share of fx, others by more than the second
+# (our own bounds; calibrations of square pixels differ by some 0.5 %).
+SAME_FOCAL, NOT_SQUARE = 0.02, 0.1
 # Limit for poses and intrinsics of 50,000 frames; the number of values has its own limit.
 JSON_BYTES = 16 << 20
 # Limit for the JSON of one frame: apps write a few kilobytes.
 FRAME_JSON_BYTES = 256 << 10
-# No unit of depth images is as long as this many mm: a larger scale is in units per metre.
-MOST_MM_A_UNIT = 100.0
 # librealsense's and Record3D's names of keys; and keys of a matrix instead of fx, fy, cx and cy.
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
 MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "camera_matrix", "K", "k")
@@ -140,11 +142,10 @@ def scale_warnings(path: Path, said_scale: float | None, settings: CameraSetting
 def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 
-    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), depth_scale or depth_factor, color_registered.
+    Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), color_registered, and a unit (`scale_of_keys`).
     Instead of fx ... cy a matrix: `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K` or `k`: three rows, or
     nine numbers, column-major (as by Open3D) or row-major (the zeros show which); or an object with these
-    as `data`. A depth_scale below 100 beside `cam_K` is BOP's, mm per unit; another one below 1 is in metres
-    per unit, as in librealsense, because no unit of depth images is longer.
+    as `data`.
 
     Raises:
         RecordingError: not JSON, a value of the wrong type or out of range, no pinhole matrix, or values that
@@ -152,19 +153,17 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     """
     raw = read_json_object(path, HELD)
     known = {SAME_AS.get(key, key): value for key, value in raw.items() if value is not None}
-    if "depth_factor" in known:
-        known.setdefault("depth_scale", known["depth_factor"])
-    keys = [key for key in (*NEEDED, "depth_scale", "width", "height") if key in known]
+    keys = [key for key in (*NEEDED, "depth_scale", "depth_factor", "width", "height") if key in known]
     values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
     values |= {key: int(values[key]) for key in ("width", "height") if key in values}
-    if values.get("depth_scale", 1.0) <= 0:
-        raise IntrinsicsError(f"{path}: 'depth_scale' must be above 0 (native units per metre)")
+    for stated in ("depth_scale", "depth_factor"):
+        if values.pop(stated, 1.0) <= 0:
+            raise IntrinsicsError(f"{path}: '{stated}' must be above 0 (native units per metre)")
     if "color_registered" in known:
         if not isinstance(known["color_registered"], bool):
             raise RecordingError(f"{path}: 'color_registered' must be true or false")
         values["color_registered"] = known["color_registered"]
-    if "depth_scale" in values:
-        values |= _units_a_metre(values["depth_scale"], path, of_bop="cam_K" in known)
+    values["depth_scale"], values["notes"] = scale_of_keys(known, path, of_bop="cam_K" in known)
     # Other programs store something else under "k".
     key = next((key for key in MATRIX_KEYS if key in known and (key != "k" or _is_matrix(known[key]))), None)
     if key is not None:
@@ -177,18 +176,6 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
                 )
         return replace(matrix, **values)
     return Intrinsics(**values)
-
-
-def _units_a_metre(stated: float, path: Path, *, of_bop: bool) -> dict[str, object]:
-    """A file's depth scale in units per metre, as fields of `Intrinsics`; converted if BOP's or below 1."""
-    if of_bop and stated < MOST_MM_A_UNIT:
-        scale, how = MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
-    elif stated < 1:
-        scale, how = 1 / stated, "metres a unit, as librealsense has it"
-    else:
-        return {"depth_scale": stated}
-    note = f"{path}: its depth_scale {stated:g} is taken for {how}: 1 m is {scale:g} units"
-    return {"depth_scale": scale, "notes": (note,)}
 
 
 def read_color_calibration(path: Path) -> ColorCalibration | None:
@@ -241,8 +228,7 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
     """
     numbers = read_numbers(path)
     if len(numbers) == len(NEEDED):
-        fx, fy, cx, cy = numbers
-        return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
+        return of_four_numbers(numbers, path)
     shape = MATRIX_SHAPES.get(len(numbers))
     if shape is None:
         raise IntrinsicsError(
@@ -250,6 +236,21 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
             "cx cy)"
         )
     return pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
+
+
+def of_four_numbers(numbers: Sequence[float], path: Path) -> Intrinsics:
+    """Intrinsics from [fx, fy, cx, cy]; or from [fx, cx, fy, cy], as OpenLORIS has them, with a warning.
+
+    The latter are recognised by a first and a third number that are nearly equal, unlike the second: in the
+    usual order, pixels would not be square, and the principal point as far from the edge as fx is long.
+    """
+    first, second, third, fourth = numbers
+    near, far = SAME_FOCAL * abs(first), NOT_SQUARE * abs(first)
+    if not (abs(third - first) <= near and abs(second - first) > far):
+        return Intrinsics(fx=first, fy=second, cx=third, cy=fourth)
+    read = f"fx {first:g}, cx {second:g}, fy {third:g}, cy {fourth:g}"
+    note = f"{path}: its four numbers are read as {read}; if not so, give them under `camera:`"
+    return Intrinsics(fx=first, fy=third, cx=second, cy=fourth, notes=(note,))
 
 
 def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: Path) -> None:

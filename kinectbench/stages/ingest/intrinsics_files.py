@@ -1,5 +1,6 @@
 """Find intrinsics in files beside the images, and mention files that only look like intrinsics."""
 
+import math
 import re
 from collections.abc import Callable, Collection
 from contextlib import suppress
@@ -14,14 +15,18 @@ from kinectbench.core.errors import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.text_rows import parse_floats, read_text
 from kinectbench.core.untrusted import listed_paths, printable
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.depth_units import scale_of_keys, yaml_scale
 from kinectbench.stages.ingest.intrinsics import (
+    HELD,
     MATRIX_SHAPES,
     NEEDED,
     Intrinsics,
     gives_intrinsics,
+    of_four_numbers,
     pinhole,
     read_intrinsics_json,
     read_intrinsics_matrix,
+    read_json_object,
 )
 from kinectbench.stages.ingest.recording import first_file, visible
 
@@ -50,6 +55,10 @@ OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
 YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
 # Characters that may stand between the numbers of a value.
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
+# Files that may state a unit, most of them to read (some programs write one for each image), and the units
+# per metre of 16-bit depth, 0.01 to 10 mm, that are believed of a file without intrinsics.
+UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)"), 20
+LEAST_UNITS, MOST_UNITS = 100.0, 100_000.0
 # Names of files that may contain intrinsics in an unsupported layout.
 LIKE_INTRINSICS = re.compile(
     r"(?=.*(?:intrin|calib|camera|cam_?k|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
@@ -59,13 +68,18 @@ LIKE_INTRINSICS = re.compile(
 MOST_NAMED, LOOKED_AT = 4, 20_000
 
 
-def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
-    """Find the intrinsics in the files of a recording's folder.
+def find_intrinsics(
+    path: Path, settings: CameraSettings, usual_scale: float
+) -> tuple[Intrinsics, Path | None]:
+    """Find the intrinsics in the files of a recording's folder, and the unit of depth.
+
+    If the file with the intrinsics states no unit, that of another file is taken, with a warning.
 
     Args:
         path: the folder.
         settings: intrinsics given by a person. If they are complete, files with ambiguous names are not read,
             because these may describe another camera.
+        usual_scale: units per metre of depth in the recording's format; no warning is needed on the same.
 
     Returns:
         The intrinsics as far as found; and the JSON file that they are from, or None.
@@ -73,6 +87,43 @@ def find_intrinsics(path: Path, settings: CameraSettings) -> tuple[Intrinsics, P
     Raises:
         RecordingError: a file does not contain what its name says, or YAML files have different cameras.
     """
+    found, file = _camera_of_files(path, settings)
+    if found.depth_scale is not None or settings.depth_scale is not None:
+        return found, file
+    scale, notes = _scale_beside(path, usual_scale)
+    return replace(found, depth_scale=scale, notes=(*found.notes, *notes)), file
+
+
+def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[str, ...]]:
+    """The units per metre of depth that a folder's JSON and YAML files state, and warnings.
+
+    Implausible values, and files that cannot be read, are passed over: they are of other programs.
+    """
+    by_file = dict[Path, float]()
+    for file in sorted(listed_paths(path, wanted=UNIT_NAMES.fullmatch))[:MOST_UNIT_FILES]:
+        scale = None
+        with suppress(RecordingError, OSError):
+            if file.suffix == ".json":
+                stated = read_json_object(file, HELD, YAML_BYTES)
+                scale, _ = scale_of_keys(stated, file, of_bop="cam_K" in stated)
+            elif file.name != "benchmark.yaml":
+                text = read_text(file, YAML_BYTES)
+                scale, _ = yaml_scale(text, file, of_bop="cam_K" in text)
+        if scale is not None and LEAST_UNITS <= scale <= MOST_UNITS:
+            by_file[file] = scale
+    if not by_file:
+        return None, ()
+    (file, scale), *_ = by_file.items()
+    if len({f"{each:.6g}" for each in by_file.values()}) == 1:
+        how = "is taken for 16-bit depth, as the file of intrinsics states none"
+        note = f"{file}: says that 1 m is {scale:g} units, which {how}"
+        return scale, () if math.isclose(scale, usual_scale) else (note,)
+    said = " and ".join(f"{each:g} by {printable(name.name)}" for name, each in by_file.items())
+    return None, (f"{path}: 1 m is {said} units of depth: none is taken: give `depth_scale`",)
+
+
+def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
+    """What `find_intrinsics` returns, by the file with the intrinsics alone."""
     file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
     if file is not None:
         by_json = file.name in JSON_FILES
@@ -94,21 +145,23 @@ def named_like_intrinsics(path: Path) -> str:
     return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
 
 
-def names_like(path: Path, wanted: Callable[[str], object], how: str) -> str:
+def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:
     """The end of an error message with the names of files that `wanted` accepts; "" without such files.
 
     Args:
         path: the recording's folder; it and its direct subfolders are searched; "" is returned for a file.
         wanted: predicate on names.
         how: words before the names.
+        by_folder: whether the predicate gets names with their subfolder, such as pose/000000.npy.
     """
     if not path.is_dir():
         return ""
     children = sorted(islice(listed_paths(path), LOOKED_AT))
     folders = [child for child in children if child.is_dir() and not child.name.startswith(".")]
-    below = (file for folder in folders for file in islice(listed_paths(folder), LOOKED_AT))
-    matches = (file for file in (*children, *below) if file.is_file() and wanted(file.name))
-    names = [str(file.relative_to(path)) for file in islice(matches, MOST_NAMED)]
+    below = (file for folder in folders for file in sorted(islice(listed_paths(folder), LOOKED_AT)))
+    inside = ((file, file.relative_to(path)) for file in (*children, *below) if file.is_file())
+    matches = (name for file, name in inside if wanted(str(name) if by_folder else file.name))
+    names = [str(name) for name in islice(matches, MOST_NAMED)]
     return f"; {how} {printable(', '.join(names))}" if names else ""
 
 
@@ -131,13 +184,20 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
         intrinsics = _read_yaml(file)
         if intrinsics is None:
             continue
-        if first is not None and intrinsics != replace(first[1], notes=intrinsics.notes):
+        if first is not None and _differ(first[1], intrinsics):
             raise IntrinsicsError(
-                f"{file}: has another camera than {first[0]}; a recording must keep one: correct them, or "
-                "give fx, fy, cx, cy under `camera:`"
+                f"{file}: has another camera or unit than {first[0]}; a recording must keep one: correct "
+                "them, or give fx, fy, cx, cy under `camera:`"
             )
-        first = first or (file, intrinsics)
+        if first is None or (first[1].depth_scale is None and intrinsics.depth_scale is not None):
+            first = (file, intrinsics)
     return Intrinsics() if first is None else first[1]
+
+
+def _differ(first: Intrinsics, second: Intrinsics) -> bool:
+    """Whether two files have different cameras or units; a file without a unit contradicts none."""
+    no_unit = {"depth_scale": None} if None in (first.depth_scale, second.depth_scale) else {}
+    return replace(first, notes=(), **no_unit) != replace(second, notes=(), **no_unit)
 
 
 def _read_yaml(file: Path) -> Intrinsics | None:
@@ -148,14 +208,15 @@ def _read_yaml(file: Path) -> Intrinsics | None:
     polynomial = (_number(word) for word in YAML_POLYNOMIAL.findall(text))
     distorted = any(polynomial) or any(any(values.get(key) or ()) for key in YAML_DISTORTIONS)
     note = f"{file}: its distortion is not taken away; if depth is not rectified, undistort it first"
-    sizes["notes"] = (note,) if distorted else ()
+    sizes["depth_scale"], notes = yaml_scale(text, file, of_bop="cam_K" in values)
+    sizes["notes"] = (*((note,) if distorted else ()), *notes)
     for key in (key for key in YAML_MATRICES if key in values):
         numbers = values[key]
         if numbers is None:  # text: a file name, or another program's settings
             continue
         if len(numbers) == len(NEEDED):
-            fx, fy, cx, cy = numbers
-            return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, **sizes)
+            four = of_four_numbers(numbers, file)
+            return replace(four, **sizes | {"notes": (*sizes["notes"], *four.notes)})
         shape = MATRIX_SHAPES.get(len(numbers))
         if shape is not None:
             K = pinhole(np.array(numbers).reshape(shape)[:3, :3], file)

@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -116,7 +117,9 @@ def test_files_of_one_camera_with_a_distortion_agree(tmp_path: Path) -> None:
     assert camera_of(recording) == CAMERA and "0.yaml: its distortion is" in recording.warnings[0]
     (folder / "calib/2.yaml").write_text(YAML.replace(f"{FX}", "61.5"))
     with raises(
-        RecordingError, "recording.bad-intrinsics", match=r"2\.yaml: has another camera than .*0\.yaml"
+        RecordingError,
+        "recording.bad-intrinsics",
+        match=r"2\.yaml: has another camera or unit .*0\.yaml",
     ):
         opened(folder)
 
@@ -189,6 +192,14 @@ def test_a_second_file_with_intrinsics_is_named(tmp_path: Path) -> None:
     (folder / "cam_K.txt").write_text(f"{FX} {FY} {CX} {CY}\n")
     (line,) = opened(folder).warnings
     assert "camera_intrinsic.json: is read, and not cam_K.txt beside it" in line
+
+
+@pytest.mark.parametrize(("name", "is_depth"), [("aligned_depth", True), ("depth_view", False)])
+def test_a_second_folder_of_depth_is_named(tmp_path: Path, name: str, is_depth: bool) -> None:
+    folder = write_folder(tmp_path / "r")
+    shutil.copytree(folder / ("depth" if is_depth else "color"), folder / name)
+    said = opened(folder).warnings
+    assert len(said) == is_depth and all("and not from aligned_depth/ beside it" in line for line in said)
 
 
 def test_a_hostile_yaml_is_read_in_no_time(tmp_path: Path) -> None:

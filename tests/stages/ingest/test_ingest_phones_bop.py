@@ -83,6 +83,22 @@ def test_stray_scanner(tmp_path: Path) -> None:
     np.testing.assert_allclose(given.T_world_camera[2][:3, 3], [1.0, 0, 0], atol=1e-12)
 
 
+@pytest.mark.parametrize("kind", [np.uint16, np.float32])
+def test_arrays_of_early_stray_scanner(tmp_path: Path, kind: type) -> None:
+    """Whole numbers are mm, floats metres; confidence stays PNG."""
+    folder = stray(tmp_path / "r")
+    expected = [np.where(confidence() == 2, depth_image(i, 1000.0), 0) for i in range(4)]
+    for i in range(4):
+        (folder / f"depth/{i:06d}.png").unlink()
+        stored = depth_image(i, 1000.0) if kind is np.uint16 else depth_image(i, 1000.0) / np.float32(1000)
+        np.save(folder / f"depth/{i:06d}.npy", stored.astype(kind))
+    recording = open_recording(folder)
+    assert recording.warnings == ()
+    for i in range(4):
+        metres = recording.frame(i).depth / recording.depth_scale
+        np.testing.assert_allclose(metres, expected[i] / 1000, atol=2e-4)
+
+
 def test_colour_of_another_shape_is_no_colour_of_the_same_camera(tmp_path: Path) -> None:
     """Turned upright or cut: its intrinsics, squeezed to depth's size, would be of no camera."""
     folder = stray(tmp_path / "a", video=False)

@@ -112,6 +112,17 @@ def test_files_that_look_like_poses_are_named_once(tmp_path: Path, write: Callab
     assert said == [line]
 
 
+def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "pose").mkdir()
+    for i in range(4):
+        np.save(folder / f"pose/{i:06d}.npy", np.eye(4))
+    (folder / "extrinsics").mkdir()
+    (folder / "extrinsics" / "20150118.txt").touch()  # SUN RGB-D's tilt of the camera
+    (line,) = opened(folder).warnings
+    assert "extrinsics" not in line and "not read, by name poses: pose/000000.npy, pose/000001.npy" in line
+
+
 def test_poses_that_are_no_whole_matrices_are_named(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r")
     (folder / "poses.txt").write_text("\n".join(in_rows(T) for T in poses()).rsplit("\n", 2)[0] + "\n")

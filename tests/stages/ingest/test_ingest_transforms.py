@@ -73,6 +73,32 @@ def test_transforms_with_depth(tmp_path: Path) -> None:
     np.testing.assert_allclose(given.T_world_camera[2][:3, 3], [5, 0, 0], atol=1e-12)
 
 
+def test_names_of_colour_without_a_suffix(tmp_path: Path) -> None:
+    """As instant-ngp and data sets of Blender have them."""
+    folder = transforms(tmp_path / "r")
+    text = (folder / "transforms.json").read_text()
+    (folder / "transforms.json").write_text(text.replace(".jpg", ""))
+    recording = open_recording(folder)
+    assert (recording.color_registered, recording.warnings) == (True, ())
+    (folder / "images/d_2.jpg").unlink()
+    (line,) = open_recording(folder).warnings
+    assert "1 of its colour images are not there, such as './images/d_2'" in line
+
+
+@pytest.mark.parametrize("of_height", [True, False])
+def test_an_angle_of_view_is_a_focal_length(tmp_path: Path, of_height: bool) -> None:
+    angle_x, angle_y = (2 * np.arctan(side / 2 / focal) for side, focal in zip(BIG, (240, 244), strict=True))
+    shared = dict.fromkeys(SHARED) | {"camera_angle_x": angle_x}
+    camera = open_recording(
+        transforms(tmp_path / "r", shared | ({"camera_angle_y": angle_y} if of_height else {}))
+    ).camera
+    fx, fy, cx, cy = SMALL
+    expected = (fx, fy if of_height else fx, cx, cy)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx(expected)
+    with raises(RecordingError, "recording.bad-intrinsics", match="no angle of view between 0 and pi"):
+        open_recording(transforms(tmp_path / "s", shared | {"camera_angle_x": 4.0}))
+
+
 def test_every_frame_can_have_its_own_intrinsics(tmp_path: Path) -> None:
     gone = dict.fromkeys(SHARED)
     same = open_recording(transforms(tmp_path / "a", gone, SHARED))

@@ -343,7 +343,7 @@ def test_what_lies_beside_the_frames_is_listed_a_few_times_and_no_more(
         monkeypatch.setattr(module, "scanned", counted)
     monkeypatch.setattr(PosixPath, "__truediv__", made)
     open_recording(folder)
-    assert sum(name.startswith("x") for name in entries) <= 6 * len(strays)  # 8 with the format twice
+    assert sum(name.startswith("x") for name in entries) <= 7 * len(strays)  # 9 with the format twice
     # Once for the frames, once for names like those of intrinsics or poses.
     assert sum(path.name.startswith("x") for path in paths) <= 2 * len(strays)
 

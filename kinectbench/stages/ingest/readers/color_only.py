@@ -1,11 +1,14 @@
 """Messages on unsupported paths: colour without depth, or depth of an unsupported layout or kind."""
 
+import re
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-from kinectbench.core.untrusted import listed_paths, printable
-from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD, is_16_bit
+from kinectbench.core.encoded_images import PNG_MAGIC
+from kinectbench.core.untrusted import listed_paths, printable, read_head
+from kinectbench.stages.ingest.depth_files import ARRAYS
+from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, DEPTH_WORD, HEAD_BYTES, is_16_bit
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
@@ -14,6 +17,22 @@ LEAST_IMAGES = 5
 LOOKED_AT = 20_000
 KINDS = "16-bit PNG, .npy, .npz, TIFF"
 RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
+# Files of depth of a kind that is read in a folder depth/, that is not read, and that holds nothing else.
+READ, CONVERTED = ARRAYS | {".tif", ".tiff"}, frozenset({".pgm", ".pfm", ".dpt", ".raw", ".bin", ".mat"})
+ONLY_DEPTH = frozenset({".pfm", ".dpt"})
+LIKE_DEPTH = re.compile(r"depth|distance|disparity", re.IGNORECASE)
+NUMBER, MOST_KINDS = re.compile(r"\d+"), 50
+# Types of colour in the head of a PNG with more than one channel: colour, and colour with alpha.
+SEVERAL_CHANNELS = (2, 6)
+MOVE = (
+    "put depth alone into a folder depth/ and colour into color/, with the same number in the names of one "
+    "frame, and intrinsics.json beside them"
+)
+CONVERT = "write it as 16-bit PNG in mm, or as .npy in metres"
+PACKED = (
+    "or, if its channels are bytes of depth, as those of RLBench and TartanAir, join them by the data set's "
+    f"own tool, and {CONVERT}"
+)
 RECORD = "record with a camera that measures depth, such as a Kinect, a RealSense, or a phone with LiDAR"
 
 
@@ -32,25 +51,69 @@ def without_depth(path: Path) -> str | None:
     unread = _unread_kind(path)
     if unread is not None:
         return unread
-    images, folders = 0, []
+    images, samples, pictures = 0, list[Path](), list[Path]()
     for folder, files in _image_folders(path):
         images += len(files)
-        folders.append((folder, files))
-    deep = next((folder for folder, files in folders if is_16_bit(files[0])), None)
+        samples += _one_of_each_kind(files)
+        of_depth = _is_named_depth(folder.name) and folder != path
+        pictures += [file for file in files if of_depth or DEPTH_WORD.fullmatch(file.stem)]
+    deep = next((file for file in samples if is_16_bit(file)), None)
     if deep is not None:
-        return (
-            f"{path}: {deep.name}/ holds 16-bit PNG images that look like depth, but in no layout that is "
-            "known: name their folder depth/ and that of colour color/, and put intrinsics.json beside them"
+        where = f"{deep.parent.name}/ holds 16-bit PNG images that look like depth ({printable(deep.name)})"
+        return f"{path}: {where}, but in no layout that is known: {MOVE}"
+    return (
+        _other_files(path)
+        or (_of_pictures(path, pictures) if len(pictures) >= LEAST_IMAGES else None)
+        or (
+            f"{path}: holds {images} colour images, but no depth that is read ({KINDS}): {RECORD}"
+            if images >= LEAST_IMAGES
+            else None
         )
-    pictures = [file for _, files in folders for file in files if DEPTH_WORD.fullmatch(file.stem)]
-    if len(pictures) >= LEAST_IMAGES:
-        return (
-            f"{path}: its {len(pictures)} images named depth, such as {printable(pictures[0].name)}, are "
-            f"pictures in 8 bits (false colours?): {RAW}"
-        )
-    if images < LEAST_IMAGES:
+    )
+
+
+def _one_of_each_kind(files: list[Path]) -> list[Path]:
+    """One file of each way to name files, whatever the numbers in the names; at most `MOST_KINDS`."""
+    by_kind = {NUMBER.sub("#", file.name): file for file in reversed(files)}
+    return sorted(by_kind.values())[:MOST_KINDS]
+
+
+def _is_named_depth(name: str) -> bool:
+    return bool(LIKE_DEPTH.search(name)) and not COLOR_WORD.fullmatch(name)
+
+
+def _of_pictures(path: Path, pictures: list[Path]) -> str:
+    """An error message on images that are named depth, and have 8 bits per channel."""
+    first = pictures[0]
+    line = (
+        f"{path}: its {len(pictures)} images named depth, such as {printable(str(first.relative_to(path)))}, "
+        f"are pictures in 8 bits (false colours?): {RAW}"
+    )
+    head = read_head(first, HEAD_BYTES)
+    packed = len(head) == HEAD_BYTES and head.startswith(PNG_MAGIC) and head[-1] in SEVERAL_CHANNELS
+    return f"{line}; {PACKED}" if packed else line
+
+
+def _other_files(path: Path) -> str | None:
+    """An error message on files of depth that are no images, or of a kind that is not read; None without."""
+    if not path.is_dir():
         return None
-    return f"{path}: holds {images} colour images, but no depth that is read ({KINDS}): {RECORD}"
+    children = sorted(child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir())
+    for folder in [path, *children]:
+        by_kind = dict[str, list[Path]]()
+        for file in islice(listed_paths(folder), LOOKED_AT):
+            kind = file.suffix.lower()
+            named = _is_named_depth(file.stem) or (folder != path and _is_named_depth(folder.name))
+            if kind in ONLY_DEPTH or (named and kind in (*READ, *CONVERTED)):
+                by_kind.setdefault(kind, []).append(file)
+        for kind, files in by_kind.items():
+            if len(files) >= LEAST_IMAGES:
+                name = printable(str(min(files).relative_to(path)))
+                looks = f"{len(files)} {kind} files, such as {name}, look like depth"
+                if kind in READ:
+                    return f"{path}: {looks}, but in no layout that is known: {MOVE}"
+                return f"{path}: {looks}, but {kind} is not read: {CONVERT}; then {MOVE}"
+    return None
 
 
 def _unread_kind(path: Path) -> str | None:

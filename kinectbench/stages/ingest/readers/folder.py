@@ -40,6 +40,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     color_images,
     depth_images,
     lie_beside_each_other,
+    other_depth,
     unread_depth,
 )
 from kinectbench.stages.ingest.readers.pose_files import (
@@ -157,7 +158,7 @@ class FolderRecording(FileRecording):
         files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
-        said, camera_file = find_intrinsics(path, settings)
+        said, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
         if camera_file is None and said == Intrinsics() and not gives_intrinsics(settings):
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
@@ -181,6 +182,7 @@ class FolderRecording(FileRecording):
             trajectory_error=error,
             warnings=(
                 *unread_depth(path, depth),
+                *other_depth(path),
                 *paired,
                 *stored.warnings,
                 *said_warnings(path, said, settings),

@@ -10,10 +10,20 @@ from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import is_depth_png
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
+# Names of folders with depth on the pixels of colour, by OpenLORIS, librealsense and ROS.
+OTHER_DEPTH = (
+    "aligned_depth",
+    "depth_aligned",
+    "aligned_depth_to_color",
+    "depth_registered",
+    "depth_to_color",
+)
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
 # YCB-Video has 000001-depth.png beside 000001-color.png; other data sets have the word first, or in between.
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
+# What librealsense's tools and DexYCB add to the name of an image that lies on the other camera's pixels.
+TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
 # Bytes of a PNG that contain its number of bits.
 HEAD_BYTES = 26
 
@@ -67,6 +77,22 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
     return (f"{read.files[0].parent}: {line}",)
 
 
+def other_depth(path: Path) -> tuple[str, ...]:
+    """A warning on each folder of depth beside depth/, such as aligned_depth/; empty without such folders."""
+    folders = [path / name for name in OTHER_DEPTH] if (path / "depth").is_dir() else []
+    others = [folder for folder in folders if folder.is_dir() and _first_is_depth(folder)]
+    return tuple(
+        f"{path}: depth is read from depth/, and not from {f.name}/ beside it: if colour lies on "
+        "the pixels of the latter, rename it to depth/"
+        for f in others
+    )
+
+
+def _first_is_depth(folder: Path) -> bool:
+    first = next(iter(in_folder(folder, DEPTH_SUFFIXES).files), None)
+    return first is not None and (first.suffix.lower() != ".png" or is_16_bit(first))
+
+
 def color_images(path: Path) -> NamedImages:
     """The colour images in a recording's folder, of the first subfolder that has any; empty without any."""
     folders = [path / name for name in COLOR_FOLDERS if (path / name).is_dir()]
@@ -82,7 +108,7 @@ def lie_beside_each_other(path: Path) -> bool:
         return False
     depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))
     color = listed_paths(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES))
-    return any(color) and any(map(is_16_bit, depth))
+    return any(_is_of(COLOR_WORD, file) for file in color) and any(map(is_16_bit, depth))
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
@@ -97,7 +123,7 @@ def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
     suffixes = DEPTH_SUFFIXES if word is DEPTH_WORD else COLOR_SUFFIXES
     files = listed_paths(path, wanted=lambda name: _word(name, word, suffixes))
     named = sorted(
-        ((_without(word, file.stem), file) for file in files),
+        ((_without(word, file.stem), file) for file in files if _is_of(word, file)),
         key=lambda each: (counting_key(each[0]), each[1].name),
     )
     return NamedImages(tuple(file for _, file in named), tuple(stem for stem, _ in named))
@@ -113,7 +139,19 @@ def _word(name: str, word: re.Pattern[str], suffixes: frozenset[str]) -> bool:
     return f"{dot}{suffix.lower()}" in suffixes and not name.startswith(".") and bool(word.fullmatch(stem))
 
 
+def _is_of(word: re.Pattern[str], file: Path) -> bool:
+    """Whether an image is of the stream of this word, and not of the other one, of which its name has both.
+
+    Depth in aligned_depth_to_color_000000.png has 16 bits per pixel; colour has not.
+    """
+    if file.suffix.lower() not in COLOR_SUFFIXES:
+        return True
+    both = DEPTH_WORD.fullmatch(file.stem) and COLOR_WORD.fullmatch(file.stem)
+    return not both or is_16_bit(file) == (word is DEPTH_WORD)
+
+
 def _without(word: re.Pattern[str], stem: str) -> str:
     """A name without the word in it; the parts before and after are joined by an underscore."""
+    stem = TO_OTHER.sub(r"\1", stem)
     match = word.fullmatch(stem)
     return "_".join(part for part in match.groups() if part) if match else stem

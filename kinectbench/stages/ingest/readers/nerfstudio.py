@@ -8,6 +8,7 @@ page says that z is up, but poses computed by COLMAP are not aligned so, and the
 it has: the direction of gravity counts as unknown. Floats without a unit are in metres or mm, by their size.
 """
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Self
@@ -46,10 +47,11 @@ FILE = "transforms.json"
 DEPTH_KEYS = ("depth_file_path", "depth_path")
 SCALE_KEYS = ("depth_unit_scale_factor", "integer_depth_scale")
 PINHOLE_KEYS = ("fl_x", "fl_y", "cx", "cy")
+ANGLE_KEYS, COLOR_KINDS = ("camera_angle_x", "camera_angle_y"), (".png", ".jpg", ".jpeg", ".PNG", ".JPG")
 # Brown's coefficients in order; his model has no fourth radial term.
 BROWN_KEYS = ("k1", "k2", "p1", "p2", "k3")
 # All keys that are read, for a frame or for all frames.
-FRAME_KEYS = (*PINHOLE_KEYS, *BROWN_KEYS, "w", "h", "k4", "camera_model", "transform_matrix")
+FRAME_KEYS = (*PINHOLE_KEYS, *ANGLE_KEYS, *BROWN_KEYS, "w", "h", "k4", "camera_model", "transform_matrix")
 MODELS = (None, "OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE")
 # Unit of depth without `depth_unit_scale_factor`: nerfstudio's default.
 METRES_PER_UNIT = 0.001
@@ -112,7 +114,14 @@ class NerfstudioRecording(PhoneRecording):
             color_registered=any(file.color for file in files),
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=(*warnings, *varied, *stored.warnings, *scale_warnings(path, said, settings), *lost),
+            warnings=(
+                *warnings,
+                *_no_color(path, files, frames),
+                *varied,
+                *stored.warnings,
+                *scale_warnings(path, said, settings),
+                *lost,
+            ),
             undistortion=Undistortion(camera, coefficients) if any(coefficients) else None,
         )
 
@@ -170,8 +179,40 @@ def _name(file: Path, name: object) -> str:
 
 
 def _color(path: Path, frame: Frame) -> Path | None:
+    """The colour of a frame; by instant-ngp and in Blender's data sets, its name may lack the suffix."""
     name = frame.get("file_path")
-    return None if name is None else first_file([path / _name(path / FILE, name)])
+    if name is None:
+        return None
+    whole = _name(path / FILE, name)
+    return first_file(path / f"{whole}{suffix}" for suffix in ("", *COLOR_KINDS))
+
+
+def _no_color(path: Path, files: tuple[FrameFiles, ...], frames: list[tuple[str, Frame]]) -> list[str]:
+    """A warning on colour images that are named, but not there."""
+    pairs = zip(files, frames, strict=True)
+    missing = [f["file_path"] for file, (_, f) in pairs if f.get("file_path") and file.color is None]
+    if not missing:
+        return []
+    return [f"{path / FILE}: {len(missing)} of its colour images are not there, such as {quoted(missing[0])}"]
+
+
+def _with_focal_lengths(frame: Frame, color_px: tuple[int, int], file: Path) -> Frame:
+    """A frame's values, with a pinhole camera from its angles of view if it has these instead.
+
+    As in instant-ngp: fl_x is half of w by the tangent of half of camera_angle_x (radians), fl_y the same
+    without camera_angle_y, and the principal point is the middle of the image.
+    """
+    if frame.get("fl_x") is not None or frame.get("camera_angle_x") is None:
+        return frame
+    given = {key: value for key, value in frame.items() if value is not None}
+    size = [number_of(given.get(key, px), f"{file}: '{key}'") for key, px in zip("wh", color_px, strict=True)]
+    focal = dict[str, object]()
+    for key, fl, side in (("camera_angle_x", "fl_x", size[0]), ("camera_angle_y", "fl_y", size[1])):
+        angle = number_of(given[key], f"{file}: '{key}'") if key in given else None
+        if angle is not None and not 0 < angle < math.pi:
+            raise IntrinsicsError(f"{file}: '{key}' is {angle:g}, and no angle of view between 0 and pi")
+        focal[fl] = focal["fl_x"] if angle is None else side / (2 * math.tan(angle / 2))
+    return {**focal, "cx": size[0] / 2, "cy": size[1] / 2} | given
 
 
 def _intrinsics(
@@ -185,6 +226,7 @@ def _intrinsics(
         raise RecordingError(
             f"{file}: cameras of the model {name} are not read: undistort the images first", what="lens"
         )
+    frames = [_with_focal_lengths(frame, color_px, file) for frame in frames]
     if any(frame.get(key) is None for frame in frames for key in PINHOLE_KEYS):
         return Intrinsics(), []
     sizes = {

@@ -31,12 +31,18 @@ LIKE_POSES = re.compile(
     r"\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)",
     re.IGNORECASE,
 )
+# A file with the pose of one frame, as pose/000000.npy.
+IN_POSE_FOLDER = re.compile(r"\w*poses?/[^/]+\.(?:json|txt|np[yz])", re.IGNORECASE)
 POSE_FOLDERS = ("pose", "poses")
 
 
 def named_like_poses(path: Path) -> str:
     """The end of an error message that names files which look like poses; "" if there are none."""
-    return names_like(path, LIKE_POSES.fullmatch, "not read, by name poses:")
+
+    def is_like(name: str) -> bool:
+        return bool(LIKE_POSES.fullmatch(Path(name).name) or IN_POSE_FOLDER.fullmatch(name))
+
+    return names_like(path, is_like, "not read, by name poses:", by_folder=True)
 
 
 def unread_poses(path: Path) -> list[str]:

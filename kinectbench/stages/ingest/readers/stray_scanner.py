@@ -1,4 +1,4 @@
-"""Folders of StrayScanner: rgb.mp4, depth/ and confidence/ as PNG, camera_matrix.csv, odometry.csv."""
+"""Folders of StrayScanner: rgb.mp4, depth/ (PNG or .npy), confidence/, camera_matrix.csv, odometry.csv."""
 
 import os
 from collections.abc import Iterator
@@ -18,6 +18,7 @@ from kinectbench.core.untrusted import is_too_large, printable, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     PhoneRecording,
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from cv2 import VideoCapture
 
 DEPTH_SCALE = 1000.0
+# Early versions of the app wrote arrays; PNG is taken where there are both.
+DEPTH_KINDS, KINDS = ("*.npy", "*.png"), "000000.png or .npy"
 # An MP4 starts with a box: four bytes of length and this name.
 MP4_HEAD = b"\0\0\0\0ftyp"
 # Makes FFmpeg within OpenCV print nothing (av_log's AV_LOG_QUIET).
@@ -90,18 +93,20 @@ class StrayScannerRecording(PhoneRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read odometry.csv, and keep the frames with depth."""
-        depth = {int(f.stem): f for f in (path / "depth").glob("*.png") if FRAME_NUMBER.fullmatch(f.stem)}
+        images = [f for kind in DEPTH_KINDS for f in (path / "depth").glob(kind)]
+        depth = {int(f.stem): f for f in images if FRAME_NUMBER.fullmatch(f.stem)}
         rows = _read_odometry(path / "odometry.csv")
         paired = [(number, row) for number, row in rows if number in depth]
         if not paired:
-            raise RecordingError(f"{path}: no row of odometry.csv names an image in depth/", what="no-frame")
+            what = f"no row of odometry.csv names an image in depth/, such as {KINDS}"
+            raise RecordingError(f"{path}: {what}", what="no-frame")
         alone = len(depth.keys() - {number for number, _ in paired})
         order, warnings = first_by_stamp([row.stamp_ns for _, row in paired], str(path), "rows")
         if alone:
             warnings.append(f"{path}: {alone} depth images have no row in odometry.csv and were left out")
         numbers = tuple(paired[i][0] for i in order)
         files = tuple(FrameFiles(paired[i][1].stamp_ns, depth[paired[i][0]], None) for i in order)
-        size_px = first_depth_size(files)
+        size_px, stored = first_depth_size(files), DepthFormat.of(files, settings.depth_scale)
         video = _Video(path / "rgb.mp4") if (path / "rgb.mp4").is_file() else None
         first = video.frame(0) if video else None
         color_px = None if first is None else (first.shape[1], first.shape[0])
@@ -115,12 +120,15 @@ class StrayScannerRecording(PhoneRecording):
             path=path,
             places=files,
             camera=intrinsics.camera(size_px, path),
-            depth_scale=intrinsics.depth_scale or DEPTH_SCALE,
+            depth_scale=stored.depth_scale or intrinsics.depth_scale or DEPTH_SCALE,
+            float_scale=stored.float_scale,
+            channels=stored.channels,
+            kind=stored.kind,
             color_registered=color_px is not None,
             given_trajectory=trajectory,
             trajectory_error=error,
-            warnings=(*warnings, *pose_warnings),
-            confidence=tuple(first_file([path / "confidence" / depth[n].name]) for n in numbers),
+            warnings=(*warnings, *stored.warnings, *pose_warnings),
+            confidence=tuple(first_file([path / "confidence" / f"{depth[n].stem}.png"]) for n in numbers),
             min_confidence=settings.min_confidence,
             numbers=numbers,
             video=video if color_px else None,

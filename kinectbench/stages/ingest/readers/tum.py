@@ -30,11 +30,14 @@ from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
     first_depth_size,
+    first_file,
     mask_beside,
     unmatched_masks,
 )
 
 DEPTH_SCALE = 5000.0
+# Names of the lists, the first that exists is read: OpenLORIS also lists depth on the pixels of colour.
+DEPTH_LISTS, COLOR_LISTS = ("aligned_depth.txt", "depth.txt"), ("rgb.txt", "color.txt")
 # Value of `accelerometer_axes` in camera.json: accelerometer.txt has the optical axes of the depth camera.
 DEPTH_AXES = "depth"
 
@@ -59,19 +62,17 @@ class TumRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read the lists, pair colour with depth, and read the trajectory."""
-        depth_rows = _read_rows(path / "depth.txt")
+        (depth_list, color_list), warnings = _lists(path)
+        depth_rows = _read_rows(depth_list)
         if not depth_rows:
-            raise RecordingError(f"{path / 'depth.txt'}: lists no images", what="no-depth")
-        color_rows = _read_rows(path / "rgb.txt") if (path / "rgb.txt").is_file() else []
+            raise RecordingError(f"{depth_list}: lists no images", what="no-depth")
+        color_rows = _read_rows(color_list) if color_list.is_file() else []
         why = no_times([stamp_ns for stamp_ns, _ in depth_rows])
-        warnings = []
         if why:
             depth_rows, color_rows = _counted(depth_rows), _counted(color_rows)
-            warnings = [
-                f"{path / 'depth.txt'}: its stamps are no times ({why}); its rows are counted instead"
-            ]
-        depth, depth_ns, depth_warnings = _in_order(depth_rows, path / "depth.txt")
-        color, color_ns, color_warnings = _in_order(color_rows, path / "rgb.txt")
+            warnings += [f"{depth_list}: its stamps are no times ({why}); its rows are counted instead"]
+        depth, depth_ns, depth_warnings = _in_order(depth_rows, depth_list)
+        color, color_ns, color_warnings = _in_order(color_rows, color_list)
         warnings += [*depth_warnings, *color_warnings]
         delay_s, where = settings.color_delay_s, str(path)
         if why:  # counted stamps do not relate two streams
@@ -86,7 +87,7 @@ class TumRecording(FileRecording):
             )
             for (stamp_ns, file), partner in zip(depth, partners.of_depth, strict=True)
         )
-        recorded, camera_file = find_intrinsics(path, settings)
+        recorded, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
         intrinsics = recorded.overridden_by(settings)
         stored = DepthFormat.of(files, settings.depth_scale)
         up = _measured_up(path, camera_file, [ns for ns, _ in depth])
@@ -114,6 +115,18 @@ class TumRecording(FileRecording):
                 *unmatched_masks(path, files),
             ),
         )
+
+
+def _lists(path: Path) -> tuple[tuple[Path, Path], list[str]]:
+    """The lists of depth and of colour, of which the latter may be missing; and a warning on another list."""
+    depth, color = (first_file(path / name for name in names) for names in (DEPTH_LISTS, COLOR_LISTS))
+    depth, color = depth or path / DEPTH_LISTS[-1], color or path / COLOR_LISTS[0]
+    if depth.name == DEPTH_LISTS[-1]:
+        return (depth, color), []
+    note = (
+        f"{depth}: is read, and not {DEPTH_LISTS[-1]}: its depth lies on colour's pixels, so that fx ... cy"
+    )
+    return (depth, color), [f"{note} must be those of colour"]
 
 
 def _poses(path: Path, frames: int | None) -> tuple[GivenTrajectory | None, list[str]]:
