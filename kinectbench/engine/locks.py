@@ -90,17 +90,11 @@ def sweep(path: Path) -> None:
     A file that was moved aside is moved back if its replacement is missing.
     """
 
-    def replaced(name: str) -> str:
-        """The name of the file that one of this name was made for."""
-        return name[1:].rsplit(".", 2)[0]
-
     def is_left(name: str) -> bool:
-        # Not of `out.v2` where `path` is `out`: another run may be writing it.
-        is_ours = any(fnmatchcase(name, f".{path.name}.*.{end}") for end in ("part", "old"))
-        return is_ours and fnmatchcase(replaced(name), path.name)
+        return any(fnmatchcase(name, f".{path.name}.*.{end}") for end in ("part", "old"))
 
     for leftover in list(listed_paths(path.parent, wanted=is_left)) if path.parent.is_dir() else []:
-        original = leftover.with_name(replaced(leftover.name))
+        original = leftover.with_name(leftover.name[1:].rsplit(".", 2)[0])
         if leftover.suffix == ".old" and not original.exists():
             leftover.rename(original)
         elif leftover.is_dir():

@@ -13,7 +13,6 @@ from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.storage import pretty_json, replaced_folder
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Progress
-from kinectbench.engine.locks import sweep
 from kinectbench.engine.stages import Job
 from kinectbench.lab.evaluate import charts
 from kinectbench.lab.evaluate.build import Build, read_build, register_build
@@ -164,7 +163,6 @@ def evaluate_recording(
         RecordingError: there is no readable truth, or it is of another recording.
         PairError: a pair is damaged.
     """
-    sweep(out)
     if out.exists() and not _replaceable(out):
         raise StorageError(
             f"{out}: holds something else than an evaluation; choose a new or empty folder",

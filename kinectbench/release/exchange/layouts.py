@@ -11,7 +11,6 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
 from kinectbench.core.storage import pretty_json, replaced_folder, sha256_text
 from kinectbench.core.voxels.pair_file import Pair, PairInput
-from kinectbench.engine.locks import sweep
 from kinectbench.release.contents import release_files
 from kinectbench.release.own_folder import is_ignored
 from kinectbench.release.release import Release
@@ -74,7 +73,6 @@ def new_folder(out: Path) -> Iterator[Path]:
         PairError: `out` holds a damaged export.json.
         StorageError: the disk is full or read-only.
     """
-    sweep(out)
     earlier = ExportFile.read_if_there(out) if out.is_dir() else None
     refuse_others(out, earlier.files_sha256 if earlier else None, EXPORT_JSON)
     with replaced_folder(out) as folder:

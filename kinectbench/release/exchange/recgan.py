@@ -30,7 +30,6 @@ from kinectbench.core.voxels.pair_file import (
 )
 from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_bytes
 from kinectbench.core.voxels.resample import reduce_blocks
-from kinectbench.engine.locks import sweep
 from kinectbench.release.exchange.layouts import (
     EXPORT_JSON,
     MATRICES,
@@ -197,7 +196,6 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
             f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there", what="no-file"
         )
     check_names([one.target for one in pairs], str(folder))
-    sweep(out)
     refuse_other_content(out)
     with replaced_folder(out) as temporary:
         targets = []

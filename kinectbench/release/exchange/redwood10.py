@@ -28,7 +28,6 @@ from kinectbench.core.voxels.npy import read_npy
 from kinectbench.core.voxels.pair_file import PairInput, pair_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.core.voxels.view_grids import partial_grids, view_cube
-from kinectbench.engine.locks import sweep
 from kinectbench.release.contents import surface_name
 from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.card import CardTexts
@@ -105,7 +104,6 @@ def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) 
     there = [scan for scan in SCANS if (folder / MASK_FILE.format(scan=scan)).is_file()]
     if not there:
         raise SettingsError(f"{folder}: no {MASK_FILE.format(scan='<scan>')} there", what="no-file")
-    sweep(out)
     refuse_other_content(out)
     with replaced_folder(out) as temporary:
         targets = []

@@ -14,7 +14,6 @@ from kinectbench.core.geometry.rigid import similarity_problem
 from kinectbench.core.storage import replaced_folder
 from kinectbench.core.types import Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
-from kinectbench.engine.locks import sweep
 from kinectbench.release.exchange.layouts import names_sha256, refuse_others
 from kinectbench.release.exchange.rgbd import ViewCamera, camera_of, export_rgbd
 from kinectbench.release.release import Release, Target
@@ -90,7 +89,6 @@ def adapt(
     adapter = _adapter_of(name)
     if not output.is_dir():
         raise PredictionError(f"{output}: no such folder", what="no-folder")
-    sweep(out)
     earlier = MethodFile.read_if_there(out) if out.is_dir() else None
     refuse_others(out, ((earlier and earlier.settings) or {}).get(FILES), MethodFile.FILE)
     problems, volumes, written = list[str](), dict[str, Float64](), 0

@@ -44,21 +44,6 @@ def written(folders: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory
     return evaluate_recording(*folders, out), out
 
 
-def test_what_a_killed_evaluation_left_goes(
-    folders: tuple[Path, Path], written: tuple[Evaluation, Path], tmp_path: Path
-) -> None:
-    """It may have moved the earlier one aside, which is back where the next one fails."""
-    out = tmp_path / "chair"
-    shutil.copytree(written[1], tmp_path / ".chair.0123abcd.old")
-    (tmp_path / ".chair.4567abcd.part").mkdir()
-    of_another = tmp_path / ".chair.v2.4567abcd.part"
-    of_another.mkdir()
-    with pytest.raises(KinectBenchError):
-        evaluate_recording(folders[0], tmp_path / "no truth", out)
-    assert (out / "evaluation.json").is_file()
-    assert {path.name for path in tmp_path.iterdir()} == {"chair", of_another.name}
-
-
 def test_perfect_through_the_disk(written: tuple[Evaluation, Path]) -> None:
     evaluation, out = written
     found = json.loads((out / "evaluation.json").read_text())
