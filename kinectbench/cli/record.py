@@ -79,7 +79,6 @@ def _recorded(
     camera: "Device", out: Path, seconds: float | None, port: int, guided: bool | None
 ) -> "Recorded":
     """Record, with the guide if wanted; another Ctrl-C, while the guide closes, does not lose the outcome."""
-    from kinectbench.cli import console
     from kinectbench.record.recorder import record
 
     done = None

@@ -35,7 +35,7 @@ COMPARED_FILES = 32
 # First the stages of a build; then candidates of boxes, releases, synthetic models, tables of scores, and the
 # predictions of baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 15,
+    "ingest": 16,
     "track": 16,
     "fuse": 7,
     "segment": 46,
@@ -180,8 +180,8 @@ def has_sizes(
         cache: file where `content_hash` keeps names and sizes; if missing or damaged, the result is True.
         sha256: the hash over the files, as by `content_hash`.
         names: the names of all files at the path; None: added files are not noticed.
-        few: whether the files are few and small: all are compared, and one of another time, such as a mask
-            that was drawn again, is read. Else only sizes of some files are compared, and none is read.
+        few: compare all files, and read each that has another time, such as a mask that was drawn again or
+            all of a copied folder. Else only sizes of some files are compared, and none is read.
     """
     of_size, of_sha256 = map(SourceFile._fields.index, ("size", "sha256"))
     try:

@@ -227,9 +227,7 @@ class DrawnMasks:
     def _picture_now(self, file: str, sequence: Sequence, views: Path, view: Shown) -> str:
         """The digest of a view's pictures; the recorded digest, if their colour just lost its metadata."""
         pictures, known = read_pictures(views, view.name), self.entries[file].picture
-        _, color = sequence.frames.color_encoded(view.frame) or ("", b"")
-        as_recorded = picture_digest({**pictures, "color.jpg": color}) if color else None
-        return known if known and known == as_recorded else picture_digest(pictures)
+        return known if known in _digests(pictures, sequence, view.frame) else picture_digest(pictures)
 
     def _on_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
@@ -241,7 +239,8 @@ class DrawnMasks:
             if was is None:
                 entries[file] = DrawnOn(image=image, picture=now)
             elif was != now and not (  # pictures of an uncorrected view equal the recorded frame
-                RECORDED in (was, now) and picture_digest(pictures_of(sequence, frame)) in (was, now)
+                RECORDED in (was, now)
+                and {was, now} & _digests(pictures_of(sequence, frame), sequence, frame)
             ):
                 other.append(file)
         if other:
@@ -389,3 +388,11 @@ def _shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
     """Map mask names to views: (number of a view, False) or (index of a frame, True) -> view."""
     shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
     return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}
+
+
+def _digests(pictures: Mapping[str, bytes], sequence: Sequence, frame: int) -> set[str]:
+    """The digests of a frame's pictures: as they are, and with the recorded colour and all its metadata."""
+    _, color = sequence.frames.color_encoded(frame) or ("", b"")
+    return {
+        picture_digest(each) for each in (pictures, {**pictures, "color.jpg": color} if color else pictures)
+    }

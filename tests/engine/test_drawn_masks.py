@@ -37,6 +37,7 @@ MASKS = ("--set", "recordings.chair.masks=masks/chair")
 
 
 COLOR = bytes(cv2.imencode(".jpg", np.zeros((4, 6, 3), np.uint8))[1])
+PHOTO = COLOR[:2] + b"\xff\xe1\0\x0aExif\0\0MM" + COLOR[2:]
 
 
 def sequence(*images: int, color: bytes = COLOR) -> Any:
@@ -176,9 +177,8 @@ def test_other_poses_make_another_picture_of_the_same_frame(tmp_path: Path) -> N
 
 
 def test_a_mask_drawn_on_a_view_with_metadata_is_used_on_the_same_without(tmp_path: Path) -> None:
-    photo = COLOR[:2] + b"\xff\xe1\0\x0aExif\0\0MM" + COLOR[2:]
-    masks, frames = drawn(tmp_path / "masks", {"frame_000001.png": 11}), sequence(10, 11, color=photo)
-    of_photo = masks.check_views(frames, drawn_views(tmp_path / "older", (1, 901), color=photo))
+    masks, frames = drawn(tmp_path / "masks", {"frame_000001.png": 11}), sequence(10, 11, color=PHOTO)
+    of_photo = masks.check_views(frames, drawn_views(tmp_path / "older", (1, 901), color=PHOTO))
     now = drawn_views(tmp_path / "now", (1, 901), color=COLOR)
     assert of_photo.check_views(frames, now) == of_photo
     with raises(SettingsError, "settings.stale-masks", match="drawn on other pictures"):
@@ -198,12 +198,14 @@ def test_an_older_masks_file_is_used_as_it_was(tmp_path: Path) -> None:
     assert written["frame_000000.png"] == masks.entries["frame_000000.png"].image
 
 
+@pytest.mark.parametrize("color", [COLOR, PHOTO], ids=["plain", "with metadata"])
 @pytest.mark.parametrize("shown_mm", [11, 12])
 def test_a_mask_of_a_frame_as_it_was_recorded_is_none_of_a_corrected_view(
-    shown_mm: int, tmp_path: Path
+    shown_mm: int, color: bytes, tmp_path: Path
 ) -> None:
     """Nor one of the view a mask of the frame; where nothing was corrected, both are the same picture."""
-    frames, views = sequence(10, 11), drawn_views(tmp_path / "views", (1, shown_mm), color=COLOR)
+    frames = sequence(10, 11, color=color)
+    views = drawn_views(tmp_path / "views", (1, shown_mm), color=color)
     fits = (
         nullcontext() if shown_mm == 11 else pytest.raises(SettingsError, match=r"its entry from masks\.json")
     )

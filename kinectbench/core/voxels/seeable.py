@@ -22,6 +22,7 @@ from kinectbench.core.voxels.fine_sight import seen_around_corners, seen_closely
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
     FROM_ABOVE,
+    FROM_BELOW,
     LEVEL,
     PASSABLE,
     PLACE,
@@ -135,7 +136,8 @@ def swept_from_outside(
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     any_way = _grown(seen(space, to_camera), obstacle, voxel_size_m, limits)
     lower = without_rising(space, empty)
-    if lower is space:
+    # Further directions are tried only for what is not seen at all: voxels seen from below need their own.
+    if lower is space and not (closely and (any_way == FROM_BELOW).any()):
         return Sight(any_way, any_way & FROM_ABOVE > 0, space, lower)
     level_or_down = seen(lower, to_camera[to_camera[:, 2] >= -LEVEL])
     return Sight(any_way, _grown(level_or_down, obstacle, voxel_size_m, limits) > 0, space, lower)

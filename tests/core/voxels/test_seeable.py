@@ -24,6 +24,8 @@ from kinectbench.core.voxels.lines_of_sight import (
     FROM_BELOW,
     PASSABLE,
     PLACE,
+    directions,
+    seen_along,
 )
 from kinectbench.core.voxels.seeable import (
     SeeableSolid,
@@ -214,6 +216,29 @@ def test_a_camera_that_rises_through_unseen_space_looks_from_below() -> None:
         assert (sight.any_way[inner] & FROM_ABOVE).all()
         assert (sight.only_from_below[inner] == below).all()
         assert not sight.only_from_below[beneath].any() and not sight.only_from_below[solid].any()
+
+
+def test_closely_what_is_seen_from_below_is_looked_at_from_above_too() -> None:
+    """A box on legs, open below and too narrow for a camera, with a slot in its lid."""
+    solid = np.zeros((60, 90, 100), bool)
+    solid[16:44, 15:75, 20:80] = True
+    solid[18:42, 17:73, 20:78] = False
+    solid[28:32, 20:70, 78:80] = False
+    for x in (16, 42):
+        for y in (15, 73):
+            solid[x : x + 2, y : y + 2, :20] = True
+    heights_m = ((np.arange(100) + 0.5) * 0.005).astype(np.float32)
+    limits, none = replace(LIMITS, line_width_m=0.01, near_m=0.1), np.zeros_like(solid)
+    roughly, closely = (
+        swept_from_outside(solid, none, heights_m, 0.005, limits, 400, each) for each in (False, True)
+    )
+    assert roughly.lower is roughly.space  # no camera rises into it
+    ways = directions(25600)
+    inside = np.zeros_like(solid)
+    inside[18:42, 17:73, 20:78] = True
+    seen = inside & (seen_along(closely.space, ways[ways[:, 2] >= 0]) > 0)
+    missed = [int((seen & sight.only_from_below).sum()) for sight in (roughly, closely)]
+    assert missed[1] < 0.05 * missed[0] and missed[0] > 500
 
 
 @pytest.mark.parametrize("rail", [22, 30])
