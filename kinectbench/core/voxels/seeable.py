@@ -8,6 +8,7 @@ space is object by this definition, in recordings, simulations and CAD models.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numba
 import numpy as np
@@ -129,10 +130,7 @@ def swept_from_outside(
         closely: whether more directions are tried behind gaps (`seen_closely`).
     """
     to_camera = directions(count)
-
-    def seen(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
-        return seen_closely(space, to_camera, count) if closely else seen_along(space, to_camera)
-
+    seen = partial(seen_closely, count=count) if closely else seen_along
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     any_way = _grown(seen(space, to_camera), obstacle, voxel_size_m, limits)
     lower = without_rising(space, empty)
