@@ -103,7 +103,8 @@ def test_a_second_ctrl_c_keeps_the_outcome(tmp_path: Path, source: Path) -> None
     words = [sys.executable, "-c", SLOW_OBSERVER, str(source), str(out)]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     end = time.monotonic() + 60
-    while not (out / "depth.txt").is_file() and process.poll() is None and time.monotonic() < end:
+    rows = out / "depth.txt"
+    while not (rows.is_file() and len(rows.read_text().splitlines()) > 5) and time.monotonic() < end:
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
     time.sleep(1)
