@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.even_choice import evenly
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
@@ -27,6 +28,14 @@ FINER = (6400, 25600)
 MOST_ASKED = 1000
 # Fewer of them, of all voxels, lead to nothing: a chair's 37 to 22 others, a desk's 139 to 84.
 LEAST_ASKED_SHARE = 5e-5
+# Voxels are fine enough for this if so many of them are as wide as a line: noise leaves holes of one voxel
+# in a measured surface. At 15 mm (24 frames of 160x120) all of a table's column would become unknown.
+VOXELS_PER_WIDTH = 3
+
+
+def looks_closely(voxel_m: float, limits: SensorLimits) -> bool:
+    """Whether voxels are fine enough for lines of sight of these limits to be tried closely behind gaps."""
+    return voxel_m <= 1.001 * limits.line_width_m / VOXELS_PER_WIDTH
 
 
 def spacing_rad(count: int) -> float:

@@ -23,6 +23,7 @@ from observed_boxes import (
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Underside
+from kinectbench.core.voxels.fine_sight import looks_closely
 from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE, FROM_BELOW
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import (
@@ -32,7 +33,6 @@ from kinectbench.stages.segment.solid.evidence import (
     Rules,
     VoxelEvidence,
     classify_voxels,
-    looks_closely,
     narrow,
 )
 from kinectbench.stages.segment.solid.solid import SolidShape, make_solid

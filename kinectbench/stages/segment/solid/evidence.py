@@ -10,6 +10,7 @@ from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Underside
 from kinectbench.core.voxels.distance import distance_within_m
+from kinectbench.core.voxels.fine_sight import looks_closely
 from kinectbench.core.voxels.lines_of_sight import Space
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
 from kinectbench.core.voxels.seeable import swept_from_outside
@@ -29,9 +30,6 @@ SHEET_VOXELS = 1.2
 # Number of lines of sight: for the solid, and for solids that are only compared with one another.
 FINE: Final = 1600
 COARSE: Final = 400  # a quarter of the time
-# Lines are tried more closely behind gaps only where they are so many voxels wide: noise leaves holes of one
-# voxel in a measured surface. At 15 mm (24 frames of 160x120) all of a table's column would become unknown.
-VOXELS_PER_NARROW_LINE = 3
 # Lines of this share of the width reach slits that whole lines do not reach. The voxels there are unknown,
 # not air: a gap that was measured too narrow, by up to half a line, stays a gap.
 NARROWER = 0.5
@@ -190,11 +188,6 @@ def classify_voxels(
         space=sight.space,
         lower=sight.lower,
     )
-
-
-def looks_closely(voxel_m: float, limits: SensorLimits) -> bool:
-    """Whether voxels are fine enough for lines of sight of these limits to be tried closely behind gaps."""
-    return voxel_m <= 1.001 * limits.line_width_m / VOXELS_PER_NARROW_LINE
 
 
 def _heights_m(grid: Grid, layers: FloorLayers) -> Float32:
