@@ -8,7 +8,6 @@ space is object by this definition, in recordings, simulations and CAD models.
 """
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numba
 import numpy as np
@@ -19,17 +18,15 @@ from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, t
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.distance import distance_within_m
-from kinectbench.core.voxels.fine_sight import seen_around_corners, seen_closely
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
     FROM_ABOVE,
-    FROM_BELOW,
-    LEVEL,
     PASSABLE,
     PLACE,
     Space,
     directions,
     seen_along,
+    seen_around_corners,
 )
 from kinectbench.core.voxels.morphology import from_beyond
 from kinectbench.core.voxels.pair_file import unpack
@@ -38,8 +35,8 @@ from kinectbench.core.voxels.pair_file import unpack
 # apart. With 200 for 60 what is closed moved by 0.1 % of the volume at most (eight families); with 1,600 for
 # 6,400 twice as much of a helmet with slits was closed (voxels of 10 mm).
 COARSE_DIRECTIONS, FINE_DIRECTIONS = 60, 6400
-# Distances from voxel to voxel are exact except for rounding.
-ROUNDING_M = 1e-6
+# Distances from voxel to voxel are exact except for rounding; vertical parts of unit vectors, too.
+ROUNDING_M, LEVEL = 1e-6, 1e-9
 # Below an object on legs so many of eight level rays lead out; behind a door or a front three at most do, and
 # of a desk with a back and two sides as many.
 OPEN_WAYS = 5
@@ -115,10 +112,9 @@ def swept_from_outside(
     heights_m: Float32 | None,
     voxel_size_m: float,
     limits: SensorLimits,
-    count: int,
-    closely: bool = False,
+    to_camera: Float64,
 ) -> Sight:
-    """Do as `seen_from_outside`, but only along some directions: fast, but without `closely` it misses gaps.
+    """Do as `seen_from_outside`, but only along some directions: fast, but may miss narrow gaps.
 
     Args:
         obstacle: bool (nx, ny, nz), as for `seen_from_outside`.
@@ -126,18 +122,14 @@ def swept_from_outside(
         heights_m: as for `seen_from_outside`.
         voxel_size_m: edge of a voxel, metres.
         limits: as for `seen_from_outside`.
-        count: number of directions, evenly spread.
-        closely: whether more directions are tried behind gaps (`seen_closely`).
+        to_camera: (n, 3) unit vectors, from a point to a camera.
     """
-    to_camera = directions(count)
-    seen = partial(seen_closely, count=count) if closely else seen_along
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
-    any_way = _grown(seen(space, to_camera), obstacle, voxel_size_m, limits)
+    any_way = _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits)
     lower = without_rising(space, empty)
-    # Further directions are tried only for what is not seen at all: voxels seen from below need their own.
-    if lower is space and not (closely and (any_way == FROM_BELOW).any()):
+    if lower is space:
         return Sight(any_way, any_way & FROM_ABOVE > 0, space, lower)
-    level_or_down = seen(lower, to_camera[to_camera[:, 2] >= -LEVEL])
+    level_or_down = seen_along(lower, to_camera[to_camera[:, 2] >= -LEVEL])
     return Sight(any_way, _grown(level_or_down, obstacle, voxel_size_m, limits) > 0, space, lower)
 
 

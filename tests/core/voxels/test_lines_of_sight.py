@@ -3,19 +3,17 @@
 import numpy as np
 import pytest
 
-from kinectbench.core.voxels.fine_sight import seen_around_corners, seen_closely
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
     FROM_ABOVE,
     FROM_BELOW,
-    ONE_WAY,
     PASSABLE,
     PLACE,
     Space,
     count_seen,
     directions,
     seen_along,
-    ways_along,
+    seen_around_corners,
 )
 
 VOXEL_M, NEAR_M, LEAST_M = 0.1, 0.25, 0.15
@@ -127,37 +125,6 @@ def test_what_is_seen_grows_until_no_neighbour_sees() -> None:
             beside[tuple(edge)] = False
             missed = beside & (state != BLOCKED) & (grown == 0) & (possible > 0)
             assert not missed.any()
-
-
-def test_directions_are_counted_up_to_three() -> None:
-    state, heights_m = scene(3)
-    space, ways = Space(state, heights_m, VOXEL_M, NEAR_M, LEAST_M), directions(12)
-    counted = ways_along(space, ways) // ONE_WAY
-    plain = sum((seen_along(space, way[None]) > 0).astype(int) for way in ways)
-    np.testing.assert_array_equal(counted, np.minimum(plain, 3))
-    assert {0, 1, 2, 3} == {*np.unique(counted).tolist()}
-
-
-@pytest.mark.parametrize("up", [False, True])
-def test_more_directions_are_tried_behind_a_gap(up: bool) -> None:
-    """A box whose top has a slot: deep in it 400 directions see single voxels, with none seen between."""
-    state = np.full((60, 60, 60), PASSABLE, np.uint8)
-    state[5:55, 5:55, 5:50], state[6:54, 6:54, 6:49] = BLOCKED, PASSABLE
-    state[27:31, 10:50, 49] = PASSABLE
-    space = Space(state, np.full(60, np.inf, np.float32), VOXEL_M, NEAR_M, LEAST_M)
-    ways, many = (each[each[:, 2] >= 0] if up else each for each in (directions(400), directions(25600)))
-    first, closely, all_of_them = (
-        seen_along(space, ways),
-        seen_closely(space, ways, 400),
-        seen_along(space, many),
-    )
-    inside = np.zeros(state.shape, bool)
-    inside[6:54, 6:54, 6:49] = True
-    missed = [int((inside & (seen == 0) & (all_of_them > 0)).sum()) for seen in (first, closely)]
-    assert missed[1] < 0.05 * missed[0] and missed[0] > 1000
-    # Nothing is seen along a line that something stops.
-    assert not (closely[6:54, 6:54, 6:49] & FROM_BELOW).any()
-    assert ((closely & first) == first).all()
 
 
 def test_directions_are_spread_over_the_sphere() -> None:

@@ -21,9 +21,8 @@ from observed_boxes import (
 )
 
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
+from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Underside
-from kinectbench.core.voxels.fine_sight import looks_closely
 from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE, FROM_BELOW
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import (
@@ -33,7 +32,6 @@ from kinectbench.stages.segment.solid.evidence import (
     Rules,
     VoxelEvidence,
     classify_voxels,
-    narrow,
 )
 from kinectbench.stages.segment.solid.solid import SolidShape, make_solid
 
@@ -245,14 +243,3 @@ def test_rules_of_a_small_thing_are_for_the_larger_world() -> None:
     rules = Rules(LAYERS, ray_width_m=0.001, limits=SensorLimits(line_width_m=0.02)).enlarged(0.25)
     assert rules.ray_width_m == pytest.approx(0.004) and rules.limits.line_width_m == pytest.approx(0.08)
     assert rules.limits.near_m == pytest.approx(1.6) and rules.layers == LAYERS
-
-
-def test_gaps_are_looked_into_closely_where_voxels_are_fine() -> None:
-    """The usual 5 mm at lines of 30 mm, of which half is tried; the demo's 7 mm are too coarse."""
-    limits = narrow(DEFAULT_LIMITS)
-    assert [looks_closely(voxel_m, limits) for voxel_m in (0.002, 0.005, 0.007, 0.015)] == [
-        True,
-        True,
-        False,
-        False,
-    ]
