@@ -20,6 +20,7 @@ NAMES = (
 APP0, APP15, COMMENT, START_OF_SCAN, END_OF_IMAGE = 0xE0, 0xEF, 0xFE, 0xDA, 0xD9
 # Those that may follow a scan: tables, the next scan, the end, application segments, comments.
 AFTER_SCAN = re.compile(rb"\xff[\xc4\xd9-\xdd\xe0-\xef\xfe]")
+# Those without a segment: TEM, RST0 to RST7, SOI.
 ALONE = (0x01, *range(0xD0, 0xD9))
 
 

@@ -10,19 +10,21 @@ from kinectbench.core.types import Float64
 from kinectbench.doctor.finding import Finding, Registration
 from kinectbench.doctor.probe import Probe
 
-COLUMNS = 320
-JUMP_SHARE = 0.06
-REACH_PX = 24
+# Images are compared 320 wide, as the probe keeps grey images. Pixels whose neighbours' depth differs by this
+# share are at an edge; colour is looked for at shifts up to so many pixels (chosen by hand).
+COLUMNS, JUMP_SHARE, REACH_PX = 320, 0.06, 24
 # A larger shift is an error; pixels of images 320 wide.
 OFF_PX = 4.0
 # The best shift must exceed the mean of the others by so many of their standard deviations.
 CLEAR = 5.0
+# So many times the score as it is, or not mirrored, makes it an error (chosen by hand).
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
 # Colour that lies elsewhere is looked for in images 160 wide, from which structure wider than this is taken.
 PLACED_COLUMNS, FINE_PX = 160, 4.0
 # How many times as large colour is tried: 0.6 to 1.73, as a D435's colour is 1.5 times as large as its depth;
-# and shifts (right, down) in these images. A step is 4 %: zooms that are 3 % off score nearly as much.
+# A step is 4 %: zooms that are 3 % off score nearly as much.
 ZOOM_STEP, ZOOMS = 1.04, np.arange(-13, 15)
+# Shifts (right, down) up to a quarter and a fifth of these images are tried (chosen by hand).
 PLACED_REACH_PX = (40, 24)
 # A place is reported if its score is this high, and this many times that of colour as it is. Measured: 14 to
 # 38 where colour lies elsewhere (7 recordings); at most 10.5 where it fits nowhere, as it is mirrored, upside

@@ -92,11 +92,13 @@ class FolderWriter:
         return number
 
     def close(self) -> None:
-        """Wait until all added frames are written; after an error, those not started are left out."""
+        """Wait until all added frames are written; after an error, those not started are left out.
+
+        After a KeyboardInterrupt it can be called again.
+        """
         self._pool.shutdown(wait=True)
-        for handle in self._lists.values():
-            os.close(handle)
-        self._lists = {}
+        while self._lists:
+            os.close(self._lists.popitem()[1])
 
     def _write(self, number: int, frame: Frame) -> None:
         """Write a frame's images, then the rows of all frames before the first that is still incomplete.

@@ -1,14 +1,11 @@
 """Record: write a device's frames into a folder, and show them to observers."""
 
-import signal
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import FrameType
 
 from kinectbench.core.errors import CaptureError, KinectBenchError
 from kinectbench.record.folder import FolderWriter, check_new
@@ -127,39 +124,7 @@ def record(
             device.close()
     if run.writer is None:
         raise CaptureError(failure or f"{device.name}: gave no frame, and nothing was written")
-    with _one_interrupt_outlived() as asked:
-        return run.closed(failure, lambda: bool(asked))
-
-
-@contextmanager
-def _one_interrupt_outlived() -> Iterator[list[int]]:
-    """Keep an interrupt from ending the block, whose outcome would be lost; yield the signals so far.
-
-    Handlers of signals are called as before, but what they raise only counts from the second Ctrl-C on.
-    Signals reach the main thread alone: on another one nothing changes.
-    """
-    asked: list[int] = []
-
-    def outlive(came: int, frame: FrameType | None) -> None:
-        again = came in asked
-        asked.append(came)
-        try:
-            previous[came](came, frame)
-        except KeyboardInterrupt:
-            if again and came == signal.SIGINT:
-                raise
-
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    previous = {int(number): handler for number, handler in handlers.items() if callable(handler)}
-    on_main_thread = threading.current_thread() is threading.main_thread()
-    changed = [*previous] if on_main_thread else []
-    for number in changed:
-        signal.signal(number, outlive)
-    try:
-        yield asked
-    finally:
-        for number in changed:
-            signal.signal(number, previous[number])
+    return run.closed(failure)
 
 
 def _opened(device: Device) -> Setup:
@@ -217,12 +182,15 @@ class _Run:
             for watcher in self.watchers:
                 watcher.offer(number, frame)
 
-    def closed(self, failure: str, given_up: Callable[[], bool]) -> Recorded:
-        """Wait for the writer, and for the observers until `given_up` is true; return the outcome."""
+    def closed(self, failure: str) -> Recorded:
+        """Wait for the writer and, until a KeyboardInterrupt, for the observers; return the outcome."""
         assert self.writer is not None
-        self.writer.close()
-        for watcher in self.watchers:
-            watcher.end(given_up)
+        try:
+            self.writer.close()
+            for watcher in self.watchers:
+                watcher.end()
+        except KeyboardInterrupt:
+            self.writer.close()
         if self.writer.error is not None:
             reason = getattr(self.writer.error, "strerror", None) or in_a_line(self.writer.error)
             failure = f"{self.folder}: cannot be written any more ({reason})"

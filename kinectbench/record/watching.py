@@ -1,13 +1,9 @@
 """Observers of a recording: they get the newest frame, and never delay the recorder."""
 
 import threading
-from collections.abc import Callable
 from typing import Protocol
 
 from kinectbench.record.interface import Frame, Setup
-
-# Interval at which `end` asks whether to wait on: people take this for at once.
-ASK_AGAIN_S = 0.1
 
 
 class Observer(Protocol):
@@ -53,13 +49,12 @@ class Watcher:
             self._newest = (number, frame)
             self._changed.notify()
 
-    def end(self, given_up: Callable[[], bool] = lambda: False) -> None:
-        """Let the observer process the last frame, and wait for it until `given_up` is true."""
+    def end(self) -> None:
+        """Let the observer process the last frame, and wait for it."""
         with self._changed:
             self._ended = True
             self._changed.notify()
-        while self._thread.is_alive() and not given_up():
-            self._thread.join(ASK_AGAIN_S)
+        self._thread.join()
 
     def _look(self) -> None:
         while (newest := self._next()) is not None:

@@ -49,3 +49,15 @@ def tiny(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture(scope="module")
+def trained(learning: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a tiny network, trained for one epoch."""
+    from kinectbench.networks.config_file import read_config
+    from kinectbench.networks.train import train
+
+    root = tmp_path_factory.mktemp("trained")
+    (root / "tiny.yaml").write_text(TINY.replace("epochs: 2", "epochs: 1"))
+    train(read_config(root / "tiny.yaml"), [learning], root / "run", device="cpu")
+    return root / "run"

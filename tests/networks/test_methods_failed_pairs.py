@@ -9,26 +9,15 @@ import numpy as np
 import pytest
 from raising import raises
 from small_benchmark import Run
-from small_method import TINY
 
 import kinectbench.networks.predict as predicting
 from kinectbench.core.errors import PredictionError
-from kinectbench.networks.config_file import read_config
-from kinectbench.networks.train import train
 from kinectbench.networks.trained import open_trained
 from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release
 
 Command = Callable[..., Run]
 FAILED = "the output of network 'tiny': nan at (0, 0, 0)"
-
-
-@pytest.fixture(scope="module")
-def trained(learning: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("trained")
-    (root / "tiny.yaml").write_text(TINY.replace("epochs: 2", "epochs: 1"))
-    train(read_config(root / "tiny.yaml"), [learning], root / "run", device="cpu")
-    return root / "run"
 
 
 def fail_at(monkeypatch: pytest.MonkeyPatch, *numbers: int) -> None:

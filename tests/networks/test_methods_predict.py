@@ -9,29 +9,18 @@ import numpy as np
 import pytest
 from raising import raises
 from small_benchmark import Run
-from small_method import TINY
 from synthetic_release import Recordings, publish_synthetic
 
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.resample import upsampled_planes
 from kinectbench.networks import predict as predicting
-from kinectbench.networks.config_file import read_config
-from kinectbench.networks.train import train
 from kinectbench.networks.trained import open_trained
 from kinectbench.networks.validate import completed
 from kinectbench.networks.weights import read_weights, write_weights
 from kinectbench.release.release import Release
 
 Command = Callable[..., Run]
-
-
-@pytest.fixture(scope="module")
-def trained(learning: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("trained")
-    (root / "tiny.yaml").write_text(TINY.replace("epochs: 2", "epochs: 1"))
-    train(read_config(root / "tiny.yaml"), [learning], root / "run", device="cpu")
-    return root / "run"
 
 
 def test_predictions_are_ordinary_ones(

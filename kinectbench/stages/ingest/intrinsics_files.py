@@ -55,9 +55,9 @@ OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
 YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
 # Characters that may stand between the numbers of a value.
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
-# Files that may state a unit, most of them to read (some programs write one for each image), and the units
-# per metre of 16-bit depth, 0.01 to 10 mm, that are believed of a file without intrinsics.
+# Files that may state a unit, and most of them to read: some programs write one for each image.
 UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)"), 20
+# Units per metre of 16-bit depth, 10 to 0.01 mm, that are believed of a file without intrinsics.
 LEAST_UNITS, MOST_UNITS = 100.0, 100_000.0
 # Names of files that may contain intrinsics in an unsupported layout.
 LIKE_INTRINSICS = re.compile(
