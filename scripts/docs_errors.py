@@ -1,4 +1,4 @@
-"""Write docs/errors.md, a list of the codes of all errors, from `kinectbench.core.error_codes`.
+"""Write docs/errors.md, a list of the codes of all errors, from `scripts/error_codes.py`.
 
 .venv/bin/python scripts/docs_errors.py
 """
@@ -7,7 +7,7 @@ import re
 import textwrap
 from pathlib import Path
 
-from kinectbench.core.error_codes import ERROR_CODES, KINDS
+from error_codes import ERROR_CODES, KINDS
 
 PAGE = Path(__file__).parents[1] / "docs" / "errors.md"
 HEAD = """# Errors
@@ -15,7 +15,7 @@ HEAD = """# Errors
 Every error is one line, which says what, where and what to do. Its code stays where the line is reworded.
 In Python it is `error.code`, in `failed.json`, `build --json` and `build --status --json` the key `code`.
 `build --verbose` shows it, and so does any command with KINECTBENCH_DEBUG=1. A code without a meaning is one
-whose words say it. `scripts/docs_errors.py` makes this page of `kinectbench/core/error_codes.py`.
+whose words say it. `scripts/docs_errors.py` makes this page of `scripts/error_codes.py`.
 """
 # Words that add nothing to those of a code.
 EMPTY = set(

@@ -1,6 +1,6 @@
 """All errors that a user can meet. Only `kinectbench.cli.main` turns an error into a line and an exit status.
 
-`kinectbench.core.error_codes` lists the codes of all errors.
+`scripts/error_codes.py` lists the codes of all errors.
 """
 
 from collections.abc import Mapping

@@ -5,9 +5,9 @@ import pickle
 from pathlib import Path
 
 import pytest
+from error_codes import ERROR_CODES, KINDS
 from raising import raises
 
-from kinectbench.core.error_codes import ERROR_CODES, KINDS
 from kinectbench.core.errors import KinectBenchError, RecordingError, SettingsError, error_code
 
 ROOT = Path(__file__).parents[2]
@@ -53,7 +53,7 @@ OTHERS = {
 
 def test_the_table_has_the_codes_of_all_errors_and_no_others() -> None:
     found = codes(TREES) | OTHERS
-    assert sorted(found - set(ERROR_CODES)) == [], "list them in kinectbench/core/error_codes.py"
+    assert sorted(found - set(ERROR_CODES)) == [], "list them in scripts/error_codes.py"
     assert sorted(set(ERROR_CODES) - found) == [], "no error has these codes"
 
 
