@@ -11,11 +11,8 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.extras import missing_extra
-from kinectbench.core.names import listed
+from kinectbench.core import SettingsError, listed, missing_extra, printable
 from kinectbench.core.store.address import url_of
-from kinectbench.core.untrusted import printable
 
 if TYPE_CHECKING:
     from kinectbench.engine.executor import Executor

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Concatenate
 import typer
 
 from kinectbench.cli import console
-from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core import KinectBenchError, SettingsError
 from kinectbench.core.store.address import shown, url_of
 
 if TYPE_CHECKING:

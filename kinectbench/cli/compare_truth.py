@@ -8,7 +8,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common, Ids, takes
-from kinectbench.core.errors import KinectBenchError, SettingsError
+from kinectbench.core import KinectBenchError, SettingsError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

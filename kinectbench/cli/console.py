@@ -15,8 +15,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from kinectbench.cli.wide_table import WideTable
-from kinectbench.core.names import listed
-from kinectbench.core.untrusted import printable
+from kinectbench.core import listed, printable
 from kinectbench.engine.interrupts import check_interrupt
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import SOME_FAILED, Common, takes
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError
 
 # Each layout is a module `release/exchange/<layout>.py` with a function `export_<layout>`.
 Layout = Literal["recgan", "bop", "webdataset", "parquet", "rgbd"]

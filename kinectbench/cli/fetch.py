@@ -7,7 +7,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError
 from kinectbench.core.store.address import shown, url_of
 
 # Most files that `gc` lists one by one: a screenful.

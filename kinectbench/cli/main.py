@@ -35,11 +35,16 @@ from kinectbench.cli.synthesize import synthesize_command
 from kinectbench.cli.track import track_command
 from kinectbench.cli.triage import triage_command
 from kinectbench.cli.verify import verify_command
-from kinectbench.core.errors import KinectBenchError, SettingsError, internal_error
-from kinectbench.core.extras import missing_extra, missing_module
-from kinectbench.core.storage import remove_half_filled
+from kinectbench.core import (
+    KinectBenchError,
+    SettingsError,
+    internal_error,
+    missing_extra,
+    missing_module,
+    printable,
+    remove_half_filled,
+)
 from kinectbench.core.store.address import unusable
-from kinectbench.core.untrusted import printable
 from kinectbench.engine.interrupts import (
     check_interrupt,
     ignore_interrupts,

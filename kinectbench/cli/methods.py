@@ -10,9 +10,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import SOME_FAILED, Common, takes
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import listed
-from kinectbench.core.untrusted import printable
+from kinectbench.core import SettingsError, listed, printable
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.method import UnfinishedFile

@@ -16,9 +16,8 @@ from kinectbench.cli.build import (
     tell_unknown_categories,
 )
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError, printable, read_plain_text
 from kinectbench.core.store.address import is_web, require_usable, shown, unusable, url_of
-from kinectbench.core.untrusted import printable, read_plain_text
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.benchmark import PublishOptions

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common
-from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
-from kinectbench.core.untrusted import listed_below
+from kinectbench.core import KinectBenchError, SettingsError, StorageError, listed_below
 
 if TYPE_CHECKING:
     from kinectbench.release.recipe import FetchedScan, Recipe
@@ -68,8 +67,7 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
 
     Scans that are built already, or whose build would fail again, are not fetched.
     """
-    from kinectbench.core.extras import missing_extra
-    from kinectbench.core.storage import storage_errors
+    from kinectbench.core import missing_extra, storage_errors
     from kinectbench.engine.artefact import whole_manifest
     from kinectbench.engine.failures import forget_failure, stored_failure, would_fail_again
     from kinectbench.engine.pipeline import STAGE_NAMES

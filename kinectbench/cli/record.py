@@ -12,7 +12,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, on_interrupt, takes
-from kinectbench.core.errors import CaptureError, SettingsError
+from kinectbench.core import CaptureError, SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.record.build_process import BuildProcess
@@ -101,7 +101,7 @@ def _recorded(
 @contextmanager
 def _begun(out: Path) -> "Iterator[BuildProcess | None]":
     """Start a process that builds while recording; yield it, or None if a package for it is missing."""
-    from kinectbench.core.extras import missing_extra
+    from kinectbench.core import missing_extra
 
     if missing_extra("build"):
         yield None  # the build reports it
@@ -124,7 +124,7 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
     if not (console.err.is_terminal if wanted is None else wanted):
         yield None
         return
-    from kinectbench.core.extras import missing_extra
+    from kinectbench.core import missing_extra
     from kinectbench.record.guide.process import GuideProcess
 
     guide = None

@@ -9,9 +9,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import RESULTS, listed
-from kinectbench.core.storage import NAME, replaced_file
+from kinectbench.core import NAME, RESULTS, SettingsError, listed, replaced_file
 
 if TYPE_CHECKING:
     from kinectbench.doctor import Diagnosis

@@ -10,7 +10,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, exit_status, release_here
 from kinectbench.cli.common import Baselines, Common, Ids, takes
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.release.release import Release
@@ -53,7 +53,7 @@ def _paper_table(
     common: Common, ids: Sequence[str] | None, scores: Sequence[Path], out: Path | None, baselines: bool
 ) -> int:
     """Print score files as a table in the paper's form, or write it to the file `out`; nothing is built."""
-    from kinectbench.core.storage import replaced_file
+    from kinectbench.core import replaced_file
     from kinectbench.release.release import open_release
     from kinectbench.report.paper_table import paper_markdown, paper_tables
     from kinectbench.report.run import files_named, kept_baselines

@@ -9,8 +9,7 @@ from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import Common, takes
 from kinectbench.cli.methods import Device
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.untrusted import printable
+from kinectbench.core import SettingsError, printable
 
 if TYPE_CHECKING:
     from kinectbench.release.release import Release
@@ -36,7 +35,7 @@ def reproduce_command(
     from kinectbench.networks.registry import require_torch
 
     require_torch()
-    from kinectbench.core.storage import replaced_file
+    from kinectbench.core import replaced_file
     from kinectbench.networks.predict import predict
     from kinectbench.networks.processes import chosen_device
     from kinectbench.networks.trained import FOLDER as PACKAGED

@@ -11,7 +11,7 @@ from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release, release_here
 from kinectbench.cli.common import SOME_FAILED, Baselines, Common, takes
 from kinectbench.cli.report import write_page
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.scores import ScoreTable

@@ -9,8 +9,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status, run_stage
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.untrusted import read_plain_text
+from kinectbench.core import SettingsError, read_plain_text
 
 if TYPE_CHECKING:
     from kinectbench.core.artefacts.object import CandidatesFile
@@ -120,7 +119,7 @@ def _pick(common: Common, ids: list[str] | None, number: int) -> int:
 
     Nothing is built here: run `build` afterwards.
     """
-    from kinectbench.core.storage import replaced_file
+    from kinectbench.core import replaced_file
     from kinectbench.engine.pipeline import listed_box
     from kinectbench.settings.edit import file_of, with_box
 

@@ -8,7 +8,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError
 
 PRESET = "orbit-v1"
 OBJECT = "such as chair:seed=3, of --families; default: the preset's, most chair:seed=0"

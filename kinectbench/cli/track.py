@@ -10,7 +10,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, exit_status, show_rows
 from kinectbench.cli.common import Common, Ids, takes
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core import KinectBenchError
 
 if TYPE_CHECKING:
     from kinectbench.core.sequence import GivenTrajectory
@@ -111,7 +111,7 @@ def _compare(
     `root` is the benchmark's folder, `name` the reference's path. Return the recording's summary and the
     comparison; on failure, the summary with its error, and None.
     """
-    from kinectbench.core.storage import replaced_file
+    from kinectbench.core import replaced_file
     from kinectbench.engine.steps import read_tracked
     from kinectbench.stages.track.comparison import compare_with
     from kinectbench.stages.track.pictures import COMPARISON

@@ -17,7 +17,7 @@ def triage_command(common: Common, ids: Ids = None) -> int:
 
     If recordings are named, their decisions are printed, and nothing is written to triage/.
     """
-    from kinectbench.core.storage import replaced_file
+    from kinectbench.core import replaced_file
     from kinectbench.release.triage.triage import triage as sorted_out
     from kinectbench.report.triage import write_triage_page
 

@@ -9,9 +9,8 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_jobs
 from kinectbench.cli.common import CANNOT_BE_USED, Common, takes
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError, printable
 from kinectbench.core.store.address import shown, url_of
-from kinectbench.core.untrusted import printable
 
 
 @takes("jobs", "as_json")

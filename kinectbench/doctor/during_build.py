@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from functools import cached_property
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.doctor.clocks import check_partners
 from kinectbench.doctor.codes import check_codes
 from kinectbench.doctor.delays import check_color_delay, check_color_drift

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError, printable
 from kinectbench.core.trajectory.stamps import typical_period_ns
-from kinectbench.core.untrusted import printable
 from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.codes import EXPLAINED, check_codes
 from kinectbench.doctor.color import check_light

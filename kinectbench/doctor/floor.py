@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import SegmentationError
+from kinectbench.core import SegmentationError
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import Camera, transform_points
 from kinectbench.core.geometry.depth import depth_sigma_m

@@ -6,7 +6,7 @@ from collections.abc import Sequence as Items
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError, TrackingError
+from kinectbench.core import RecordingError, TrackingError
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.association import poses_at

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import replaced_file
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.images import data_uri, depth_picture, shrunk
 from kinectbench.core.pages import render_page
-from kinectbench.core.storage import replaced_file
 from kinectbench.doctor.edges import depth_jumps
 from kinectbench.doctor.finding import Diagnosis, fact_lines
 from kinectbench.doctor.probe import Probe, WholeFrame

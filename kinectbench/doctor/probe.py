@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import RecordingError
 from kinectbench.core.encoded_images import decoded_image
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import counts_frames, depth_in_metres

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from importlib.metadata import entry_points
 from typing import TypeVar
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.untrusted import printable
+from kinectbench.core import SettingsError, printable
 
 Kind = TypeVar("Kind")
 

@@ -13,9 +13,9 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 from torch import Tensor
 
+from kinectbench.core import open_plain, size_of
 from kinectbench.core.artefacts.benchmark import SHA256
 from kinectbench.core.artefacts.method import TrainingRow
-from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 from kinectbench.networks.network import Network
 

@@ -5,10 +5,14 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import category_problem
-from kinectbench.core.storage import canonical_json, name_problem, sha256_text
-from kinectbench.core.untrusted import printable
+from kinectbench.core import (
+    SettingsError,
+    canonical_json,
+    category_problem,
+    name_problem,
+    printable,
+    sha256_text,
+)
 from kinectbench.settings.base import Settings
 
 NetworkName = Literal["3d-recgan++", "3d-recae", "3d-epn", "varley", "han-like"]

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import yaml
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.untrusted import printable
+from kinectbench.core import SettingsError, printable
 from kinectbench.networks.config import MethodSettings
 from kinectbench.settings.words import suggestion
 from kinectbench.settings.yaml_model import read_model

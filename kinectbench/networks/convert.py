@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import StorageError, printable, replaced_file, sha256_file
 from kinectbench.core.artefacts.method import TrainingFile
-from kinectbench.core.errors import StorageError
-from kinectbench.core.storage import replaced_file, sha256_file
 from kinectbench.core.types import Float32
-from kinectbench.core.untrusted import printable
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.config_file import FOLDER, read_config
 from kinectbench.networks.recae import BOTTOM_CELLS, DECODER, ENCODER

@@ -11,9 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from kinectbench.core.errors import ReleaseError
+from kinectbench.core import ReleaseError, printable
 from kinectbench.core.threads import ahead, using_threads
-from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.grids import TruthBatch

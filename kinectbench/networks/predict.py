@@ -17,12 +17,17 @@ import torch
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
+from kinectbench.core import (
+    PairError,
+    PredictionError,
+    listed,
+    open_plain,
+    sha256_file,
+    sha256_text,
+    storage_errors,
+)
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
-from kinectbench.core.errors import PairError, PredictionError
-from kinectbench.core.names import listed
-from kinectbench.core.storage import sha256_file, sha256_text, storage_errors
 from kinectbench.core.types import Progress, Split
-from kinectbench.core.untrusted import open_plain
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import FULL_CELLS, PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes

@@ -11,10 +11,17 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from kinectbench.core import (
+    SettingsError,
+    append_plain,
+    lies_below,
+    open_plain,
+    read_plain_text,
+    replaced_file,
+    storage_errors,
+    write_below,
+)
 from kinectbench.core.artefacts.method import PREDICTED, MethodFile, PredictedFile, UnfinishedFile
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import append_plain, replaced_file, storage_errors, write_below
-from kinectbench.core.untrusted import lies_below, open_plain, read_plain_text
 from kinectbench.release.release import Target
 from kinectbench.scoring.prediction_file import blake3_of
 

@@ -7,8 +7,7 @@ from contextlib import contextmanager
 import torch
 from torch import Tensor, distributed, nn
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.untrusted import printable
+from kinectbench.core import SettingsError, printable
 
 
 def chosen_device(asked: str | None) -> str:

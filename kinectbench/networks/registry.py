@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from kinectbench.core.errors import KinectBenchError, SettingsError
-from kinectbench.core.untrusted import printable
+from kinectbench.core import KinectBenchError, SettingsError, printable
 from kinectbench.networks.config import GENERATORS, NetworkName, NetworkSettings
 
 if TYPE_CHECKING:

@@ -8,10 +8,15 @@ from typing import Any
 
 import torch
 
+from kinectbench.core import (
+    SettingsError,
+    StorageError,
+    quoted,
+    read_plain_text,
+    replaced_file,
+    storage_errors,
+)
 from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
-from kinectbench.core.errors import SettingsError, StorageError
-from kinectbench.core.storage import replaced_file, storage_errors
-from kinectbench.core.untrusted import quoted, read_plain_text
 from kinectbench.networks.checkpoint import DAMAGED, checked_state, read_checkpoint, set_values
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.config_file import read_config, write_config

@@ -6,9 +6,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import KinectBenchError
 from kinectbench.core.artefacts.method import UnfinishedFile
 from kinectbench.core.artefacts.scores import Failure, ScoreTable
-from kinectbench.core.errors import KinectBenchError
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
 from kinectbench.networks.allocator import memory_kept

@@ -7,7 +7,7 @@ import torch
 from torch import Generator, Tensor, nn
 from torch.optim import Adam
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core import KinectBenchError
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.data import Batch
 from kinectbench.networks.losses import reconstruction_loss

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core import StorageError, open_plain, printable, read_plain, size_of
 from kinectbench.core.types import Float32
-from kinectbench.core.untrusted import open_plain, printable, read_plain, size_of
 
 MAGIC = bytes.fromhex("57fb808b247547db")
 FOOTER_BYTES, TRAILER_BYTES = 48, 5

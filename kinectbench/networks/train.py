@@ -9,8 +9,8 @@ from pathlib import Path
 
 import torch
 
+from kinectbench.core import KinectBenchError, PredictionError, SettingsError
 from kinectbench.core.artefacts.method import TrainingRow
-from kinectbench.core.errors import KinectBenchError, PredictionError, SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.locks import locked

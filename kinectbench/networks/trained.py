@@ -3,11 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from kinectbench.core import SettingsError, listed, printable, sha256_file
 from kinectbench.core.artefacts.method import TrainingFile
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import listed
-from kinectbench.core.storage import sha256_file
-from kinectbench.core.untrusted import printable
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.config_file import packaged_configs, read_config
 from kinectbench.networks.network import Network

@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import SettingsError, StorageError
-from kinectbench.core.storage import replaced_file
+from kinectbench.core import SettingsError, StorageError, open_plain, printable, replaced_file
 from kinectbench.core.types import Arrays, FileArray
-from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
 

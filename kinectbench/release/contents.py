@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from kinectbench.core import untrusted_text
+from kinectbench.core import IMAGE_BYTES, ReleaseError, decoded, listed_below, open_plain, untrusted_text
 from kinectbench.core.artefacts.targets import SHA256SUMS
-from kinectbench.core.errors import ReleaseError
-from kinectbench.core.untrusted import IMAGE_BYTES, decoded, listed_below, open_plain
 from kinectbench.core.voxels.npz import UNREADABLE, open_npz
 from kinectbench.core.voxels.pair_file import MAX_BYTES as PAIR_BYTES
 from kinectbench.core.zip_files import DAMAGED_ZIP

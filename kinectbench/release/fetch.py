@@ -8,6 +8,15 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from kinectbench.core import (
+    TEXT_BYTES,
+    ReleaseError,
+    SettingsError,
+    printable,
+    replaced_file,
+    sha256_file,
+    write_below,
+)
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import (
     SHA256SUMS,
@@ -18,13 +27,10 @@ from kinectbench.core.artefacts.targets import (
     parse_sums,
     parse_targets,
 )
-from kinectbench.core.errors import ReleaseError, SettingsError
-from kinectbench.core.storage import replaced_file, sha256_file, write_below
 from kinectbench.core.store.address import joined, shown, unusable, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import TEXT_BYTES, printable
 from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, PREVIEWS, SURFACES, most_bytes
 from kinectbench.release.own_folder import is_ours, owned, remains
 from kinectbench.release.published import release_store, release_text

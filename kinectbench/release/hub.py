@@ -8,11 +8,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from kinectbench.core import ReleaseError, SettingsError, StorageError, missing_extra, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS, benchmark_sha256, parse_sums
-from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
-from kinectbench.core.extras import missing_extra
-from kinectbench.core.untrusted import printable
 from kinectbench.release.contents import release_files
 from kinectbench.release.published import listed_files, release_text
 from kinectbench.release.put import PutSummary

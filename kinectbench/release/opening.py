@@ -14,20 +14,21 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import IO, cast
 
-from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
-from kinectbench.core.artefacts.targets import SHA256SUMS
-from kinectbench.core.errors import ReleaseError, SettingsError
-from kinectbench.core.storage import storage_errors
-from kinectbench.core.store.address import other_scheme
-from kinectbench.core.untrusted import (
+from kinectbench.core import (
     COPIED_BYTES,
     MOST_RATIO,
+    ReleaseError,
+    SettingsError,
     copy_bounded,
     open_plain,
     printable,
     size_of,
+    storage_errors,
     unpacked_bound,
 )
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
+from kinectbench.core.artefacts.targets import SHA256SUMS
+from kinectbench.core.store.address import other_scheme
 from kinectbench.core.zip_files import open_zip
 from kinectbench.release.contents import (
     DAMAGED,

@@ -8,10 +8,9 @@ import re
 from collections.abc import Iterator, Set
 from pathlib import Path
 
+from kinectbench.core import ReleaseError, open_to_add, storage_errors
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
-from kinectbench.core.errors import ReleaseError
-from kinectbench.core.storage import open_to_add, storage_errors
 from kinectbench.release.contents import release_files
 from kinectbench.release.published import release_text
 

@@ -15,13 +15,12 @@ from pathlib import Path
 from threading import Lock
 from urllib.parse import unquote
 
+from kinectbench.core import ReleaseError, decoded, read_plain
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
-from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.address import shown, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import decoded, read_plain
 from kinectbench.release.contents import MAX_READ_BYTES, Contents, most_bytes
 from kinectbench.release.opening import open_contents
 

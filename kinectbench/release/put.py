@@ -10,12 +10,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from kinectbench.core import TEXT_BYTES, ReleaseError
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS, TARGETS_CSV, benchmark_sha256, parse_sums
-from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import TEXT_BYTES
 from kinectbench.release.published import listed_files, release_store, release_text
 
 

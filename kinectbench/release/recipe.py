@@ -13,14 +13,21 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
+from kinectbench.core import (
+    KinectBenchError,
+    SettingsError,
+    StorageError,
+    open_plain,
+    read_plain_text,
+    replaced_file,
+    sha256_file,
+    storage_errors,
+)
 from kinectbench.core.artefacts.sources_lock import LockedFile, ScanIndex, SourcesLock
-from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
-from kinectbench.core.storage import replaced_file, sha256_file, storage_errors
 from kinectbench.core.store.attempts import StoreGoneError
 from kinectbench.core.store.download import MOST_FILE_BYTES, Content, download, partial_downloads
 from kinectbench.core.store.store import in_parallel
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import open_plain, read_plain_text
 from kinectbench.engine.locks import locked, only_writer
 from kinectbench.release.unpack import unpack_archive
 from kinectbench.settings import yaml_nodes

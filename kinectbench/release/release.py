@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from kinectbench.core import ReleaseError, SettingsError, StorageError, decoded, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import (
@@ -18,9 +19,7 @@ from kinectbench.core.artefacts.targets import (
     parse_targets,
 )
 from kinectbench.core.artefacts.targets import Target as Target
-from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
 from kinectbench.core.store.address import other_scheme, shown
-from kinectbench.core.untrusted import decoded, printable
 from kinectbench.release.contents import MAX_READ_BYTES
 from kinectbench.release.published import is_there, published_bytes, release_text
 

@@ -10,14 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import IO, BinaryIO, Self
 
-from kinectbench.core.errors import StorageError
-from kinectbench.core.storage import replaced_folder
-from kinectbench.core.untrusted import (
+from kinectbench.core import (
     COPIED_BYTES,
     MOST_LISTED,
+    StorageError,
     below,
     open_plain,
     printable,
+    replaced_folder,
     size_of,
     unpacked_bound,
 )

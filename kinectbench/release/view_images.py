@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import ReleaseError
 from kinectbench.core.encoded_images import decoded_image, image_head
-from kinectbench.core.errors import ReleaseError
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float32, Rgb
 from kinectbench.release.contents import VIEW_IMAGES

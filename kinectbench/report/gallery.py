@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from kinectbench.core import images
+from kinectbench.core import PredictionError, ReleaseError, images
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE, Gallery
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import PredictionError, ReleaseError
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.listing import inert_json
 from kinectbench.core.pictures import block_density

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core import images, pictures
+from kinectbench.core import StorageError, images, pictures
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
-from kinectbench.core.errors import StorageError
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Float64

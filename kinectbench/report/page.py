@@ -7,14 +7,13 @@ from pathlib import Path
 import yaml
 
 from kinectbench._version import __version__
-from kinectbench.core import turntable
+from kinectbench.core import replaced_file, turntable
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.gallery import Gallery
 from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import render_page
-from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import NamedProgress
 from kinectbench.engine.stages import Job
 from kinectbench.report import charts, many, tables

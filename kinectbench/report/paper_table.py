@@ -9,10 +9,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
+from kinectbench.core import SettingsError, printable
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.untrusted import printable
 from kinectbench.scoring.compare import method_names
 from kinectbench.scoring.published import (
     CATEGORIES,

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from markupsafe import Markup
 
-from kinectbench.core import images
+from kinectbench.core import StorageError, images
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.object_grids import ObjectVolume, unmeasured_faces
@@ -15,7 +15,6 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
-from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.medians import known_median

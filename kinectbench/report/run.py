@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.gallery import Gallery, read_gallery, write_gallery
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, SCORES_JSON, ScoreTable
-from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import NamedProgress
 from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core import PredictionError
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import PredictionError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.pair_file import Packed
 from kinectbench.release.release import Release

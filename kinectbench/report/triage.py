@@ -4,13 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinectbench.core import images
+from kinectbench.core import StorageError, images, replaced_file
 from kinectbench.core.artefacts.object import QualityFile, with_interval
 from kinectbench.core.artefacts.triage import TriageFile, TriageRow
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.errors import StorageError
 from kinectbench.core.pages import render_page
-from kinectbench.core.storage import replaced_file
 from kinectbench.report.looks import FRAME_PX, frame_pictures
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 

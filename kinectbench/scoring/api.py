@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import PredictionError, SettingsError
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import check_names
-from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Target, open_release
 from kinectbench.scoring.assemble import describe, make_table

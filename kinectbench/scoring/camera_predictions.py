@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core import PredictionError, lies_below
 from kinectbench.core.artefacts.method import MethodFile
-from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.types import Float64, Progress
-from kinectbench.core.untrusted import lies_below
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target

@@ -11,14 +11,13 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import PredictionError, open_plain, size_of
 from kinectbench.core.artefacts.method import MethodFile
-from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.rigid import similarity_problem, similarity_scale
 from kinectbench.core.glb_file import read_glb
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, MAX_POINTS, read_obj, read_ply_surface
 from kinectbench.core.types import Arrays, Bools, FileArray, Float32, Float64, Int64
-from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, npz_bytes
 from kinectbench.core.voxels.resample import MAX_CELLS
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, ScoreRow, any_in_space
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import SettingsError
 from kinectbench.scoring.averages import ObjectMeans, object_means
 
 Tables = Mapping[str, ScoreTable]

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, SHARES
 from kinectbench.core.artefacts.score_marks import BASELINE
 from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
-from kinectbench.core.errors import SettingsError
 from kinectbench.scoring.averages import ObjectMeans
 from kinectbench.scoring.comparable import check_same, comparable_means, complete_ones, left_out_lines
 from kinectbench.scoring.letters import MOST_GROUPS, letters

@@ -7,12 +7,10 @@ against the release are in `of_release`, checks against the predictions in `rech
 import math
 from collections.abc import Iterator, Sequence
 
+from kinectbench.core import Named, first_clash, listed, name_problem, printable, reserved_problem
 from kinectbench.core.artefacts.score_figures import VOXEL_METRICS, ScoreRow
 from kinectbench.core.artefacts.score_marks import ACCOUNTED
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.names import Named, first_clash, listed, reserved_problem
-from kinectbench.core.storage import name_problem
-from kinectbench.core.untrusted import printable
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.counts import CE_CLIP, THRESHOLDS
 from kinectbench.scoring.protocols import EVERY_VOXEL, PRIMARY

@@ -6,8 +6,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from kinectbench.core import PairError, SettingsError
 from kinectbench.core.artefacts.targets import SPLITS
-from kinectbench.core.errors import PairError, SettingsError
 from kinectbench.core.store.address import unusable
 from kinectbench.core.types import Arrays, FileArray
 from kinectbench.core.voxels.npz import UNREADABLE

@@ -4,10 +4,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from kinectbench.core import PredictionError, listed, printable
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
-from kinectbench.core.errors import PredictionError
-from kinectbench.core.names import listed
-from kinectbench.core.untrusted import printable
 from kinectbench.release.release import Release
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.thresholds import STEPS_IN_WORDS, nearest_step

@@ -1,10 +1,10 @@
 """Caveats of a score table, as one short mark each."""
 
+from kinectbench.core import listed
 from kinectbench.core.artefacts import score_marks as kinds
 from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.score_marks import ACCOUNTED, Mark
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.names import listed
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHOD_SOURCE, POOLED_SOURCE

@@ -5,7 +5,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import PredictionError
+from kinectbench.core import PredictionError
 from kinectbench.core.geometry import Grid
 from kinectbench.core.geometry.closed import joined_vertices, outwards, why_open
 from kinectbench.core.mesh_files import read_obj, read_ply

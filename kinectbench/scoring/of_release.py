@@ -6,10 +6,10 @@ checks base rates and coverage.
 
 from collections.abc import Iterator
 
+from kinectbench.core import printable
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import SHARE_DECIMALS
 from kinectbench.release.release import Release
 from kinectbench.scoring.protocols import EVERY_VOXEL, PRIMARY

@@ -8,11 +8,16 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
+from kinectbench.core import (
+    PredictionError,
+    StorageError,
+    append_plain,
+    canonical_json,
+    read_plain_text,
+    sha256_text,
+)
 from kinectbench.core.artefacts.counted import JOURNAL, JOURNALS, PART_JOURNAL, CountedPair, PairResult
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
-from kinectbench.core.errors import PredictionError, StorageError
-from kinectbench.core.storage import append_plain, canonical_json, sha256_text
-from kinectbench.core.untrusted import read_plain_text
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS

@@ -11,8 +11,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import PredictionError
-from kinectbench.core.untrusted import COPIED_BYTES, open_plain, printable, size_of
+from kinectbench.core import COPIED_BYTES, PredictionError, open_plain, printable, size_of
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
 from kinectbench.core.voxels.resample import MAX_CELLS

@@ -6,12 +6,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kinectbench.core import PredictionError, lies_below, listed_paths, name_problem, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
-from kinectbench.core.errors import PredictionError
-from kinectbench.core.storage import name_problem
 from kinectbench.core.types import Bools, Progress
-from kinectbench.core.untrusted import lies_below, listed_paths, printable
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import Prediction

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.score_figures import IN_SPACE
-from kinectbench.core.errors import SettingsError
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import pair_keys
 from kinectbench.release.release import Release, Target

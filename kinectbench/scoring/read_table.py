@@ -9,11 +9,10 @@ from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import TypeGuard
 
+from kinectbench.core import StorageError, printable
 from kinectbench.core.artefacts.score_figures import Averages
 from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
 from kinectbench.core.artefacts.stored import StoredPart
-from kinectbench.core.errors import StorageError
-from kinectbench.core.untrusted import printable
 from kinectbench.scoring.contradictions import contradictions
 from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.from_rows import from_rows

@@ -6,13 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
+from kinectbench.core import SettingsError, printable, sha256_file
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import sha256_file
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
+from kinectbench.core import SettingsError, missing_extra
 from kinectbench.core.artefacts.score_figures import CLOSINGS
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.extras import missing_extra
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.executor import Executor
 from kinectbench.scoring.camera.grid_score import space_alone

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
+from kinectbench.core import KinectBenchError, ReleaseError
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.targets import check_names
-from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import Progress
 from kinectbench.engine.executor import Executor, SendMessage, WorkerLost

@@ -3,13 +3,12 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from kinectbench.core import PredictionError, SettingsError, replaced_file
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import PredictionError, SettingsError
-from kinectbench.core.storage import replaced_file
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.executor import Executor

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.errors import PairError
+from kinectbench.core import PairError, printable, strict_json
 from kinectbench.core.types import Arrays, FileArray
-from kinectbench.core.untrusted import printable
-from kinectbench.core.untrusted_text import strict_json
 from kinectbench.core.voxels.npy import read_npy
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import (

@@ -11,10 +11,10 @@ from typing import Any
 
 from pydantic.fields import FieldInfo
 
+from kinectbench.core import printable
 from kinectbench.core.artefacts.score_figures import fields_of
 from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
 from kinectbench.core.artefacts.stored import StoredPart
-from kinectbench.core.untrusted import printable
 
 ROUNDING = 1e-9  # a sum of shares may be above 1 by 1e-15
 

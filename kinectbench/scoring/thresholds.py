@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core import ReleaseError, SettingsError, decoded, read_plain
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.provenance import ThresholdsFile
-from kinectbench.core.errors import ReleaseError, SettingsError
-from kinectbench.core.untrusted import decoded, read_plain
 from kinectbench.release.release import Target
 from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, protocol_counts
 from kinectbench.scoring.metrics import ious

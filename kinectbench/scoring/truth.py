@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kinectbench.core.errors import ReleaseError
+from kinectbench.core import ReleaseError
 from kinectbench.core.types import FileArray
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import NUMBERS, Packed, pair_parts

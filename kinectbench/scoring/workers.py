@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core import KinectBenchError
 from kinectbench.core.types import Progress
 from kinectbench.engine.processes import KILLED, submit_all, worker_pool
 

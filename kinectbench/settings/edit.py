@@ -10,8 +10,8 @@ from pathlib import Path
 
 import yaml
 
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.object import BoxPart
-from kinectbench.core.errors import SettingsError
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.file import nodes_of
 from kinectbench.settings.reading import as_text, read_bytes

@@ -8,9 +8,8 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from kinectbench.core.errors import SettingsError, pydantic_message
+from kinectbench.core import SettingsError, printable, pydantic_message
 from kinectbench.core.store.address import shown
-from kinectbench.core.untrusted import printable
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.include import ACCEPTED, INCLUDE, RECORDINGS, with_included
 from kinectbench.settings.models import BenchmarkSettings

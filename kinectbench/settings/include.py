@@ -5,9 +5,8 @@ from pathlib import Path
 
 import yaml
 
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError, followed, printable
 from kinectbench.core.store.address import shown, unusable, url_of
-from kinectbench.core.untrusted import followed, printable
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.reading import MOST_BYTES, as_text, matching, read_bytes, refuse_outside
 from kinectbench.settings.recording_table import ENDINGS, table_entries

@@ -13,11 +13,10 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from kinectbench.core import MOST_SIDE_PX, Category, Name, Named, first_clash
 from kinectbench.core.geometry.boxes import BoxAnchor, OrientedBox, Pose
-from kinectbench.core.names import Category, Name, Named, first_clash
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import DepthCode, Framing, PartialRule, Split, Underside
-from kinectbench.core.untrusted import MOST_SIDE_PX
 from kinectbench.settings.base import Settings
 from kinectbench.settings.pick import PickSettings
 from kinectbench.settings.publishing import PublishSettings, ReviewSettings

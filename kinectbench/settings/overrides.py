@@ -6,8 +6,7 @@ from typing import TypeVar
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from kinectbench.core.errors import SettingsError, pydantic_message
-from kinectbench.core.names import listed
+from kinectbench.core import SettingsError, listed, pydantic_message
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.base import Settings
 from kinectbench.settings.words import field_at, model_of, suggestion, wanted

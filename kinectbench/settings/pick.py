@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from kinectbench.core.untrusted import MOST_SIDE_PX
+from kinectbench.core import MOST_SIDE_PX
 from kinectbench.settings.base import Settings
 
 # File beside a recording, with the point that was clicked while recording.

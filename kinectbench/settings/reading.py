@@ -6,11 +6,19 @@ from collections.abc import Iterator
 from itertools import takewhile
 from pathlib import Path
 
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import (
+    MOST_LISTED,
+    SettingsError,
+    below,
+    decoded,
+    lies_below,
+    printable,
+    read_plain,
+    scanned,
+)
 from kinectbench.core.store.address import is_web, other_scheme, parent_of, shown, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store
-from kinectbench.core.untrusted import MOST_LISTED, below, decoded, lies_below, printable, read_plain, scanned
 
 # Enough for ten thousand recordings with a page of text each; the number of values has its own limit.
 MOST_BYTES = 16 << 20

@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING, Any, get_origin
 
 import yaml
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.untrusted import UNPACKED_BYTES, printable
-from kinectbench.core.untrusted_text import csv_rows
+from kinectbench.core import UNPACKED_BYTES, SettingsError, csv_rows, printable
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import RecordingSettings

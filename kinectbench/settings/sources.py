@@ -8,11 +8,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import Category, Name
+from kinectbench.core import Category, Name, SettingsError, below
 from kinectbench.core.store.address import is_web, unusable
 from kinectbench.core.types import Split
-from kinectbench.core.untrusted import below
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import CameraSettings, SegmentBy, TrajectoryMode
 from kinectbench.settings.texts import Line

@@ -10,9 +10,7 @@ from typing import NamedTuple
 
 import yaml
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import name_problem
-from kinectbench.core.untrusted import read_plain_text
+from kinectbench.core import SettingsError, name_problem, read_plain_text
 from kinectbench.settings import edit, yaml_nodes
 from kinectbench.settings.base import Settings
 from kinectbench.settings.file import nodes_of, parse_benchmark

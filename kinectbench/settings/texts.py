@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator
 
-from kinectbench.core.untrusted import STEERING
+from kinectbench.core import STEERING
 
 
 def _steers_nothing(value: str) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Union, get_args, get_origin
 import annotated_types
 from pydantic.fields import FieldInfo
 
-from kinectbench.core.names import listed
+from kinectbench.core import listed
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings
 

@@ -7,8 +7,7 @@ import yaml
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from kinectbench.core.errors import SettingsError, pydantic_message
-from kinectbench.core.untrusted import printable, quoted, read_plain_text
+from kinectbench.core import SettingsError, printable, pydantic_message, quoted, read_plain_text
 from kinectbench.settings import yaml_nodes
 from kinectbench.settings.base import Settings
 from kinectbench.settings.words import WHAT_OF_TYPE, field_at, model_of, suggestion, wanted

@@ -14,8 +14,7 @@ import yaml
 from yaml.composer import Composer
 from yaml.resolver import Resolver
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.untrusted import printable
+from kinectbench.core import SettingsError, printable
 
 NULL_TAG = "tag:yaml.org,2002:null"
 BOOL_TAG = "tag:yaml.org,2002:bool"

@@ -13,18 +13,3 @@ from kinectbench.core.geometry.rigid import (
     rotation_from_quaternion_xyzw,
     transform_points,
 )
-
-__all__ = [
-    "Camera",
-    "Grid",
-    "OrientedBox",
-    "TriangleMesh",
-    "closest_rotation",
-    "interpolate_rigid",
-    "invert_rigid",
-    "quaternion_xyzw_from_rotation",
-    "rigid",
-    "rotation_angle_rad",
-    "rotation_from_quaternion_xyzw",
-    "transform_points",
-]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import RecordingError, StorageError
 from kinectbench.core.artefacts.solid_method import SolidMethod
-from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.images import read_gray

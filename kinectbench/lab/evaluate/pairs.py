@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.core.geometry import Grid, invert_rigid
 from kinectbench.core.voxels.morphology import containment
 from kinectbench.core.voxels.pair_file import Pair, pack, unpack

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core import RecordingError, StorageError, replaced_file, sha256_file
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.object_grids import Label
@@ -14,9 +15,7 @@ from kinectbench.core.artefacts.reference import (
     DirectionsPart,
     ReferenceFile,
 )
-from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
-from kinectbench.core.storage import replaced_file, sha256_file
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.known_cells import known_in
 from kinectbench.core.voxels.pair_file import unpack

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kinectbench._version import __version__
-from kinectbench.core.errors import RecordingError, SettingsError, StorageError
+from kinectbench.core import RecordingError, SettingsError, StorageError, pretty_json, replaced_folder
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.pages import png_uri, render_page
-from kinectbench.core.storage import pretty_json, replaced_folder
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Progress
 from kinectbench.engine.stages import Job

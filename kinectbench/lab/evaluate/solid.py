@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.core.geometry import Grid, rigid
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.known_cells import known_in

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError
 from kinectbench.core.types import NamedProgress
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec, WorldFrame

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError, replaced_file, replaced_folder, sha256_file
 from kinectbench.core.geometry import OrientedBox, invert_rigid, rigid, rotation_from_quaternion_xyzw
-from kinectbench.core.storage import replaced_file, replaced_folder, sha256_file
 from kinectbench.core.types import Float32, Float64, Progress
 from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.engine.locks import sweep

@@ -5,8 +5,8 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
+from kinectbench.core import listed
 from kinectbench.core.geometry import Camera
-from kinectbench.core.names import listed
 from kinectbench.lab.simulate.writers import formats
 from kinectbench.settings.base import Settings
 from kinectbench.settings.words import near_miss

@@ -11,13 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
-from kinectbench.core.errors import KinectBenchError, RecordingError
+from kinectbench.core import RESULTS, KinectBenchError, RecordingError, pretty_json
 from kinectbench.core.geometry import Camera, Grid, TriangleMesh
 from kinectbench.core.geometry.mesh import read_own_ply, write_ply
-from kinectbench.core.names import RESULTS
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory
-from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.npz import UNREADABLE, load_arrays, npz_bytes
 from kinectbench.core.voxels.pair_file import unpack

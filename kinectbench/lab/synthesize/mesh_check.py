@@ -8,11 +8,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import ShapeError
+from kinectbench.core import ShapeError, printable
 from kinectbench.core.geometry import TriangleMesh, rigid
 from kinectbench.core.geometry.closed import three_corners
 from kinectbench.core.sensor_limits import SensorLimits
-from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
 from kinectbench.lab.synthesize.models import Model
 

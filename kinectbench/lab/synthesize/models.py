@@ -9,9 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, JsonValue
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import Category, Name, category_problem
-from kinectbench.core.storage import name_problem
+from kinectbench.core import Category, Name, SettingsError, category_problem, name_problem
 from kinectbench.core.types import Framing, Split
 from kinectbench.release.exchange.layouts import SYNSETS
 from kinectbench.settings.base import Settings

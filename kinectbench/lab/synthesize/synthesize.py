@@ -11,13 +11,21 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from kinectbench._version import __version__
+from kinectbench.core import (
+    KinectBenchError,
+    PairError,
+    SettingsError,
+    ShapeError,
+    StorageError,
+    pretty_json,
+    replaced_folder,
+    sha256_file,
+)
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, RecordingInfo
 from kinectbench.core.artefacts.object import MadeModel, QualityFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.errors import KinectBenchError, PairError, SettingsError, ShapeError, StorageError
-from kinectbench.core.storage import pretty_json, replaced_folder, sha256_file
 from kinectbench.core.types import NamedProgress
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.lab.synthesize.make import FILES, Task, make_model

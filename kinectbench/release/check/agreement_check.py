@@ -7,6 +7,7 @@ from functools import cached_property, partial
 
 from yaml import ScalarNode
 
+from kinectbench.core import KinectBenchError, ReleaseError, SettingsError, StorageError, printable, quoted
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
@@ -19,8 +20,6 @@ from kinectbench.core.artefacts.targets import (
     targets_text,
 )
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.errors import KinectBenchError, ReleaseError, SettingsError, StorageError
-from kinectbench.core.untrusted import printable, quoted
 from kinectbench.release.check.figure_check import (
     gate_problems,
     lineage_problems,

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 
 from pydantic import ValidationError
 
+from kinectbench.core import printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, RecordingInfo, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.provenance import Lineage
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.untrusted import printable
 from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.release.publish.gate import ALLOWED, REJECTED, WITHHELD
 from kinectbench.settings.publishing import GateSettings

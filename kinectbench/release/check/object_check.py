@@ -6,15 +6,13 @@ from typing import IO
 
 import numpy as np
 
+from kinectbench.core import ReleaseError, printable, strict_json
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.errors import ReleaseError
 from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import parse_ply
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Arrays, Float64
-from kinectbench.core.untrusted import printable
-from kinectbench.core.untrusted_text import strict_json
 from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
 from kinectbench.release.contents import GLB, OBJECT_FILES, VOLUME_BYTES, Contents, surface_name

@@ -13,15 +13,12 @@ import numpy as np
 from pydantic import ValidationError
 
 from kinectbench._version import __version__
+from kinectbench.core import PairError, ReleaseError, SettingsError, listed, read_plain, sha256_file
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Sources
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording, files_hash
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording, parse_targets
-from kinectbench.core.errors import PairError, ReleaseError, SettingsError
-from kinectbench.core.names import listed
-from kinectbench.core.storage import sha256_file
 from kinectbench.core.types import FileArray
-from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES, packed_count, pair_values
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents, most_bytes

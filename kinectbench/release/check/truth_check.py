@@ -11,15 +11,14 @@ from statistics import fmean
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import ReleaseError, StorageError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.geometry.mesh import parse_ply
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.types import Bools
-from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of
 from kinectbench.core.voxels.open_mesh import voxelize_open

@@ -5,13 +5,12 @@ from contextlib import suppress
 
 import numpy as np
 
+from kinectbench.core import ReleaseError, StorageError, printable
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.geometry.rigid import ORTHONORMAL_TOLERANCE, is_rigid
-from kinectbench.core.untrusted import printable
 from kinectbench.release.contents import Contents
 
 

@@ -9,6 +9,7 @@ from typing import cast
 
 import numpy as np
 
+from kinectbench.core import PairError, ReleaseError, StorageError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import (
     SHA256SUMS,
@@ -22,11 +23,9 @@ from kinectbench.core.artefacts.targets import (
     parse_targets,
 )
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
-from kinectbench.core.errors import PairError, ReleaseError, StorageError
 from kinectbench.core.geometry.depth import TOO_FAR
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.types import Progress
-from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import (
     TRUTH_KEYS,
     Pair,

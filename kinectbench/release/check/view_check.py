@@ -13,9 +13,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import ReleaseError, missing_module
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
-from kinectbench.core.errors import ReleaseError
-from kinectbench.core.extras import missing_module
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.depth import MOST_MM
 from kinectbench.core.types import MM_PER_M, Bools, Float32

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import ReleaseError, StorageError
 from kinectbench.core.artefacts.object import FloorFile
-from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, transform_points
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.mesh import parse_ply

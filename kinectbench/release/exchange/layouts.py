@@ -6,10 +6,16 @@ from pathlib import Path
 from typing import ClassVar
 
 from kinectbench._version import __version__
+from kinectbench.core import (
+    KinectBenchError,
+    PairError,
+    SettingsError,
+    pretty_json,
+    replaced_folder,
+    sha256_text,
+)
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
-from kinectbench.core.storage import pretty_json, replaced_folder, sha256_text
 from kinectbench.core.voxels.pair_file import Pair, PairInput
 from kinectbench.release.contents import release_files
 from kinectbench.release.own_folder import is_ignored

@@ -6,8 +6,8 @@ installed.
 
 from pathlib import Path
 
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.targets import NUMBER_COLUMNS, columns_of
-from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.release.exchange.layouts import new_folder, write_export_json
 from kinectbench.release.release import Release

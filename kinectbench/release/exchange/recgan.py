@@ -9,15 +9,24 @@ from typing import Annotated, Any, ClassVar, Literal, cast
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from kinectbench.core import (
+    NAME,
+    KinectBenchError,
+    PairError,
+    SettingsError,
+    below,
+    followed,
+    lies_below,
+    replaced_folder,
+    sha256_file,
+    write_below,
+)
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPart
 from kinectbench.core.artefacts.targets import Target, check_names
 from kinectbench.core.artefacts.views import ViewName
-from kinectbench.core.errors import KinectBenchError, PairError, SettingsError
-from kinectbench.core.storage import NAME, replaced_folder, sha256_file, write_below
 from kinectbench.core.types import Framing, PartialRule, Progress, Split
-from kinectbench.core.untrusted import below, followed, lies_below
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,

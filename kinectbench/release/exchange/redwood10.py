@@ -11,19 +11,27 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import (
+    IMAGE_BYTES,
+    PairError,
+    SettingsError,
+    followed,
+    lies_below,
+    read_plain,
+    replaced_folder,
+    sha256_file,
+    write_below,
+)
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
-from kinectbench.core.errors import PairError, SettingsError
 from kinectbench.core.geometry import Camera, TriangleMesh
 from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.images import png
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_ply
-from kinectbench.core.storage import replaced_folder, sha256_file, write_below
 from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float64, Progress
-from kinectbench.core.untrusted import IMAGE_BYTES, followed, lies_below, read_plain
 from kinectbench.core.voxels.npy import read_npy
 from kinectbench.core.voxels.pair_file import PairInput, pair_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from kinectbench.core import images
+from kinectbench.core import KinectBenchError, PredictionError, ReleaseError, images
 from kinectbench.core.artefacts.method import Box
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import Side, ViewsFile
-from kinectbench.core.errors import KinectBenchError, PredictionError, ReleaseError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.geometry.rigid import is_rigid
 from kinectbench.core.store.address import shown

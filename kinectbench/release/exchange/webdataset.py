@@ -9,8 +9,8 @@ import tarfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.targets import SPLITS, Target
-from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.pair_file import Pair, PairInput, checked_pair, pair_values
 from kinectbench.release.exchange.layouts import new_folder, pair_record, write_export_json

@@ -5,10 +5,9 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from kinectbench.core import ReleaseError, replaced_file, sha256_file
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS
-from kinectbench.core.errors import ReleaseError
-from kinectbench.core.storage import replaced_file, sha256_file
 from kinectbench.core.types import Progress
 from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.release.published import listed_files

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from kinectbench.core import write_below
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.core.images import data_uri
 from kinectbench.core.pages import render_page
-from kinectbench.core.storage import write_below
 from kinectbench.core.types import Rgb
 from kinectbench.core.voxels.pair_file import read_input, read_pair, unpack
 from kinectbench.release.contents import CATEGORIES

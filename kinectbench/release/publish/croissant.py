@@ -5,8 +5,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from kinectbench.core import sha256_file
 from kinectbench.core.artefacts.targets import ALL_COLUMNS, COLUMNS, NUMBER_COLUMNS, TARGETS_CSV
-from kinectbench.core.storage import sha256_file
 from kinectbench.core.voxels.pair_file import Pair
 from kinectbench.release.publish.about import SUBJECTS, About, responsible_use
 from kinectbench.release.publish.attribution import authors, citation_line, license_url

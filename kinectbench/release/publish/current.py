@@ -4,10 +4,9 @@ import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from kinectbench.core import ReleaseError, canonical_json, replaced_file, sha256_text
 from kinectbench.core.artefacts.benchmark import PublishOptions, PublishStamp, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Manifest
-from kinectbench.core.errors import ReleaseError
-from kinectbench.core.storage import canonical_json, replaced_file, sha256_text
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.release.publish.publish import NO_OPTIONS, PRIVATE, PublishSummary, publish

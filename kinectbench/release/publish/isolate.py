@@ -13,12 +13,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from kinectbench.core import images
+from kinectbench.core import SettingsError, images, listed, write_below
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewRow
-from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import Grid, invert_rigid
-from kinectbench.core.names import listed
-from kinectbench.core.storage import write_below
 from kinectbench.core.types import MM_PER_M
 from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
 from kinectbench.core.voxels.seen_cells import seen_cells

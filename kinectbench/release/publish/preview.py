@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from kinectbench._version import __version__
+from kinectbench.core import listed
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.images import data_uri, png
 from kinectbench.core.listing import SHOWN, Listing, spread
-from kinectbench.core.names import listed
 from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.turntable import FRAMES, QUALITY, turntable
 from kinectbench.core.types import Bools, Float64, Rgb

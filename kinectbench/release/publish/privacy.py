@@ -9,11 +9,10 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
+from kinectbench.core import ReleaseError, pretty_json
 from kinectbench.core.artefacts.provenance import ColorPublished, Privacy, Removed
 from kinectbench.core.artefacts.stored import Stored
-from kinectbench.core.errors import ReleaseError
 from kinectbench.core.jpeg_metadata import without_metadata
-from kinectbench.core.storage import pretty_json
 
 # Keys of JSON files whose values are always removed.
 KEYS = re.compile(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
+from kinectbench.core import ReleaseError, listed, replaced_folder
 from kinectbench.core.artefacts.benchmark import (
     BENCHMARK_JSON,
     PublishOptions,
@@ -22,9 +23,6 @@ from kinectbench.core.artefacts.provenance import (
 )
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile
-from kinectbench.core.errors import ReleaseError
-from kinectbench.core.names import listed
-from kinectbench.core.storage import replaced_folder
 from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution

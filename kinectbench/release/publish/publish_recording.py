@@ -8,6 +8,7 @@ from hashlib import sha256
 from pathlib import Path
 from statistics import fmean
 
+from kinectbench.core import IMAGE_BYTES, PairError, ReleaseError, read_plain, write_below
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.manifest import Manifest, Sources
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
@@ -22,10 +23,7 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile, ViewRow, ViewsFile
-from kinectbench.core.errors import PairError, ReleaseError
 from kinectbench.core.geometry import Camera
-from kinectbench.core.storage import write_below
-from kinectbench.core.untrusted import IMAGE_BYTES, read_plain
 from kinectbench.core.voxels.pair_file import (
     SHARE_DECIMALS,
     Pair,

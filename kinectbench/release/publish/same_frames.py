@@ -5,8 +5,8 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from kinectbench.core import ReleaseError
 from kinectbench.core.artefacts.manifest import SourceFile, Sources
-from kinectbench.core.errors import ReleaseError
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 # Two recordings hold the same frames if at least this share of the smaller one's bytes is in equal files.

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from kinectbench.core import pretty_json, printable, pydantic_message
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
@@ -29,9 +30,6 @@ from kinectbench.core.artefacts.targets import (
     Splits,
 )
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.errors import pydantic_message
-from kinectbench.core.storage import pretty_json
-from kinectbench.core.untrusted import printable
 from kinectbench.core.voxels.pair_file import (
     FORMAT_VERSION,
     INPUT_KEYS,

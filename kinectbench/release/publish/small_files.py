@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kinectbench._version import __version__
+from kinectbench.core import package_version, pretty_json, read_plain_text, sha256_file
 from kinectbench.core.artefacts.benchmark import (
     BENCHMARK_JSON,
     FORMAT_VERSION,
@@ -29,10 +30,7 @@ from kinectbench.core.artefacts.targets import (
     sums_text,
     targets_text,
 )
-from kinectbench.core.extras import package_version
-from kinectbench.core.storage import pretty_json, sha256_file
 from kinectbench.core.types import Framing, PartialRule, Split
-from kinectbench.core.untrusted import read_plain_text
 from kinectbench.release.contents import (
     CARD,
     CITATION,

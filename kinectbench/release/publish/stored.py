@@ -5,11 +5,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from kinectbench.core import write_below
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, PublishStamp
 from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
-from kinectbench.core.storage import write_below
 from kinectbench.core.store.address import joined, url_of
 from kinectbench.core.store.store import Store, in_parallel
 from kinectbench.core.types import Progress

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core import images
+from kinectbench.core import images, write_below
 from kinectbench.core.artefacts.targets import SPLITS, Target, columns_of
-from kinectbench.core.storage import write_below
 from kinectbench.core.types import Rgb
 from kinectbench.release.contents import PREVIEWS, ROWS
 

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
 
+from kinectbench.core import StorageError
 from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
 from kinectbench.core.artefacts.triage import Decision
-from kinectbench.core.errors import StorageError
 from kinectbench.release.triage.stands_alone import part_that_stands_alone
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.publishing import GateSettings

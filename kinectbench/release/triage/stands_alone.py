@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
+from kinectbench.core import StorageError
 from kinectbench.core.artefacts.object_grids import ObjectVolume
-from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Bools
 
 # Cells along the longest side; finer ones changed no share by more than 0.02.

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import PredictionError
+from kinectbench.core import PredictionError, listed_paths
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import listed_paths
 from kinectbench.release.exchange.rgbd import WriteView
 from kinectbench.scoring.camera_shape import CameraShape
 

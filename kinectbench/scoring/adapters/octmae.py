@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import PredictionError
+from kinectbench.core import PredictionError, read_plain
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, numbers_of
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack
 from kinectbench.release.exchange.rgbd import (
     RgbdView,

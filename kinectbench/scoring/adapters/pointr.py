@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import PredictionError, ReleaseError
+from kinectbench.core import PredictionError, ReleaseError, open_plain, size_of
 from kinectbench.core.geometry import invert_rigid, rigid
 from kinectbench.core.mesh_files import MAX_POINTS
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import open_plain, size_of
 from kinectbench.core.voxels.npy import NpyError, NpyHeader, read_npy
 from kinectbench.release.exchange.rgbd import RgbdView
 from kinectbench.release.release import Release

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import PredictionError
+from kinectbench.core import PredictionError
 from kinectbench.core.geometry import rotation_from_quaternion_xyzw
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.npz import UNREADABLE, load_arrays

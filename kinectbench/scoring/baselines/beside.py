@@ -7,9 +7,9 @@ take most of the time. Beside predictions in the camera frame, baselines are sco
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 
+from kinectbench.core import StorageError
 from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, ScoreTable
-from kinectbench.core.errors import StorageError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS

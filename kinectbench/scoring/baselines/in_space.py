@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
+from kinectbench.core import PredictionError
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import PredictionError
 from kinectbench.core.types import Progress
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted

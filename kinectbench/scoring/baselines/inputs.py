@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import ReleaseError
 from kinectbench.core.artefacts.object import FloorFile
-from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.pair_file import Packed, PairInput, unpack
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import reduced

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
+from kinectbench.core import SettingsError, replaced_file, storage_errors
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.scores import BaseRate
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import replaced_file, storage_errors
 from kinectbench.core.types import Progress, Split
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pair_values

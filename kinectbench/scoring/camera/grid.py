@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import PredictionError
+from kinectbench.core import PredictionError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import Target

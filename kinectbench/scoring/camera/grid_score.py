@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.score_figures import IN_SPACE
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release

@@ -7,13 +7,13 @@ from types import MappingProxyType
 from typing import get_args
 
 from kinectbench._version import __version__
+from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS_IN_SPACE
 from kinectbench.core.artefacts.score_figures import IN_SPACE, ScoreRow, ShapePart
 from kinectbench.core.artefacts.score_marks import ValidationUse
 from kinectbench.core.artefacts.scores import Failure, Hashes, ScoreSettings, ScoreTable
 from kinectbench.core.artefacts.targets import check_names
-from kinectbench.core.errors import SettingsError
 from kinectbench.core.types import Progress
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target

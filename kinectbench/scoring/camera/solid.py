@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.errors import PredictionError
+from kinectbench.core import PredictionError
 from kinectbench.core.geometry import Grid, transform_points
 from kinectbench.core.geometry.mesh import poisson_surface
 from kinectbench.core.geometry.rigid import similarity_scale

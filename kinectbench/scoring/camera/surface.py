@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kinectbench.core.errors import PredictionError
+from kinectbench.core import PredictionError
 from kinectbench.core.geometry.rigid import invert_similarity, similarity_scale
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import pack

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core import PredictionError, ReleaseError
 from kinectbench.core.artefacts.score_figures import ShapePart
-from kinectbench.core.errors import PredictionError, ReleaseError
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Bools, Float64

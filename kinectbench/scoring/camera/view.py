@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from kinectbench.core import PredictionError, open_plain, printable
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_figures import (
     Alignment,
@@ -14,11 +15,9 @@ from kinectbench.core.artefacts.score_figures import (
     SurfaceMetrics,
     VoxelMetrics,
 )
-from kinectbench.core.errors import PredictionError
 from kinectbench.core.geometry import rotation_angle_rad, transform_points
 from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, SurfaceRegistration, register_kinds

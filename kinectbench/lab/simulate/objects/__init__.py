@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.names import listed
+from kinectbench.core import SettingsError, listed
 from kinectbench.lab.plugins import plugins
 from kinectbench.lab.simulate.objects.benches import bench
 from kinectbench.lab.simulate.objects.chairs import chair

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core import StorageError
 from kinectbench.core.geometry.mesh import join
 from kinectbench.core.images import png, shrunk
 from kinectbench.core.pictures import LIGHT, PAPER, cast_pieces, fit_viewpoint, look_along

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.core.geometry import Grid, TriangleMesh, rigid
 from kinectbench.core.geometry.mesh import isosurface, join, raycaster
 from kinectbench.core.types import Float64, Int64

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from functools import cache, partial
 from pathlib import Path
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.lab.plugins import plugins
 from kinectbench.lab.simulate.writers.bags import write_rosbag1, write_rosbag2
 from kinectbench.lab.simulate.writers.frame import (

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
+from kinectbench.core import pretty_json
 from kinectbench.core.geometry import quaternion_xyzw_from_rotation
-from kinectbench.core.storage import pretty_json
 from kinectbench.core.trajectory.stamps import format_stamp
 from kinectbench.core.types import Float64
 from kinectbench.lab.simulate.writers.frame import (
