@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.mesh import isosurface, raycaster
+from kinectbench.core.geometry import TriangleMesh, isosurface, raycaster
 from kinectbench.core.images import shrunk
 from kinectbench.core.types import Float32, Float64, Rgb
 

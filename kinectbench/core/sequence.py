@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.artefacts.sequence import AGAIN
 from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.errors import StorageError
-from kinectbench.core.geometry import Camera
-from kinectbench.core.geometry.depth import DepthCalibration, corrected_depth_m
+from kinectbench.core.geometry import Camera, DepthCalibration, corrected_depth_m
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry import depth_sigma_m
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.types import Bools, Float32
 

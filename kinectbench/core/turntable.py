@@ -7,8 +7,7 @@ differ between processors. So a page with the pictures has the same bytes everyw
 import numpy as np
 from scipy.spatial import cKDTree
 
-from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.decimate import decimated
+from kinectbench.core.geometry import TriangleMesh, decimated
 from kinectbench.core.pictures import CLAY, LIGHT, PAPER
 from kinectbench.core.types import Float64, Rgb
 

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import (
     Camera,
+    depth_sigma_m,
+    image_normals,
     invert_rigid,
     quaternion_xyzw_from_rotation,
     rigid,
     rotation_from_quaternion_xyzw,
 )
-from kinectbench.core.geometry.depth import depth_sigma_m
-from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.trajectory.coverage import in_order_of_time
 from kinectbench.core.types import Float64
 from kinectbench.doctor.probe import Probe

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import SegmentationError
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.geometry import Camera, transform_points
-from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry import Camera, depth_sigma_m, transform_points
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import middle_depth_m
 from kinectbench.doctor.delays import clock_ns

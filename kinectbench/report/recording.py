@@ -15,8 +15,7 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairRow, PairsFile, ViewsFile
-from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.mesh import read_own_ply
+from kinectbench.core.geometry import TriangleMesh, read_own_ply
 from kinectbench.core.medians import known_median
 from kinectbench.core.trajectory.trajectory import read_poses
 from kinectbench.core.turntable import QUALITY, turntable

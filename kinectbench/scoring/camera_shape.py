@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import PredictionError, open_plain, size_of
 from kinectbench.core.artefacts.method import MethodFile
-from kinectbench.core.geometry import transform_points
-from kinectbench.core.geometry.rigid import similarity_problem, similarity_scale
+from kinectbench.core.geometry import similarity_problem, similarity_scale, transform_points
 from kinectbench.core.glb_file import read_glb
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, MAX_POINTS, read_obj, read_ply_surface
 from kinectbench.core.types import Arrays, Bools, FileArray, Float32, Float64, Int64

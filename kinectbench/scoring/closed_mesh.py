@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from kinectbench.core import PredictionError
-from kinectbench.core.geometry.closed import is_closed, joined_vertices, outwards, why_open
+from kinectbench.core.geometry import is_closed, joined_vertices, outwards, why_open
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.scoring.camera_shape import CameraShape

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import PredictionError
-from kinectbench.core.geometry import Grid
-from kinectbench.core.geometry.closed import joined_vertices, outwards, why_open
+from kinectbench.core.geometry import Grid, joined_vertices, outwards, why_open
 from kinectbench.core.mesh_files import read_obj, read_ply
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, unpack

@@ -14,7 +14,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from kinectbench.core import MOST_SIDE_PX, Category, Name, Named, first_clash
-from kinectbench.core.geometry.boxes import BoxAnchor, OrientedBox, Pose
+from kinectbench.core.geometry import BoxAnchor, OrientedBox, Pose
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import DepthCode, Framing, PartialRule, Split, Underside
 from kinectbench.settings.base import Settings

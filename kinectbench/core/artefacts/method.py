@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from kinectbench.core.artefacts.benchmark import SHA256
 from kinectbench.core.artefacts.stored import Matrix4, Stored, StoredPart, array_in_file
 from kinectbench.core.errors import KinectBenchError, PredictionError
-from kinectbench.core.geometry.rigid import similarity_problem
+from kinectbench.core.geometry import similarity_problem
 from kinectbench.core.storage import canonical_json, sha256_text
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable

@@ -9,8 +9,7 @@ from pydantic import Field
 
 from kinectbench.core.artefacts.solid_method import SolidMethod
 from kinectbench.core.artefacts.stored import DegreesInFile, Matrix4, ScaledPart, Stored, StoredPart, Vector4
-from kinectbench.core.geometry import OrientedBox
-from kinectbench.core.geometry.boxes import BoxAnchor, Pose
+from kinectbench.core.geometry import BoxAnchor, OrientedBox, Pose
 from kinectbench.core.types import Split, Underside
 
 Triple = tuple[float, float, float]

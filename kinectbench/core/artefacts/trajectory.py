@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.stored import (
     Stored,
     StoredPart,
 )
-from kinectbench.core.geometry.depth import TERMS, DepthCalibration
+from kinectbench.core.geometry import TERMS, DepthCalibration
 from kinectbench.core.types import Float64
 
 Grade = Literal["good", "fair", "not good"]

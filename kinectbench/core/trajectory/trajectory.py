@@ -8,7 +8,7 @@ import numpy as np
 
 from kinectbench.core.artefacts.trajectory import StoredDepthCalibration, TrajectoryHealth
 from kinectbench.core.errors import RecordingError, StorageError
-from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
+from kinectbench.core.geometry import NO_CALIBRATION, DepthCalibration
 from kinectbench.core.geometry.rolling_shutter import RollingShutter, motions
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file as read_tum

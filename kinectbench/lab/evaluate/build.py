@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import RecordingError, StorageError
 from kinectbench.core.artefacts.solid_method import SolidMethod
-from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid
-from kinectbench.core.geometry.mesh import read_own_ply
+from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, read_own_ply
 from kinectbench.core.images import read_gray
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory

@@ -9,9 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.core.geometry import TriangleMesh, invert_rigid, rigid, rotation_angle_rad, transform_points
+from kinectbench.core.geometry import (
+    TriangleMesh,
+    invert_rigid,
+    rigid,
+    rigid_from_twist,
+    rotation_angle_rad,
+    transform_points,
+)
 from kinectbench.core.geometry.gauss_newton import descend, weighted_products
-from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.types import Float64
 from kinectbench.lab.evaluate.build import BuildRegistration
 from kinectbench.lab.evaluate.measured import (

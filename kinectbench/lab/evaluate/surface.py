@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
-from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, raycaster, transform_points
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.lab.simulate.truth import Truth

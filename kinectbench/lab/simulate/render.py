@@ -7,8 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera, invert_rigid, transform_points
-from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core.geometry import Camera, invert_rigid, raycaster, transform_points
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.lab.simulate.scene import Item
 

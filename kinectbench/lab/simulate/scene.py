@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from kinectbench.core.geometry import OrientedBox, TriangleMesh
-from kinectbench.core.geometry.mesh import box_mesh
+from kinectbench.core.geometry import OrientedBox, TriangleMesh, box_mesh
 from kinectbench.lab.simulate.objects.joinery import Draw
 from kinectbench.lab.simulate.objects.shapes import Subject, Vector3
 from kinectbench.lab.simulate.spec import SceneSettings

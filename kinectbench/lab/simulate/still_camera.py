@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.geometry import Camera, OrientedBox
-from kinectbench.core.geometry.mesh import box_mesh
+from kinectbench.core.geometry import Camera, OrientedBox, box_mesh
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.lab.simulate.objects.shapes import surface, turned
 from kinectbench.lab.simulate.render import Renderer, Rendering

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from kinectbench._version import __version__
 from kinectbench.core import RESULTS, KinectBenchError, RecordingError, pretty_json
-from kinectbench.core.geometry import Camera, Grid, TriangleMesh
-from kinectbench.core.geometry.mesh import read_own_ply, write_ply
+from kinectbench.core.geometry import Camera, Grid, TriangleMesh, read_own_ply, write_ply
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.types import Bools

@@ -9,8 +9,7 @@ import numpy as np
 from kinectbench.core import sha256_file, sha256_text, write_below
 from kinectbench.core.artefacts.object import MadeGroup, MadeModel, SynthesisedQualityFile
 from kinectbench.core.artefacts.views import Refused, SynthesisedCamera, ViewRow, ViewsFile
-from kinectbench.core.geometry import Camera
-from kinectbench.core.geometry.mesh import write_ply
+from kinectbench.core.geometry import Camera, write_ply
 from kinectbench.core.types import Split
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.engine.artefact import VERSIONS, Artefact

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import ShapeError, printable
-from kinectbench.core.geometry import TriangleMesh, rigid
-from kinectbench.core.geometry.closed import three_corners
+from kinectbench.core.geometry import TriangleMesh, rigid, three_corners
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
 from kinectbench.lab.synthesize.models import Model

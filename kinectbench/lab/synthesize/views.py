@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera, TriangleMesh, rigid
-from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core.geometry import Camera, TriangleMesh, raycaster, rigid
 
 FIELD_OF_VIEW_RAD = float(np.radians(49.124))
 # Rotation from the upright frame (x right, y away, z up) to an optical camera that looks along +y.

@@ -8,9 +8,7 @@ import numpy as np
 
 from kinectbench.core import ReleaseError, printable, strict_json
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.geometry import TriangleMesh, transform_points
-from kinectbench.core.geometry.mesh import parse_ply
-from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.geometry import TriangleMesh, is_rigid, parse_ply, transform_points
 from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Arrays, Float64
 from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from kinectbench.core.geometry.rigid import ORTHONORMAL_TOLERANCE, is_rigid
+from kinectbench.core.geometry import ORTHONORMAL_TOLERANCE, is_rigid
 from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,

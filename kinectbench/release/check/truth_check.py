@@ -15,9 +15,7 @@ from kinectbench.core import ReleaseError, StorageError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
-from kinectbench.core.geometry.mesh import parse_ply
-from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.geometry import Grid, TriangleMesh, is_rigid, parse_ply, transform_points
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of

@@ -10,7 +10,7 @@ from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.geometry.rigid import ORTHONORMAL_TOLERANCE, is_rigid
+from kinectbench.core.geometry import ORTHONORMAL_TOLERANCE, is_rigid
 from kinectbench.release.contents import Contents
 
 

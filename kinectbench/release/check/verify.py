@@ -23,8 +23,7 @@ from kinectbench.core.artefacts.targets import (
     parse_targets,
 )
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
-from kinectbench.core.geometry.depth import TOO_FAR
-from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.geometry import TOO_FAR, is_rigid
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.pair_file import (
     TRUTH_KEYS,

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import ReleaseError, missing_module
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
-from kinectbench.core.geometry import Camera
-from kinectbench.core.geometry.depth import MOST_MM
+from kinectbench.core.geometry import MOST_MM, Camera
 from kinectbench.core.types import MM_PER_M, Bools, Float32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, Pair, PairInput, packed_count
 from kinectbench.core.voxels.seen_cells import seen_cells

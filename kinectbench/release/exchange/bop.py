@@ -8,9 +8,7 @@ import numpy as np
 
 from kinectbench.core import ReleaseError, images, pretty_json, write_below
 from kinectbench.core.artefacts.targets import Target
-from kinectbench.core.geometry import Camera, invert_rigid
-from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.core.geometry.decimate import decimated
+from kinectbench.core.geometry import Camera, DepthRenderer, decimated, invert_rigid
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import MM_PER_M, Float64, Progress
 from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, unknown_share

@@ -7,9 +7,15 @@ from numpy.typing import NDArray
 
 from kinectbench.core import ReleaseError, StorageError
 from kinectbench.core.artefacts.object import FloorFile
-from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, rigid, transform_points
-from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.core.geometry.mesh import parse_ply
+from kinectbench.core.geometry import (
+    Camera,
+    DepthRenderer,
+    TriangleMesh,
+    invert_rigid,
+    parse_ply,
+    rigid,
+    transform_points,
+)
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import MM_PER_M, Bools, Float64
 from kinectbench.release.release import Release

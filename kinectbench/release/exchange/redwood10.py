@@ -26,9 +26,7 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
-from kinectbench.core.geometry import Camera, TriangleMesh
-from kinectbench.core.geometry.mesh import write_ply
-from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.geometry import Camera, TriangleMesh, is_rigid, write_ply
 from kinectbench.core.images import png
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_ply
 from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float64, Progress

@@ -19,8 +19,7 @@ from kinectbench.core.artefacts.method import Box
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import Side, ViewsFile
-from kinectbench.core.geometry import Camera
-from kinectbench.core.geometry.rigid import is_rigid
+from kinectbench.core.geometry import Camera, is_rigid
 from kinectbench.core.store.address import shown
 from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float32, Float64, Progress, Rgb
 from kinectbench.core.voxels.npz import UNREADABLE

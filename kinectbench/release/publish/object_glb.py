@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.artefacts.object import FloorFile
-from kinectbench.core.geometry.decimate import decimated, surface_distances_m
-from kinectbench.core.geometry.mesh import TriangleMesh, read_own_ply
+from kinectbench.core.geometry import TriangleMesh, decimated, read_own_ply, surface_distances_m
 from kinectbench.core.turntable import surface_colors
 from kinectbench.core.types import MM_PER_M, Float64, Rgb
 from kinectbench.release.contents import GLB, MOST_GLB_BYTES, OBJECT_FILES

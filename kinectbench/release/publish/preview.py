@@ -16,7 +16,7 @@ from kinectbench.core import listed
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.targets import SPLITS, Target, by_recording
-from kinectbench.core.geometry.mesh import read_own_ply
+from kinectbench.core.geometry import read_own_ply
 from kinectbench.core.images import data_uri, png
 from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import png_uri, render_page

@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
-from kinectbench.core.geometry import transform_points
-from kinectbench.core.geometry.boxes import yaw_rotation
+from kinectbench.core.geometry import transform_points, yaw_rotation
 from kinectbench.core.types import Float64
 
 # Number of points kept of a surface, and number of these that are laid onto another surface: a tenth of the 2

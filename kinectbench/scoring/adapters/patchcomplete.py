@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core import PredictionError, open_plain
-from kinectbench.core.geometry import invert_rigid, transform_points
-from kinectbench.core.geometry.rigid import similarity_scale
+from kinectbench.core.geometry import invert_rigid, similarity_scale, transform_points
 from kinectbench.core.types import Float32, Float64
 from kinectbench.core.voxels.npz import arrays_of, npz_bytes
 from kinectbench.core.voxels.pair_file import FULL_CELLS

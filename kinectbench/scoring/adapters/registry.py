@@ -9,7 +9,7 @@ import numpy as np
 from kinectbench._version import __version__
 from kinectbench.core import PredictionError, SettingsError, missing_extra, replaced_folder
 from kinectbench.core.artefacts.method import MethodFile
-from kinectbench.core.geometry.rigid import similarity_problem
+from kinectbench.core.geometry import similarity_problem
 from kinectbench.core.types import Float64, Progress
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.release.exchange.layouts import names_sha256, refuse_others

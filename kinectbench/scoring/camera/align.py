@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kinectbench.core.geometry.rigid import invert_similarity, rigid, similarity_scale
+from kinectbench.core.geometry import invert_similarity, rigid, similarity_scale
 from kinectbench.core.types import Float64
 from kinectbench.scoring.camera.nearest import NearestOfMoving
 from kinectbench.scoring.camera.surface import Surface

@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core import PredictionError
-from kinectbench.core.geometry import Grid, transform_points
-from kinectbench.core.geometry.mesh import poisson_surface
-from kinectbench.core.geometry.rigid import similarity_scale
+from kinectbench.core.geometry import Grid, poisson_surface, similarity_scale, transform_points
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
 from kinectbench.scoring.camera.surface import Surface

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from kinectbench.core import PredictionError
-from kinectbench.core.geometry.rigid import invert_similarity, similarity_scale
+from kinectbench.core.geometry import invert_similarity, similarity_scale
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.camera.nearest import Samples

@@ -15,8 +15,7 @@ from kinectbench.core.artefacts.score_figures import (
     SurfaceMetrics,
     VoxelMetrics,
 )
-from kinectbench.core.geometry import rotation_angle_rad, transform_points
-from kinectbench.core.geometry.rigid import similarity_scale
+from kinectbench.core.geometry import rotation_angle_rad, similarity_scale, transform_points
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.release import Target

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import StorageError
-from kinectbench.core.geometry.mesh import join
+from kinectbench.core.geometry import join
 from kinectbench.core.images import png, shrunk
 from kinectbench.core.pictures import LIGHT, PAPER, cast_pieces, fit_viewpoint, look_along
 from kinectbench.lab.simulate.objects import families, make_object

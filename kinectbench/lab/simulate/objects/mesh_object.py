@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import RecordingError
-from kinectbench.core.geometry import Grid, TriangleMesh, rigid
-from kinectbench.core.geometry.mesh import isosurface, join, raycaster
+from kinectbench.core.geometry import Grid, TriangleMesh, isosurface, join, raycaster, rigid
 from kinectbench.core.types import Float64, Int64
 from kinectbench.lab.simulate.objects.mesh_repair import closed_bodies, merged_vertices, open_edges, united
 from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, solid, standing_shift, surface

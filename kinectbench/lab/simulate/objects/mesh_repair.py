@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.closed import three_corners
+from kinectbench.core.geometry import TriangleMesh, three_corners
 from kinectbench.core.types import Float64, Int32, Int64
 from kinectbench.lab.simulate.objects.shapes import solid, surface, union
 
