@@ -24,6 +24,11 @@ Progress = Callable[[int, int], None]
 # Called with (name, done, total) during a long computation on several named things.
 NamedProgress = Callable[[str, int, int], None]
 
+
+def no_progress(*_done: str | int) -> None:
+    """Do nothing: a `Progress` or `NamedProgress` for callers that do not watch."""
+
+
 # The part of a benchmark to which a recording belongs.
 Split = Literal["train", "validation", "test"]
 # A person's statement on the underside of an object, which no camera saw. Closed: no space in it is open to

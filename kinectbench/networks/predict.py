@@ -27,7 +27,7 @@ from kinectbench.core import (
     storage_errors,
 )
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
-from kinectbench.core.types import Progress, Split
+from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.npz import npz_bytes, packed_npz_bytes
 from kinectbench.core.voxels.pair_file import FULL_CELLS, PairInput, checked_pair, pack, pair_values, unpack
 from kinectbench.core.voxels.resample import upsampled_planes
@@ -63,7 +63,7 @@ def predict(
     precision: Precision = "packed",
     splits: Sequence[Split] = SPLITS,
     device: str = "cpu",
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     say: Callable[[str], None] | None = None,
     failed: Callable[[str], None] | None = None,
 ) -> Path:
@@ -182,7 +182,7 @@ def _write_all(
     run: UnfinishedFile,
     targets: Sequence[Target],
     device: str,
-    progress: Progress | None,
+    progress: Progress,
     failed: Callable[[str], None] | None,
 ) -> list[float]:
     """Predict and write the missing files; return the seconds that the network took for each view."""
@@ -204,8 +204,7 @@ def _write_all(
                 if written:
                     written.result()
                 written = writer.submit(_write, kept, target, probability, run)
-            if progress:
-                progress(done, len(targets))
+            progress(done, len(targets))
         if written:
             written.result()
     if first is not None and not any(map(kept.holds, targets)):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core import KinectBenchError
 from kinectbench.core.artefacts.method import UnfinishedFile
 from kinectbench.core.artefacts.scores import Failure, ScoreTable
-from kinectbench.core.types import Progress, Split
+from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
 from kinectbench.networks.allocator import memory_kept
 from kinectbench.networks.predict import OF_ONE_PAIR, SPLITS, completed_target, method_of
@@ -30,7 +30,7 @@ def score_predicted(
     splits: Sequence[Split] = SPLITS,
     surface: bool = True,
     device: str = "cpu",
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> ScoreTable:
     """Return the table that `score` would make from `predict`'s files, without hashes; write nothing.
 
@@ -72,8 +72,7 @@ def score_predicted(
                 if counted:
                     counted.result()
                 counted = counter.submit(scorer.update, target.name, prediction)
-            if progress:
-                progress(done, len(targets))
+            progress(done, len(targets))
         if counted:
             counted.result()
     if errors and len(errors) == len(targets):

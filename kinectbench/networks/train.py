@@ -11,7 +11,7 @@ import torch
 
 from kinectbench.core import KinectBenchError, PredictionError, SettingsError
 from kinectbench.core.artefacts.method import TrainingRow
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.engine.interrupts import interrupts_held
 from kinectbench.engine.locks import locked
 from kinectbench.networks.allocator import memory_kept
@@ -90,7 +90,7 @@ def train(
     minutes: float | None = None,
     device: str | None = None,
     wait: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     watch: Callable[[TrainingRow], None] | None = None,
 ) -> State:
     """Train a network, or resume a training in the same folder.
@@ -188,7 +188,7 @@ def _deterministic(device: str) -> Iterator[None]:
 def _run(
     training: Training,
     minutes: float | None,
-    progress: Progress | None,
+    progress: Progress,
     watch: Callable[[TrainingRow], None] | None,
 ) -> None:
     """Train until the steps or the time are used up, and save the progress.
@@ -214,8 +214,7 @@ def _run(
                 state.add(_stepped(training, batch, epoch))
                 state.seconds += time.monotonic() - before
             _look_if_due(training, watch)
-            if progress:
-                progress(state.step, training.steps)
+            progress(state.step, training.steps)
             now = time.monotonic()
             over = minutes is not None and now - started >= 60 * minutes
             if agreed(over, training.part[1], device):

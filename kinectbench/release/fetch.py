@@ -30,7 +30,7 @@ from kinectbench.core.artefacts.targets import (
 from kinectbench.core.store.address import joined, shown, unusable, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store, in_parallel
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.contents import MOST_FILE_BYTES, MOST_FILES, PREVIEWS, SURFACES, most_bytes
 from kinectbench.release.own_folder import is_ours, owned, remains
 from kinectbench.release.published import release_store, release_text
@@ -103,7 +103,7 @@ def release_url(name: str | Path) -> str:
 
 
 def fetch_release(
-    url: str, out: Path, part: ReleasePart | None = None, progress: Progress | None = None
+    url: str, out: Path, part: ReleasePart | None = None, progress: Progress = no_progress
 ) -> Fetched:
     """Download a release, or part of it, into a folder; resume a stopped download.
 
@@ -148,8 +148,7 @@ def fetch_release(
         with owned(out):
             _refuse_other(out, text)
             fetched = _bring_all(store, out, text, missing, _counter(progress, len(names)))
-    if progress:
-        progress(len(names), len(names))
+    progress(len(names), len(names))
     return Fetched(out, info.benchmark_sha256, len(targets), fetched, len(names) - fetched)
 
 
@@ -170,7 +169,7 @@ def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Calla
     return sum(fetched) + sum(_bring(store, out, name, sums[name]) for name in last)
 
 
-def mirror_release(url: str, out: Path, progress: Progress | None = None) -> list[str]:
+def mirror_release(url: str, out: Path, progress: Progress = no_progress) -> list[str]:
     """Copy a release into an empty folder for inspection; damaged or missing files raise no error.
 
     Returns:
@@ -186,7 +185,7 @@ def mirror_release(url: str, out: Path, progress: Progress | None = None) -> lis
 
 
 def stored_hashes(
-    url: str, out: Path, progress: Progress | None = None
+    url: str, out: Path, progress: Progress = no_progress
 ) -> tuple[dict[str, str | None], list[str]]:
     """Return the SHA-256 of each stored file of a release; each file is downloaded, hashed and deleted.
 
@@ -206,7 +205,7 @@ def stored_hashes(
     return dict(zip(sums, hashes, strict=True)), _others(store, sums)
 
 
-def cached_release(url: str, progress: Progress | None = None) -> Path:
+def cached_release(url: str, progress: Progress = no_progress) -> Path:
     """Return the folder of a release in the local cache; download the release if it is missing."""
     _, info = _head(release_store(url))
     base = Path(os.environ.get(CACHE_VARIABLE) or Path.home() / ".cache" / "kinectbench")
@@ -364,5 +363,5 @@ def _refuse_many(store: Store, sums: Collection[str]) -> None:
         )
 
 
-def _counter(progress: Progress | None, total: int) -> Callable[[int], None]:
-    return lambda done: progress(done, total) if progress else None
+def _counter(progress: Progress, total: int) -> Callable[[int], None]:
+    return lambda done: progress(done, total)

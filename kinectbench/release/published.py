@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.store.address import shown, url_of
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.contents import MAX_READ_BYTES, Contents, most_bytes
 from kinectbench.release.opening import open_contents
 
@@ -70,7 +70,7 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
     return content
 
 
-def listed_files(folder: Path, progress: Progress | None = None) -> dict[str, str]:
+def listed_files(folder: Path, progress: Progress = no_progress) -> dict[str, str]:
     """Return {file: SHA-256} of a release's SHA256SUMS, after checking each file in the folder against it.
 
     Args:
@@ -83,8 +83,7 @@ def listed_files(folder: Path, progress: Progress | None = None) -> dict[str, st
     sums = parse_sums(release_text(folder / SHA256SUMS), str(folder / SHA256SUMS))
     for done, (name, sha256) in enumerate(sums.items(), start=1):
         published_bytes(folder / name, sha256)
-        if progress:
-            progress(done, len(sums))
+        progress(done, len(sums))
     return sums
 
 

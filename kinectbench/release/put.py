@@ -14,7 +14,7 @@ from kinectbench.core import TEXT_BYTES, ReleaseError
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS, TARGETS_CSV, benchmark_sha256, parse_sums
 from kinectbench.core.store.store import Store, in_parallel
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.published import listed_files, release_store, release_text
 
 
@@ -68,7 +68,7 @@ class _Place:
         return self.is_whole or BENCHMARK_JSON not in self.sizes
 
 
-def put_release(folder: Path, store: Store, progress: Progress | None = None) -> PutSummary:
+def put_release(folder: Path, store: Store, progress: Progress = no_progress) -> PutSummary:
     """Upload a release to a store; files that the store already has are not uploaded again.
 
     A file counts as uploaded if the store's SHA256SUMS has the same hash and the stored file the same size.
@@ -108,18 +108,17 @@ def put_release(folder: Path, store: Store, progress: Progress | None = None) ->
     return PutSummary(len(put), len(sums) + 1 - len(put), removed, replaced)
 
 
-def _put(folder: Path, store: Store, names: list[str], checked: int, progress: Progress | None) -> None:
+def _put(folder: Path, store: Store, names: list[str], checked: int, progress: Progress) -> None:
     """Upload the named files, SHA256SUMS first, and benchmark.json last; `checked` files count as done."""
     total, first = checked + len(names) + 1, [name for name in names if name == SHA256SUMS]
     for name in first:
         store.put(name, folder / name)
     in_parallel(
         (partial(store.put, name, folder / name) for name in names if name != SHA256SUMS),
-        lambda done: progress(checked + len(first) + done, total) if progress else None,
+        lambda done: progress(checked + len(first) + done, total),
     )
     store.put(BENCHMARK_JSON, folder / BENCHMARK_JSON)
-    if progress:
-        progress(total, total)
+    progress(total, total)
 
 
 def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:

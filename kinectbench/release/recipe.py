@@ -27,7 +27,7 @@ from kinectbench.core.artefacts.sources_lock import LockedFile, ScanIndex, Sourc
 from kinectbench.core.store.attempts import StoreGoneError
 from kinectbench.core.store.download import MOST_FILE_BYTES, Content, download, partial_downloads
 from kinectbench.core.store.store import in_parallel
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.engine.locks import locked, only_writer
 from kinectbench.release.unpack import unpack_archive
 from kinectbench.settings import yaml_nodes
@@ -116,7 +116,7 @@ class Recipe:
         """Return the path of a downloaded scan's recording, relative to the benchmark's folder."""
         return scan.folder if (self.out / scan.folder).is_dir() else scan.path
 
-    def fetch_all(self, scans: Sequence[Scan], progress: Progress | None = None) -> list[FetchedScan]:
+    def fetch_all(self, scans: Sequence[Scan], progress: Progress = no_progress) -> list[FetchedScan]:
         """Download scans in parallel; a failure does not stop the others.
 
         Raises:
@@ -126,8 +126,7 @@ class Recipe:
         files = {scan.scan: scan for scan in scans}
 
         def done(count: int) -> None:
-            if progress:
-                progress(count, len(files))
+            progress(count, len(files))
 
         came = in_parallel((partial(self.fetch, scan) for scan in files.values()), done, AT_ONCE)
         of_file = dict(zip(files, came, strict=True))

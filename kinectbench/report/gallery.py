@@ -21,7 +21,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.listing import inert_json
 from kinectbench.core.pictures import block_density
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import Float64, Progress, no_progress
 from kinectbench.core.voxels.pair_file import BLOCK, PARTIAL_CELLS, Packed, pack, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
@@ -70,7 +70,7 @@ def gallery_cells(
     predictions: Path,
     table: ScoreTable,
     upsampling: str = HALF_PIXEL,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Packed]:
     """Return {shown pair: its prediction at the threshold of its score, (64, 64, 8) uint8, packed}.
 
@@ -109,14 +109,13 @@ def loaded_cells(
     load: Callable[[Target], Prediction | None],
     table: ScoreTable,
     upsampling: str = HALF_PIXEL,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Packed]:
     """Do as `gallery_cells` for predictions that `load` returns; None gives an empty grid."""
     chosen = chosen_pairs(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):
-        if progress:
-            progress(done, len(chosen))
+        progress(done, len(chosen))
         cells[target.name] = _drawn(load(target), threshold, upsampling)
     return cells
 
@@ -126,7 +125,7 @@ def baseline_cells(
     tables: Sequence[ScoreTable],
     upsampling: str = HALF_PIXEL,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> list[dict[str, Packed]]:
     """Return for each baseline {shown pair: its prediction, (64, 64, 8) uint8, packed}, predicted again.
 

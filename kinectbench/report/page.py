@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import render_page
-from kinectbench.core.types import NamedProgress
+from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.stages import Job
 from kinectbench.report import charts, many, tables
 from kinectbench.report.gallery import PairTruth, gallery_json
@@ -63,7 +63,7 @@ def write_report(
     build: Path | None,
     scores: Sequence[ScoreTable],
     out: Path,
-    progress: NamedProgress | None = None,
+    progress: NamedProgress = no_progress,
     beside: Beside = NOTHING_BESIDE,
     released: ReleaseInfo | None = None,
 ) -> Path:
@@ -128,16 +128,13 @@ def _published(scores: Sequence[ScoreTable]) -> tuple[PublishedTable, ...]:
     return published_beside({row.recording for row in rows}, {row.category for row in rows})
 
 
-def _recordings(
-    settings: BenchmarkSettings, build: Path, progress: NamedProgress | None
-) -> list[RecordingPart]:
-    report = progress or (lambda _recording, _done, _total: None)
+def _recordings(settings: BenchmarkSettings, build: Path, progress: NamedProgress) -> list[RecordingPart]:
     chosen = spread(settings.recordings, SHOWN)
     total, parts = len(chosen), []
     for done, recording in enumerate(chosen):
-        report(recording.id, done, total)
+        progress(recording.id, done, total)
         parts.append(collect(Job(settings, recording, build.parent), build / recording.id))
-    report("", total, total)
+    progress("", total, total)
     return parts
 
 

@@ -1,13 +1,13 @@
 """Write the page of a benchmark with build folders, or of a release alone, from files on disk."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.gallery import Gallery, read_gallery, write_gallery
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, SCORES_JSON, ScoreTable
-from kinectbench.core.types import NamedProgress
+from kinectbench.core.types import NamedProgress, Progress, no_progress
 from kinectbench.release.publish.current import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
@@ -176,7 +176,7 @@ def page_of_benchmark(
     settings: BenchmarkSettings,
     root: Path,
     scores: Path | Sequence[Path],
-    progress: NamedProgress | None = None,
+    progress: NamedProgress = no_progress,
     out: Path | None = None,
     baselines: bool = True,
 ) -> tuple[Path, list[str]]:
@@ -232,7 +232,7 @@ def write_galleries(
     out: Path,
     upsampling: str,
     jobs: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = no_progress,
 ) -> None:
     """Write a gallery.npz beside the scores of every method that `score_methods` or `score_baselines` scored.
 

@@ -8,7 +8,7 @@ from kinectbench.core import PredictionError
 from kinectbench.core.artefacts.gallery import CELLS_SHAPE
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.pair_file import Packed
 from kinectbench.release.release import Release
 from kinectbench.report.gallery import chosen_pairs, reduced_packed, surface_cells
@@ -26,7 +26,7 @@ def space_cells(
     predictions: Path,
     method: MethodFile,
     table: ScoreTable,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Packed]:
     """Return {shown view: its prediction as cells, (64, 64, 8) uint8, packed}.
 
@@ -47,8 +47,7 @@ def space_cells(
     }
     cells: dict[str, Packed] = {}
     for done, target in enumerate(chosen):
-        if progress:
-            progress(done, len(chosen))
+        progress(done, len(chosen))
         cells[target.name] = np.zeros(CELLS_SHAPE, np.uint8)
         if target in found:
             truth, shape = (

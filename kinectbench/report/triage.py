@@ -1,6 +1,5 @@
 """Write the page of a triage, one file: pictures of each recording, its decision and the reasons."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +8,7 @@ from kinectbench.core.artefacts.object import QualityFile, with_interval
 from kinectbench.core.artefacts.triage import TriageFile, TriageRow
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.pages import render_page
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.report.looks import FRAME_PX, frame_pictures
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 
@@ -38,7 +38,7 @@ class Card:
 
 
 def write_triage_page(
-    name: str, triage: TriageFile, build: Path, out: Path, progress: Callable[[int, int], None] | None = None
+    name: str, triage: TriageFile, build: Path, out: Path, progress: Progress = no_progress
 ) -> None:
     """Write the page of a triage.
 
@@ -55,8 +55,7 @@ def write_triage_page(
     cards = []
     for number, row in enumerate(triage.rows, start=1):
         cards.append(_card(row, build / row.recording))
-        if progress:
-            progress(number, len(triage.rows))
+        progress(number, len(triage.rows))
     shown = {
         "name": name,
         "cards": cards,

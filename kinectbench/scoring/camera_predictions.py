@@ -10,7 +10,7 @@ import numpy as np
 from kinectbench.core import PredictionError, lies_below
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.geometry import invert_rigid, transform_points
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import Float64, Progress, no_progress
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
@@ -140,7 +140,7 @@ def _refused(shape: CameraShape, T_grid_camera: Float64, voxel_size_m: float) ->
 
 
 def check_camera(
-    release: Release, folder: Path, method: MethodFile, progress: Progress | None = None
+    release: Release, folder: Path, method: MethodFile, progress: Progress = no_progress
 ) -> tuple[list[str], list[str]]:
     """Check one method's predictions in the camera frame.
 
@@ -183,8 +183,7 @@ def check_camera(
             problems.append(found)
         elif target.split == "test":
             problems.append(missing_in_camera(name))
-        if progress:
-            progress(done, len(release.targets) * method.hypotheses)
+        progress(done, len(release.targets) * method.hypotheses)
     slips, notes = _judged(compared, method)
     problems += [*slips, *strays_in_camera(release, folder, method)]
     said = [*_summary(release, method, compared, answered), *notes, *_open_lines(compared)]

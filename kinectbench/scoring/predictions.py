@@ -9,7 +9,7 @@ from pathlib import Path
 from kinectbench.core import PredictionError, lies_below, listed_paths, name_problem, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.method import MethodFile, UnfinishedFile
-from kinectbench.core.types import Bools, Progress
+from kinectbench.core.types import Bools, Progress, no_progress
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import Prediction
@@ -284,7 +284,7 @@ def check(release: Release, folder: Path) -> list[str]:
 
 
 def check_grids(
-    release: Release, folder: Path, progress: Progress | None = None
+    release: Release, folder: Path, progress: Progress = no_progress
 ) -> tuple[list[str], list[str]]:
     """Check one method's predictions of the test split, and of the validation split if it predicts any.
 
@@ -315,8 +315,7 @@ def check_grids(
             readable |= {} if isinstance(found, str) else {target: found}
         if line:
             problems.append(line)
-        if progress:
-            progress(done, len(release.targets))
+        progress(done, len(release.targets))
     if line := axes_problem(_looked_at(release, predictions, list(readable))):
         problems.append(line)
     problems += stray_lines(predictions.stray, predictions.missing)

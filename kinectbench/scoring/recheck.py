@@ -10,7 +10,7 @@ from kinectbench.core import SettingsError, printable, sha256_file
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
@@ -31,7 +31,7 @@ def recheck(
     *,
     thresholds_file: Path | None = None,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> list[str]:
     """Score predictions with the settings of a table, and compare the result with the table.
 

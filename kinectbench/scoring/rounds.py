@@ -133,7 +133,7 @@ class Rounds:
     counting: Counting
     journal: Journal
     jobs: int | Executor
-    progress: Progress | None
+    progress: Progress
     _counted: list[Target] = field(default_factory=list)
 
     def count(
@@ -177,8 +177,7 @@ class Rounds:
                 self.journal.add(job, result)
             results[job.target] = result
             self._counted.append(job.target)
-            if self.progress:
-                self.progress(len(self._counted), total)
+            self.progress(len(self._counted), total)
 
         if isinstance(self.jobs, int):
             run_tasks(count_job, jobs, self.jobs, keep=keep)

@@ -9,7 +9,7 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
@@ -45,7 +45,7 @@ def score(
     upsampling: str = HALF_PIXEL,
     surface: bool = True,
     jobs: int | Executor = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     resume_in: Path | None = None,
     close: str | None = None,
 ) -> ScoreTable:
@@ -157,7 +157,7 @@ def score_methods(
     upsampling: str = HALF_PIXEL,
     surface: bool = True,
     jobs: int | Executor = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     close: str | None = None,
 ) -> list[ScoreTable]:
     """Score every method in a folder; write `out/scores.json`, or `out/<method>/scores.json` for several.
@@ -260,7 +260,7 @@ def count_methods(
     upsampling: str = HALF_PIXEL,
     surface: bool = True,
     jobs: int | Executor = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> int:
     """Count one part of the pairs; a later `score_methods` reads the counts in `out`.
 

@@ -5,7 +5,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from kinectbench.core import KinectBenchError
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.engine.processes import KILLED, submit_all, worker_pool
 
 # Tasks that make another process worth its start: it costs 2 s of CPU, a pair with all baselines 2.4 s. Two
@@ -20,7 +20,7 @@ def run_tasks(
     function: Callable[[Task], Result],
     tasks: Sequence[Task],
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     keep: Callable[[Task, Result], None] | None = None,
 ) -> list[Result]:
     """Apply a module-level function to every task; return the results in the order of the tasks.
@@ -42,8 +42,7 @@ def run_tasks(
         if keep:
             keep(tasks[len(results)], result)
         results.append(result)
-        if progress:
-            progress(len(results), len(tasks))
+        progress(len(results), len(tasks))
 
     jobs = min(jobs, len(tasks) // TASKS_A_PROCESS)
     if jobs <= 1:

@@ -16,7 +16,7 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.clock_offset import ClockOffset, clock_offset
 from kinectbench.core.trajectory.compare import MIN_MATCHED, TrajectoryError, compare_poses, has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.lab.evaluate.build import Build, BuildRegistration, register_build
 from kinectbench.lab.evaluate.measured import measured_surface
 from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures, mask_figures, pair_figures
@@ -200,7 +200,7 @@ def evaluate(
     truth: Truth,
     *,
     align: bool = True,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Evaluation:
     """Measure a build against the truth of the same recording.
 
@@ -238,7 +238,7 @@ def evaluate(
     if build.views is not None:
         masks = mask_figures(build, truth, registration)
     if build.views is not None and build.pair_names is not None:
-        pairs = pair_figures(build, truth, registration, progress or (lambda _done, _total: None))
+        pairs = pair_figures(build, truth, registration, progress)
     return Evaluation(
         subject=truth.subject,
         alignment=_alignment(registration),

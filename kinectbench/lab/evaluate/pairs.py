@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import RecordingError
 from kinectbench.core.geometry import Grid, invert_rigid
+from kinectbench.core.types import Progress
 from kinectbench.core.voxels.morphology import containment
 from kinectbench.core.voxels.pair_file import Pair, pack, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
@@ -150,7 +151,7 @@ class PairFigures:
 
 
 def pair_figures(
-    build: Build, truth: Truth, registration: BuildRegistration, progress: Callable[[int, int], None]
+    build: Build, truth: Truth, registration: BuildRegistration, progress: Progress
 ) -> PairFigures:
     """Compare every pair with the true solid, seen from the true camera pose of the pair's frame.
 

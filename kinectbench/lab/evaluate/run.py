@@ -11,7 +11,7 @@ from kinectbench.core import RecordingError, SettingsError, StorageError, pretty
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.trajectory.compare import has_pose
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.engine.stages import Job
 from kinectbench.lab.evaluate import charts
 from kinectbench.lab.evaluate.build import Build, read_build, register_build
@@ -145,7 +145,7 @@ def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) 
 
 
 def evaluate_recording(
-    build: Path, truth: Path, out: Path, *, align: bool = True, progress: Progress | None = None
+    build: Path, truth: Path, out: Path, *, align: bool = True, progress: Progress = no_progress
 ) -> Evaluation:
     """Compare a recording's build with its truth, and write figures, pictures and a page.
 

@@ -26,7 +26,7 @@ from kinectbench.core.artefacts.object import MadeModel, QualityFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.types import NamedProgress
+from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.locks import locked, sweep
 from kinectbench.lab.synthesize.make import FILES, Task, make_model
 from kinectbench.lab.synthesize.mesh_check import load_model
@@ -193,7 +193,7 @@ class Report:
 
 
 def synthesize(
-    settings: SynthesisSettings, out: Path, jobs: int = 1, progress: NamedProgress | None = None
+    settings: SynthesisSettings, out: Path, jobs: int = 1, progress: NamedProgress = no_progress
 ) -> Report:
     """Make the paper's synthetic pairs (Sec. 3.6) from a folder of meshes or from parametric furniture.
 
@@ -211,14 +211,13 @@ def synthesize(
         KinectBenchError: no model can be used, every pair was refused, or a process was killed.
         StorageError: the disk is full or read-only.
     """
-    tell = progress or (lambda what, done, total: None)
     _check_target(out)
     models, left_out = _models(settings)
     work = out.absolute().with_name(f"{out.absolute().name}.work")
     _check_work(work)
     with _kept_if_used(work), locked(work):
         sweep(out)
-        check = partial(_check_all, max_faces=settings.max_faces, jobs=jobs, progress=tell)
+        check = partial(_check_all, max_faces=settings.max_faces, jobs=jobs, progress=progress)
         dealt = deal(models, settings, check)
         tasks = [
             Task(model, split, settings, work)
@@ -231,7 +230,7 @@ def synthesize(
             raise KinectBenchError(
                 f"{settings.models or 'families'}: not one model can be used{reason}", what="no-model"
             )
-        run_tasks(make_model, tasks, jobs, partial(tell, "making"))
+        run_tasks(make_model, tasks, jobs, partial(progress, "making"))
         lines = tuple(_lines(settings, dealt, tasks, left_out))
         public = settings.stored(without={"models"})
         public["source"] = "meshes" if settings.models else "families"

@@ -24,7 +24,7 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.geometry import TOO_FAR, is_rigid
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.pair_file import (
     TRUTH_KEYS,
     Pair,
@@ -46,7 +46,7 @@ MISSING = "{}: missing"
 CHANGED = "{}: changed since it was published (SHA-256 differs)"
 
 
-def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool = False) -> list[str]:
+def verify(path: Path, progress: Progress = no_progress, *, checksums_only: bool = False) -> list[str]:
     """Return all faults of a release, one line each.
 
     One file at a time is in memory; an archive is not unpacked.
@@ -77,8 +77,7 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
             problem = _byte_problem(contents, name, sums[name])
             if problem:
                 damaged[name] = problem
-            if progress:
-                progress(done, total)
+            progress(done, total)
         lines = [*contents.problems, *damaged.values(), *_extra_files(contents, sums)]
         if checksums_only:
             return lines + _identity(contents, text, damaged)[1]
@@ -92,8 +91,7 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
         for done, name in enumerate(sorted(pairs), start=len(sums) + 1):
             if metadata and name not in damaged:
                 lines += _pair_lines(contents, name, metadata, stated.get(name, _OfPair()), objects)
-            if progress:
-                progress(done, total)
+            progress(done, total)
         lines += objects.share_lines(metadata)
         if metadata is not None:
             for recording in sorted({name.split("/")[1] for name in pairs if name not in damaged}):
@@ -102,7 +100,7 @@ def verify(path: Path, progress: Progress | None = None, *, checksums_only: bool
     return lines
 
 
-def verify_checksums(url: str, folder: Path, progress: Progress | None = None) -> list[str]:
+def verify_checksums(url: str, folder: Path, progress: Progress = no_progress) -> list[str]:
     """Check the SHA-256 of every file of a release at a URL; return a message for each fault.
 
     Few files at a time are on the local disk.

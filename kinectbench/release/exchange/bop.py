@@ -10,7 +10,7 @@ from kinectbench.core import ReleaseError, images, pretty_json, write_below
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.geometry import Camera, DepthRenderer, decimated, invert_rigid
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import MM_PER_M, Float64, Progress
+from kinectbench.core.types import MM_PER_M, Float64, Progress, no_progress
 from kinectbench.core.voxels.pair_file import SHARE_DECIMALS, unknown_share
 from kinectbench.release import view_images
 from kinectbench.release.exchange.bop_object import (
@@ -46,7 +46,7 @@ Made by kinectbench of the release {identity}; licence of the data: {license}.
 """
 
 
-def export_bop(release: Release, out: Path, progress: Progress | None = None) -> int:
+def export_bop(release: Release, out: Path, progress: Progress = no_progress) -> int:
     """Write a release as a BOP data set.
 
     Args:
@@ -132,7 +132,7 @@ def write_scene(
     obj_id: int,
     model: BopModel | None,
     before: int = 0,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> Camera:
     """Write one scene: depth, masks, its JSON files, and colour if it is registered to the depth.
 
@@ -177,8 +177,7 @@ def write_scene(
                 write_below(
                     folder / name / f"{image:06d}_000000.png", images.png(mask.astype(np.uint8) * 255)
                 )
-        if progress:
-            progress(done, len(release.targets))
+        progress(done, len(release.targets))
     (folder / "scene_camera.json").write_text(pretty_json(cameras), encoding="utf-8")
     if model is not None:
         (folder / "scene_gt.json").write_text(pretty_json(poses), encoding="utf-8")

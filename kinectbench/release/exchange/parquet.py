@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.targets import NUMBER_COLUMNS, columns_of
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.exchange.layouts import new_folder, write_export_json
 from kinectbench.release.release import Release
 
@@ -17,7 +17,7 @@ TARGETS_PARQUET = "targets.parquet"
 ROWS_PER_GROUP = 100_000
 
 
-def export_parquet(release: Release, out: Path, progress: Progress | None = None) -> int:
+def export_parquet(release: Release, out: Path, progress: Progress = no_progress) -> int:
     """Write targets.parquet: the columns and rows of targets.csv, `unknown_share` as a number or null.
 
     Args:
@@ -53,7 +53,6 @@ def export_parquet(release: Release, out: Path, progress: Progress | None = None
                     arrow.table({name: [getattr(target, name) for target in group] for name in names}, schema)
                 )
                 done += len(group)
-                if progress:
-                    progress(done, len(release.targets))
+                progress(done, len(release.targets))
         write_export_json(folder, release, {"targets": TARGETS_PARQUET})
     return done

@@ -26,7 +26,7 @@ from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPart
 from kinectbench.core.artefacts.targets import Target, check_names
 from kinectbench.core.artefacts.views import ViewName
-from kinectbench.core.types import Framing, PartialRule, Progress, Split
+from kinectbench.core.types import Framing, PartialRule, Progress, Split, no_progress
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
@@ -130,7 +130,7 @@ class FoundPair:
     values: dict[str, Any]
 
 
-def export_recgan(release: Release, out: Path, progress: Progress | None = None) -> int:
+def export_recgan(release: Release, out: Path, progress: Progress = no_progress) -> int:
     """Write every pair of a release as two files: the visible part (`25d`) and the full shape (`3d`).
 
     The grids are not cropped: the authors' readers centre a cropped grid in 256 cells, which would shift it.
@@ -164,13 +164,12 @@ def export_recgan(release: Release, out: Path, progress: Progress | None = None)
                 write_below(folder / file, recgan_file_bytes(unpack(cells)))
                 files[f"file_{kind}"] = file
             rows.append(pair_record(target, pair, **files))
-            if progress:
-                progress(done, len(release.targets))
+            progress(done, len(release.targets))
         write_export_json(folder, release, {"pairs": rows})
     return len(rows)
 
 
-def import_recgan(folder: Path, out: Path, progress: Progress | None = None, views: int | None = None) -> int:
+def import_recgan(folder: Path, out: Path, progress: Progress = no_progress, views: int | None = None) -> int:
     """Write a release from all pairs of files in a folder of the authors' layout.
 
     Pairs written by `kinectbench export` get their names and transforms back from export.json. For other
@@ -212,8 +211,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress | None = None, vie
             path = temporary / one.target.file
             write_below(path, pair_bytes(_pair(one, root)))
             targets.append(replace(one.target, sha256=sha256_file(path)))
-            if progress:
-                progress(done, len(pairs))
+            progress(done, len(pairs))
         first = pairs[0].values
         head = Head(
             content.name or _name(folder, views),

@@ -29,7 +29,7 @@ from kinectbench.core.artefacts.views import ViewRow, ViewsFile
 from kinectbench.core.geometry import Camera, TriangleMesh, is_rigid, write_ply
 from kinectbench.core.images import png
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_ply
-from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float64, Progress
+from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float64, Progress, no_progress
 from kinectbench.core.voxels.npy import read_npy
 from kinectbench.core.voxels.pair_file import PairInput, pair_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
@@ -90,7 +90,7 @@ class RedwoodScan:
     mesh: TriangleMesh
 
 
-def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) -> int:
+def import_redwood10(folder: Path, out: Path, progress: Progress = no_progress) -> int:
     """Write a release from the SDS-Complete scans in a folder; the camera frame serves as world frame.
 
     Args:
@@ -115,8 +115,7 @@ def import_redwood10(folder: Path, out: Path, progress: Progress | None = None) 
         targets = []
         for done, name in enumerate(there, start=1):
             targets.append(_written(name, _scan(folder, name), temporary))
-            if progress:
-                progress(done, len(there))
+            progress(done, len(there))
         head = Head(
             followed(folder).name or "redwood10",
             LICENSE,

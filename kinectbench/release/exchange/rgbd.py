@@ -21,7 +21,7 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import Side, ViewsFile
 from kinectbench.core.geometry import Camera, is_rigid
 from kinectbench.core.store.address import shown
-from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float32, Float64, Progress, Rgb
+from kinectbench.core.types import MM_PER_M, Bools, FileArray, Float32, Float64, Progress, Rgb, no_progress
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import pair_parts
 from kinectbench.release import view_images
@@ -155,7 +155,7 @@ WriteView = Callable[[Release, RgbdView, Path], tuple[RgbdView, dict[str, object
 def export_rgbd(
     release: Release,
     out: Path,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     method: str | None = None,
     write: WriteView | None = None,
     reads_color: bool = True,
@@ -186,8 +186,7 @@ def export_rgbd(
             stated = _write(release, view, folder / target.recording / target.view, method, write)
             cut.append(stated)
             without += [target.name] * (reads_color and view.color is None)
-            if progress:
-                progress(done, len(release.targets))
+            progress(done, len(release.targets))
         write_export_json(folder, release, {"layout": "rgbd", "method": method})
     return len(release.targets), [*_color_lines(without, len(release.targets)), *_cut_lines(cut)]
 

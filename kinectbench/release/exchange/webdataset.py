@@ -11,7 +11,7 @@ from pathlib import Path
 
 from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.targets import SPLITS, Target
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.pair_file import Pair, PairInput, checked_pair, pair_values
 from kinectbench.release.exchange.layouts import new_folder, pair_record, write_export_json
 from kinectbench.release.release import Release
@@ -23,7 +23,7 @@ PAIRS_PER_SHARD = 100
 def export_webdataset(
     release: Release,
     out: Path,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
     pairs_per_shard: int = PAIRS_PER_SHARD,
 ) -> int:
     """Write the pairs of each split as shards `<split>-000000.tar` and so on; the bytes are reproducible.
@@ -58,8 +58,7 @@ def export_webdataset(
                     _add(shard, f"{sample_key(target)}.npz", content)
                     _add(shard, f"{sample_key(target)}.json", json.dumps(row, allow_nan=False).encode())
                     done += 1
-                    if progress:
-                        progress(done, len(release.targets))
+                    progress(done, len(release.targets))
             shards[name] = len(targets)
         write_export_json(folder, release, {"layout": "webdataset", "shards": shards})
     return done

@@ -8,7 +8,7 @@ from pathlib import Path
 from kinectbench.core import ReleaseError, replaced_file, sha256_file
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.release.published import listed_files
 from kinectbench.settings.models import BenchmarkSettings
@@ -55,7 +55,7 @@ def _refuse(reasons: Sequence[str]) -> None:
         raise ReleaseError(f"no archive is made: {'; and '.join(reasons)}", what="no-archive")
 
 
-def write_archive(release: Path, out: Path, progress: Progress | None = None) -> Path:
+def write_archive(release: Path, out: Path, progress: Progress = no_progress) -> Path:
     """Pack a release as `out/<stem>.zip`, with its checksum in `<stem>.zip.sha256`; return the zip's path.
 
     Only SHA256SUMS and the files in it are packed. Entries are sorted, with fixed times and permissions. npz
@@ -72,15 +72,14 @@ def write_archive(release: Path, out: Path, progress: Progress | None = None) ->
     """
     info = ReleaseInfo.read(release)
     _refuse(info.distribution.reasons if info.distribution else ())
-    show = progress or (lambda done, total: None)
-    listed = listed_files(release, lambda done, total: show(done, 2 * total))
+    listed = listed_files(release, lambda done, total: progress(done, 2 * total))
     stem, names = archive_stem(info), [SHA256SUMS, *listed]
     path = out / f"{stem}.zip"
     with replaced_file(path) as temporary:
         with zipfile.ZipFile(temporary, "w") as archive:
             for done, name in enumerate(sorted(names)):
                 _add(archive, release / name, f"{stem}/{name}")
-                show(len(listed) + done, 2 * len(listed))
+                progress(len(listed) + done, 2 * len(listed))
         sha256 = sha256_file(temporary)
     with replaced_file(path.with_name(f"{path.name}.sha256")) as temporary:
         temporary.write_text(f"{sha256}  {path.name}\n", encoding="utf-8")

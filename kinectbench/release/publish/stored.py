@@ -12,7 +12,7 @@ from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.store.address import joined, url_of
 from kinectbench.core.store.store import Store, in_parallel
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.engine.checkout import Checkout, checkout, named_as_there
 from kinectbench.engine.scratch import scratch_folder
 from kinectbench.engine.stages import Job
@@ -37,7 +37,7 @@ def publish_stored(
     jobs: Sequence[Job],
     force: bool = False,
     options: PublishOptions | None = None,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> PublishSummary:
     """Publish a benchmark whose build is in a store as `benchmark/` in that store; see `publish_if_stale`.
 
@@ -63,8 +63,7 @@ def publish_stored(
         if summary is None:
             for number, each in enumerate(checkouts, start=1):
                 _fetch_read(each)
-                if progress:
-                    progress(number, len(checkouts))
+                progress(number, len(checkouts))
             summary = publish_if_stale(settings, root, names, force, options)
             for part in (summary.folder, summary.private):
                 if part is not None:

@@ -10,7 +10,7 @@ from kinectbench._version import __version__
 from kinectbench.core import PredictionError, SettingsError, missing_extra, replaced_folder
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.geometry import similarity_problem
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import Float64, Progress, no_progress
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.release.exchange.layouts import names_sha256, refuse_others
 from kinectbench.release.exchange.rgbd import ViewCamera, camera_of, export_rgbd
@@ -44,7 +44,7 @@ def _adapter_of(name: str) -> Adapter:
 
 
 def export_for(
-    release: Release, out: Path, name: str, progress: Progress | None = None
+    release: Release, out: Path, name: str, progress: Progress = no_progress
 ) -> tuple[int, list[str]]:
     """Write the views of a release in the format that a method's own loader reads.
 
@@ -63,7 +63,7 @@ def export_for(
 
 
 def adapt(
-    release: Release, name: str, output: Path, out: Path, progress: Progress | None = None
+    release: Release, name: str, output: Path, out: Path, progress: Progress = no_progress
 ) -> tuple[int, list[str]]:
     """Convert a method's output into predictions in the camera frame, with method.json.
 
@@ -99,8 +99,7 @@ def adapt(
                     volumes[target.name] = camera.volume_m
             except PredictionError as error:
                 problems.append(f"{target.name}: {error}")
-            if progress:
-                progress(done, len(release.targets))
+            progress(done, len(release.targets))
         if not written:
             raise PredictionError(_nothing(output, adapter, problems), what="none")
         method_file = MethodFile(

@@ -10,7 +10,7 @@ from pathlib import Path
 from kinectbench.core import StorageError
 from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, ScoreTable
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
@@ -32,7 +32,7 @@ def baselines_beside(
     upsampling: str = HALF_PIXEL,
     without: Collection[str] = (),
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> list[ScoreTable]:
     """Score every baseline that the release allows; `score` gives the same for the baseline's files.
 

@@ -9,7 +9,7 @@ from typing import Any
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import check_names
-from kinectbench.core.types import Progress, Split
+from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import describe, make_table, rows_of
@@ -39,7 +39,7 @@ def score_baselines(
     upsampling: str = HALF_PIXEL,
     surface: bool = True,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> list[ScoreTable]:
     """Score every baseline that a release allows as a method, and write `out/<name>/scores.json`.
 
@@ -83,7 +83,7 @@ def counted_baselines(
     *,
     thresholds_file: Path | None = None,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> list[ScoreTable]:
     """Return the tables of the named baselines, in the order of `names`.
 
@@ -110,7 +110,7 @@ def counted_baselines(
     counted: dict[Target, Counts] = {}
     for together in rounds:
         tasks = baseline_tasks(release, names, rates, together)
-        tell = None if progress is None else partial(_tell, progress, len(counted), pairs)
+        tell = partial(_tell, progress, len(counted), pairs)
         results = run_tasks(partial(_count, counting, thresholds), tasks, jobs, tell)
         counted |= {task.target: of for task, of in zip(tasks, results, strict=True)}
         if "validation" in together:

@@ -7,7 +7,7 @@ from pathlib import Path
 from kinectbench.core import PredictionError
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
@@ -35,7 +35,7 @@ def space_baselines(
     *,
     thresholds_file: Path | None = None,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> list[ScoreTable]:
     """Return the tables of the named baselines, in the order of `names`, without those in `WITHOUT_SURFACE`.
 

@@ -13,7 +13,7 @@ from kinectbench._version import __version__
 from kinectbench.core import SettingsError, replaced_file, storage_errors
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.scores import BaseRate
-from kinectbench.core.types import Progress, Split
+from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pair_values
 from kinectbench.release.release import Release, Target
@@ -94,7 +94,7 @@ def write_baselines(
     out: Path,
     names: Sequence[str] | None = None,
     jobs: int = 1,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> tuple[str, ...]:
     """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair, and method.json last.
 

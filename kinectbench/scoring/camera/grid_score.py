@@ -6,7 +6,7 @@ from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.score_figures import IN_SPACE
 from kinectbench.core.artefacts.scores import ScoreTable
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.camera.grid import GridJob, score_grid
@@ -52,7 +52,7 @@ def score_grid_in_space(
     protocols: tuple[str, ...],
     missing: Missing,
     jobs: int,
-    progress: Progress | None,
+    progress: Progress,
 ) -> ScoreTable:
     """Score the test split of a method whose predictions are in the pairs' grids.
 
@@ -71,7 +71,7 @@ def score_grid_in_space(
     """
     rows = tuple(asked_rows(protocols, "metric"))
     refuse_many_rows(len(release.split("test")), rows)
-    rounds = Rounds(release, SEARCHING, Journal(None), jobs, None)
+    rounds = Rounds(release, SEARCHING, Journal(None), jobs, no_progress)
     searched = {target: file for target, file in asked.files.items() if target.split == "validation"}
     outcomes, thresholds = rounds.count(searched, asked.fixed, asked.own)
     validation = {t: found.digest for t, found in outcomes.items() if isinstance(found, PairResult)}

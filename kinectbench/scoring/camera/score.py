@@ -46,7 +46,7 @@ def score_in_camera(
     protocols: tuple[str, ...],
     missing: Missing,
     jobs: int,
-    progress: Progress | None,
+    progress: Progress,
     close: str | None = None,
 ) -> ScoreTable:
     """Score the test split of a method whose predictions are in the camera frame.
