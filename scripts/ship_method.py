@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from kinectbench.core.artefacts.method import TrainingFile
-from kinectbench.networks.config_file import read_config
+from kinectbench.networks.config import read_config
 from kinectbench.networks.run_folder import CONFIG, CURVES
 from kinectbench.networks.trained import FOLDER, open_trained
 from kinectbench.networks.weights import FILE, read_weights, write_weights

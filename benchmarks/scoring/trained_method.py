@@ -24,8 +24,7 @@ from kinectbench.networks.validate import completed
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.baselines.inputs import MEAN_CELLS, Inputs, TrainingTruth, up_in_grid
 from kinectbench.scoring.baselines.registry import BASELINES
-from kinectbench.scoring.counts import protocol_counts, tally
-from kinectbench.scoring.metrics import ious
+from kinectbench.scoring.counts import ious, protocol_counts, tally
 from kinectbench.scoring.truth import read_packed_truth, read_parts
 from kinectbench.scoring.uncertainty import student_interval
 

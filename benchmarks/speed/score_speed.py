@@ -19,8 +19,7 @@ from kinectbench.core.types import Bools
 from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.core.voxels.resample import CORNER_ALIGNED, upsampled_planes
-from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, tally
-from kinectbench.scoring.metrics import cross_entropy, ious
+from kinectbench.scoring.counts import THRESHOLDS, cross_entropy, ious, protocol_counts, tally
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.surface_kernels import cells_of, nearest_cells
 from kinectbench.scoring.truth import PackedTruth

@@ -23,7 +23,7 @@ Word = TypeVar("Word", bound=str)
 
 def _known_configs(incomplete: str) -> list[str]:
     """Return the names of packaged configurations that complete an incomplete word in the shell."""
-    from kinectbench.networks.config_file import packaged_configs
+    from kinectbench.networks.config import packaged_configs
 
     return [name for name in packaged_configs() if name.startswith(incomplete)]
 
@@ -65,7 +65,7 @@ def train_command(
 
     require_torch()
     from kinectbench.core.artefacts.method import TrainingFile
-    from kinectbench.networks.config_file import find_config
+    from kinectbench.networks.config import find_config
     from kinectbench.networks.data import unknown_objects
     from kinectbench.networks.train import train as run
     from kinectbench.release.release import open_release

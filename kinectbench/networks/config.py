@@ -1,8 +1,10 @@
 """The settings of a method: its network, its loss, and how it is trained. A configuration is a YAML file."""
 
 import re
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
+import yaml
 from pydantic import Field, field_validator, model_validator
 
 from kinectbench.core import (
@@ -14,6 +16,8 @@ from kinectbench.core import (
     sha256_text,
 )
 from kinectbench.settings.base import Settings
+from kinectbench.settings.words import suggestion
+from kinectbench.settings.yaml_model import read_model
 
 NetworkName = Literal["3d-recgan++", "3d-recae", "3d-epn", "varley", "han-like"]
 # Kind of a user's own network: a class by its path.
@@ -183,3 +187,51 @@ class MethodSettings(Settings):
     def sha256(self) -> str:
         """Return the hash of the values that differ from defaults; so a new setting changes no old hash."""
         return sha256_text(canonical_json(self.model_dump(mode="json", exclude_defaults=True)))
+
+
+FOLDER = Path(__file__).parent / "configs"
+SUFFIX = ".yaml"
+
+
+def packaged_configs() -> tuple[str, ...]:
+    """Return the names of the configurations in the package, sorted."""
+    return tuple(sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}")))
+
+
+def find_config(name: str) -> MethodSettings:
+    """Read a configuration by its name in the package, or by its path.
+
+    Raises:
+        SettingsError: there is no such configuration, or two have this name; or one line for each error in
+            it.
+    """
+    path = Path(name)
+    if name in packaged_configs():
+        if path.is_file():
+            raise SettingsError(f"{name}: of the package, and a file here; for that write ./{name}")
+        return read_config(FOLDER / f"{name}{SUFFIX}")
+    if not path.is_file():
+        shown = printable(name)
+        raise SettingsError(
+            f"{shown}: no such file, and no configuration of ours; {suggestion(name, packaged_configs())}"
+        )
+    return read_config(path)
+
+
+def read_config(path: Path) -> MethodSettings:
+    """Read and check a configuration.
+
+    Raises:
+        SettingsError: the file cannot be read, or one line for each error: file and line, key, what is
+            allowed.
+    """
+    return read_model(path, MethodSettings, "name: my-method")
+
+
+def write_config(config: MethodSettings, path: Path) -> None:
+    """Write a configuration with all defaults; `read_config` reads it back, also in older versions."""
+    values = config.model_dump(mode="json")
+    if config.training.category is None:
+        del values["training"]["category"]
+    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    path.write_text(text, encoding="utf-8")

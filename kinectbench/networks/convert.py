@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core import StorageError, printable, replaced_file, sha256_file
 from kinectbench.core.artefacts.method import TrainingFile
 from kinectbench.core.types import Float32
-from kinectbench.networks.config import MethodSettings
-from kinectbench.networks.config_file import FOLDER, read_config
+from kinectbench.networks.config import FOLDER, MethodSettings, read_config
 from kinectbench.networks.recae import BOTTOM_CELLS, DECODER, ENCODER
 from kinectbench.networks.recgan import CHANNELS
 from kinectbench.networks.registry import make_network

@@ -15,7 +15,7 @@ from kinectbench.core import ReleaseError, printable
 from kinectbench.core.threads import ahead, using_threads
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks.config import MethodSettings
-from kinectbench.networks.grids import TruthBatch
+from kinectbench.networks.network import TruthBatch
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.truth import read_parts
 from kinectbench.settings.words import suggestion

@@ -13,9 +13,8 @@ import torch
 from torch import Generator, Tensor, nn
 from torch.nn import functional
 
-from kinectbench.networks.grids import TruthBatch, reduced_partial
 from kinectbench.networks.layers import KERNEL, Doubling, narrowed, xavier
-from kinectbench.networks.network import Network
+from kinectbench.networks.network import Network, TruthBatch, reduced_partial
 
 # All of these values are ours.
 GLOBAL_CELLS, PATCH_CELLS, OUTPUT_CELLS = 32, 32, 256

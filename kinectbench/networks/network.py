@@ -1,10 +1,62 @@
-"""Base class of networks: a torch module with the resolutions of its grids and its training targets."""
+"""Base class of networks, and the grids of a batch at the resolutions of its input and output."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
+import torch
 from torch import Generator, Tensor, nn
+from torch.nn import functional
 
-from kinectbench.networks.grids import TruthBatch, reduced_partial
+
+def reduced_partial(partial: Tensor, cells: int) -> Tensor:
+    """Reduce partial views (b, 1, 64, 64, 64) to `cells`^3: a cell is set if it overlaps a set cell.
+
+    The paper does not say how its views were reduced to 32^3 and 40^3; this is its rule for 64^3.
+    """
+    return partial if partial.shape[-1] == cells else functional.adaptive_max_pool3d(partial, cells)
+
+
+@dataclass(frozen=True)
+class TruthBatch:
+    """The truth of a batch.
+
+    Attributes:
+        full: (b, 1, 256, 256, 256) bool, the full shapes; after `tile`, (1, 1, n, n, n) with n below 256.
+        known: bool of the same shape, where the truth is known; None: every voxel counts.
+    """
+
+    full: Tensor
+    known: Tensor | None
+
+    def at(self, cells: int) -> tuple[Tensor, Tensor]:
+        """Return targets and weights, each (b, 1, cells, cells, cells) float32.
+
+        A target is the occupied share of a cell's known part, 0 if nothing of it is known; its weight is the
+        known share of the cell. At the grids' own resolution these are the grids themselves.
+        """
+        if self.known is None:
+            return _shares(self.full, cells), self._ones(cells)
+        weight = _shares(self.known, cells)
+        return _shares(self.full & self.known, cells) / weight.clamp(min=1e-6), weight
+
+    def tile(self, index: int, place: tuple[int, ...], count: int) -> "TruthBatch":
+        """Return one tile (1, 1, n, n, n) of the grids of pair `index`, which are cut into `count`^3 tiles.
+
+        `place` (3,) is the tile's index along each axis, 0 to `count` - 1.
+        """
+        cells = self.full.shape[-1] // count
+        box = tuple(slice(cells * k, cells * (k + 1)) for k in place)
+        cut = (slice(index, index + 1), slice(None), *box)
+        return TruthBatch(self.full[cut], None if self.known is None else self.known[cut])
+
+    def _ones(self, cells: int) -> Tensor:
+        ones = self.full.new_ones((), dtype=torch.float32)
+        return ones.expand(len(self.full), 1, cells, cells, cells)
+
+
+def _shares(grid: Tensor, cells: int) -> Tensor:
+    values = grid.float()
+    return values if grid.shape[-1] == cells else functional.adaptive_avg_pool3d(values, cells)
 
 
 class Network(nn.Module):

@@ -10,9 +10,8 @@ import torch
 from torch import Generator, Tensor, nn
 from torch.nn import functional
 
-from kinectbench.networks.grids import TruthBatch
 from kinectbench.networks.layers import Doubling, SameConv, he, narrowed, xavier
-from kinectbench.networks.network import Network
+from kinectbench.networks.network import Network, TruthBatch
 
 ENCODER = (64, 128, 256, 512)
 VECTOR = 2000

@@ -1,7 +1,7 @@
 """The folder of a training: configuration, checkpoint, weights, log of validations, and curves."""
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,9 @@ from kinectbench.core import (
     storage_errors,
 )
 from kinectbench.core.artefacts.method import TrainingFile, TrainingRow
+from kinectbench.core.pictures import INK, SOFT, figure_png, new_figure
 from kinectbench.networks.checkpoint import DAMAGED, checked_state, read_checkpoint, set_values
-from kinectbench.networks.config import MethodSettings
-from kinectbench.networks.config_file import read_config, write_config
-from kinectbench.networks.curves import curves_png
+from kinectbench.networks.config import MethodSettings, read_config, write_config
 from kinectbench.networks.data import steps_in_all
 from kinectbench.networks.steps import Learner, Losses
 from kinectbench.networks.weights import FILE as WEIGHTS
@@ -219,3 +218,33 @@ def _processor() -> str:
         return platform.machine()
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return models[0] if models and models[0] else platform.machine()
+
+
+BLUE, ORANGE = "#3b6ea5", "#c77728"
+LOSSES = (("loss", INK), ("reconstruction", BLUE), ("discriminator", ORANGE))
+
+
+def curves_png(name: str, rows: Sequence[TrainingRow]) -> bytes:
+    """Return a PNG of a method's losses and validation IoU by step; the same rows give the same bytes."""
+    figure = new_figure(7.0, 5.0)
+    above, below = figure.subplots(2, 1, sharex=True)
+    steps = [row.step for row in rows]
+    for key, color in LOSSES:
+        values = [getattr(row, key) for row in rows]
+        if any(value is not None for value in values):
+            above.plot(steps, values, ".-", color=color, linewidth=1.0, markersize=4, label=key)
+    if rows:
+        above.legend(frameon=False, fontsize=8)
+    above.set_title(name, fontsize=10, loc="left")
+    above.set_ylabel("loss, mean", fontsize=9)
+    looked = [(row.step, row.validation_iou) for row in rows if row.validation_iou is not None]
+    if looked:
+        below.plot(*zip(*looked, strict=True), ".-", color=BLUE, linewidth=1.0, markersize=4)
+    else:
+        below.text(0.5, 0.5, "no validation pairs", color=SOFT, transform=below.transAxes, ha="center")
+    below.set_ylabel("validation IoU", fontsize=9)
+    below.set_xlabel("step", fontsize=9)
+    for axes in (above, below):
+        axes.tick_params(labelsize=8)
+        axes.grid(color=SOFT, alpha=0.25, linewidth=0.5)
+    return figure_png(figure)

@@ -1,16 +1,16 @@
-"""One optimisation step: of the generator alone, or of the discriminator and then the generator."""
+"""One optimisation step, of the generator or of both networks in turn, and its reconstruction losses."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import torch
 from torch import Generator, Tensor, nn
+from torch.nn import functional
 from torch.optim import Adam
 
 from kinectbench.core import KinectBenchError
-from kinectbench.networks.config import MethodSettings
+from kinectbench.networks.config import LossSettings, MethodSettings
 from kinectbench.networks.data import Batch
-from kinectbench.networks.losses import reconstruction_loss
 from kinectbench.networks.network import Network
 from kinectbench.networks.processes import average_buffers, average_gradients
 from kinectbench.networks.recae import RecAE
@@ -136,3 +136,44 @@ def _mixed(seed: int, step: int, rank: int) -> int:
     """Return a distinct seed (63 bits) for each step and process."""
     mixed = (seed * 1_000_003 + step) * 1_000_003 + rank
     return mixed & (2**63 - 1)
+
+
+# Keeps the logarithm finite, as the authors' code does.
+TINY = 1e-8
+
+
+def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings: LossSettings) -> Tensor:
+    """Return the sum, over the supervised outputs, of the mean loss per voxel, in nats: ().
+
+    Args:
+        parts: (logits, targets in [0, 1], weights) of each output, three tensors of one shape.
+        settings: the chosen loss.
+    """
+    losses = [
+        _mean(voxel_losses(logits.float(), target, settings), weight) for logits, target, weight in parts
+    ]
+    return torch.stack(losses).sum()
+
+
+def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tensor:
+    """Return the loss of each voxel, in nats: cross-entropy, or the paper's weighted loss (its equation 3).
+
+    The weighted loss is -alpha y log p - (1 - alpha) (1 - y) log(1 - p), with the target y and p =
+    sigmoid(logit). If `settings.probability_floor` is not 0, as in the authors' code, smaller p are raised to
+    it, so voxels with such a p have no gradient.
+    """
+    if settings.kind == "cross-entropy":
+        return functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
+    if settings.probability_floor > 0:
+        p = logits.sigmoid().clamp(min=settings.probability_floor)
+        hit, miss = -(p + TINY).log(), -(1 - p + TINY).log()
+    else:
+        hit, miss = functional.softplus(-logits), functional.softplus(logits)
+    return settings.alpha * target * hit + (1 - settings.alpha) * (1 - target) * miss
+
+
+def _mean(losses: Tensor, weight: Tensor) -> Tensor:
+    """Return the weighted mean; a sum of weights below 1 counts as 1, so the mean is 0 if all are 0."""
+    if weight.stride() == (0,) * weight.dim() or not weight.numel():  # an expanded scalar 1
+        return losses.mean()
+    return (losses * weight).sum() / weight.sum().clamp(min=1.0)

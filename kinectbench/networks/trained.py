@@ -5,8 +5,7 @@ from pathlib import Path
 
 from kinectbench.core import SettingsError, listed, printable, sha256_file
 from kinectbench.core.artefacts.method import TrainingFile
-from kinectbench.networks.config import MethodSettings
-from kinectbench.networks.config_file import packaged_configs, read_config
+from kinectbench.networks.config import MethodSettings, packaged_configs, read_config
 from kinectbench.networks.network import Network
 from kinectbench.networks.recgan import RecGAN
 from kinectbench.networks.registry import make_network

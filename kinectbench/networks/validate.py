@@ -11,8 +11,7 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks.config import MethodSettings
 from kinectbench.networks.data import PairFile, as_tensor, turned_axes
 from kinectbench.networks.network import Network
-from kinectbench.scoring.counts import THRESHOLDS, is_all_unknown, protocol_counts, tally
-from kinectbench.scoring.metrics import ious
+from kinectbench.scoring.counts import THRESHOLDS, ious, is_all_unknown, protocol_counts, tally
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.truth import read_packed_truth, read_parts
 

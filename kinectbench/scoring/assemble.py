@@ -15,13 +15,15 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import (
     CE_CLIP,
     THRESHOLDS,
+    constant_cross_entropy,
+    ious,
     is_all_unknown,
+    metrics,
     protocol_counts,
     tally_unknown_share,
 )
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
-from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS

@@ -1,6 +1,8 @@
 """Count a prediction against its truth in one pass: enough for every metric, threshold and protocol.
 
-Binarised predictions, and the truth at a coarser resolution, are computed here, too.
+Binarised predictions, the truth at a coarser resolution, and the paper's metrics are computed here, too.
+Ratios have no unit; cross-entropy is in nats a voxel. The paper leaves empty predictions and empty truths
+open; each function says what it returns for them.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.counted import Tally
+from kinectbench.core.artefacts.score_figures import VoxelMetrics
 from kinectbench.core.types import Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
 from kinectbench.core.voxels.resample import HALF_PIXEL, upsampled_planes
@@ -208,3 +211,58 @@ def _overlaps(cells: int, side: int) -> Float32:
     fine, coarse = np.arange(cells), np.arange(side)[:, None] * (cells / side)
     covered = np.minimum(fine + 1, coarse + cells / side) - np.maximum(fine, coarse)
     return np.asarray(np.clip(covered, 0, None) * (side / cells), dtype=np.float32)
+
+
+def metrics(counts: ProtocolCounts, step: int) -> VoxelMetrics:
+    """Return all metrics at the threshold (step + 2) / 20; `step` is 0 to 16."""
+    predicted, hit = int(counts.predicted[step]), int(counts.hit[step])
+    return VoxelMetrics(
+        iou=iou(predicted, counts.occupied, hit),
+        ce=cross_entropy(counts),
+        precision=_share(hit, predicted, other=counts.occupied),
+        recall=_share(hit, counts.occupied, other=predicted),
+        f1=f1(predicted, counts.occupied, hit),
+    )
+
+
+def iou(predicted: int, occupied: int, hit: int) -> float:
+    """Return intersection over union, `hit / (predicted + occupied - hit)`; 1 if the union is empty."""
+    union = predicted + occupied - hit
+    return hit / union if union else 1.0
+
+
+def ious(counts: ProtocolCounts) -> Float64:
+    """Return the IoU at each threshold k / 20, k = 2 to 18: (17,) float64."""
+    return np.array(
+        [iou(int(p), counts.occupied, int(h)) for p, h in zip(counts.predicted, counts.hit, strict=True)]
+    )
+
+
+def f1(predicted: int, occupied: int, hit: int) -> float:
+    """Return the harmonic mean of precision and recall, `2 hit / (predicted + occupied)`; 1 if both are 0."""
+    return 2 * hit / (predicted + occupied) if predicted + occupied else 1.0
+
+
+def cross_entropy(counts: ProtocolCounts) -> float:
+    """Return the mean binary cross-entropy of the clipped prediction, nats a voxel; 0 without voxels."""
+    return counts.ce_sum / counts.voxels if counts.voxels else 0.0
+
+
+def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float:
+    """Return the mean cross-entropy, nats a voxel, of predicting `constant` everywhere; 0 without voxels.
+
+    Args:
+        occupied: number of voxels occupied in the truth.
+        voxels: number of counted voxels.
+        constant: in [0, 1]; clipped as a prediction is.
+    """
+    y = min(max(constant, CE_CLIP), 1 - CE_CLIP)
+    loss = -occupied * np.log(y) - (voxels - occupied) * np.log(1 - y)
+    return float(loss) / voxels if voxels else 0.0
+
+
+def _share(hit: int, total: int, *, other: int) -> float:
+    """Return `hit / total`; for an empty total, 1 if the other set is empty too, else 0."""
+    if total:
+        return hit / total
+    return 0.0 if other else 1.0

@@ -23,9 +23,8 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import Prediction, ceiling_tallies, occupied, protocol_counts, tallies
+from kinectbench.scoring.counts import Prediction, ceiling_tallies, ious, occupied, protocol_counts, tallies
 from kinectbench.scoring.mesh_prediction import MESHES
-from kinectbench.scoring.metrics import ious
 from kinectbench.scoring.prediction_file import load_hashed
 from kinectbench.scoring.protocols import further_grids
 from kinectbench.scoring.read_table import differing

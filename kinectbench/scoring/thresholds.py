@@ -11,8 +11,7 @@ from kinectbench.core import ReleaseError, SettingsError, decoded, read_plain
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.release.release import Target
-from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, protocol_counts
-from kinectbench.scoring.metrics import ious
+from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, ious, protocol_counts
 
 FIXED = 0.5
 # Sources of a threshold; for a file its SHA-256 follows. "pooled": searched on the validation pairs of all

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from read_pictures import read_picture
 
 from kinectbench.doctor import inspect
+from kinectbench.doctor.codes import solve_scale
 from kinectbench.doctor.during_build import likely_cause
 from kinectbench.doctor.probe import probe_recording
-from kinectbench.doctor.scales import solve_scale
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.settings.models import CameraSettings, TrackingSettings

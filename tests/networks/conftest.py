@@ -54,7 +54,7 @@ def tiny(tmp_path: Path) -> Callable[..., Path]:
 @pytest.fixture(scope="module")
 def trained(learning: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a tiny network, trained for one epoch."""
-    from kinectbench.networks.config_file import read_config
+    from kinectbench.networks.config import read_config
     from kinectbench.networks.train import train
 
     root = tmp_path_factory.mktemp("trained")

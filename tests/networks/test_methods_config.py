@@ -7,8 +7,15 @@ import pytest
 from raising import raises
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.networks.config import AdversarialSettings, MethodSettings, NetworkSettings
-from kinectbench.networks.config_file import find_config, packaged_configs, read_config, write_config
+from kinectbench.networks.config import (
+    AdversarialSettings,
+    MethodSettings,
+    NetworkSettings,
+    find_config,
+    packaged_configs,
+    read_config,
+    write_config,
+)
 
 Tiny = Callable[..., Path]
 

@@ -18,8 +18,7 @@ from tensor_bundle_writer import MAGIC, block, crc32c, entry, field, masked, tab
 
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.networks import tensor_bundle
-from kinectbench.networks.config import NetworkSettings
-from kinectbench.networks.config_file import read_config
+from kinectbench.networks.config import NetworkSettings, read_config
 from kinectbench.networks.crc32c import masked_crc32c
 from kinectbench.networks.registry import NETWORKS, make_network
 from kinectbench.networks.run_folder import CHECKPOINT, CONFIG

@@ -7,11 +7,10 @@ from torch import Tensor, nn
 
 from kinectbench.networks.config import AdversarialSettings, LossSettings, MethodSettings
 from kinectbench.networks.data import Batch
-from kinectbench.networks.grids import TruthBatch, reduced_partial
-from kinectbench.networks.losses import reconstruction_loss, voxel_losses
+from kinectbench.networks.network import TruthBatch, reduced_partial
 from kinectbench.networks.recgan import Discriminator, RecGAN, discriminator_loss
 from kinectbench.networks.registry import make_network
-from kinectbench.networks.steps import Learner
+from kinectbench.networks.steps import Learner, reconstruction_loss, voxel_losses
 
 LOGITS = torch.tensor([-9.0, -2.0, 0.0, 1.5])
 P = 1 / (1 + np.exp(-LOGITS.numpy().astype(np.float64)))

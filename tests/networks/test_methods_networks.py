@@ -14,8 +14,7 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.networks import han_like
 from kinectbench.networks.config import MethodSettings, NetworkName, NetworkSettings
 from kinectbench.networks.data import Batch, as_tensor, bits_tensor
-from kinectbench.networks.grids import TruthBatch
-from kinectbench.networks.network import Network
+from kinectbench.networks.network import Network, TruthBatch
 from kinectbench.networks.recae import RecAE
 from kinectbench.networks.registry import NETWORKS, make_network
 from kinectbench.networks.steps import Learner, StepError

@@ -13,8 +13,7 @@ from raising import raises
 from small_benchmark import Run
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.networks.config import NetworkSettings
-from kinectbench.networks.config_file import read_config
+from kinectbench.networks.config import NetworkSettings, read_config
 from kinectbench.networks.registry import make_network
 from kinectbench.networks.train import train
 from kinectbench.networks.trained import open_trained

@@ -11,7 +11,7 @@ from small_benchmark import Run
 from small_method import TINY
 from synthetic_release import publish_synthetic
 
-from kinectbench.networks.config_file import read_config
+from kinectbench.networks.config import read_config
 from kinectbench.networks.train import train
 from kinectbench.release.release import Release
 from kinectbench.scoring.prediction_file import load_prediction

@@ -13,7 +13,7 @@ from raising import raises
 from kinectbench.core.artefacts.method import MethodFile, TrainingFile, TrainingRow
 from kinectbench.core.errors import SettingsError
 from kinectbench.networks import predict as predicting
-from kinectbench.networks.config_file import read_config
+from kinectbench.networks.config import read_config
 from kinectbench.networks.registry import make_network
 from kinectbench.networks.trained import Trained
 from kinectbench.release.release import Release

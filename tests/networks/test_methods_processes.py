@@ -15,7 +15,7 @@ from raising import raises
 from torch import distributed
 
 from kinectbench.core.errors import SettingsError
-from kinectbench.networks.config_file import read_config
+from kinectbench.networks.config import read_config
 from kinectbench.networks.processes import chosen_device, joined_processes
 from kinectbench.networks.train import train
 from kinectbench.release.release import Release
@@ -27,7 +27,7 @@ import sys, torch
 from pathlib import Path
 torch.set_num_threads(1)
 from kinectbench.release.release import open_release
-from kinectbench.networks.config_file import read_config
+from kinectbench.networks.config import read_config
 from kinectbench.networks.train import train
 config, release, out = map(Path, sys.argv[1:])
 train(read_config(config), [open_release(release)], out, device="cpu")

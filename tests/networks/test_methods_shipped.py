@@ -16,7 +16,7 @@ from kinectbench.lab.synthesize.mesh_check import load_model
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
 from kinectbench.lab.synthesize.pair import make_synthetic_pair
 from kinectbench.lab.synthesize.views import DepthCamera, all_views, virtual_camera
-from kinectbench.networks.config_file import find_config, write_config
+from kinectbench.networks.config import find_config, write_config
 from kinectbench.networks.convert import fitting_config
 from kinectbench.networks.trained import folder_of, open_trained, packaged_methods
 from kinectbench.networks.validate import completed

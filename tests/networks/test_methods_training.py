@@ -18,7 +18,7 @@ from kinectbench.core.errors import ReleaseError, SettingsError, StorageError
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.networks import train as training
 from kinectbench.networks import validate
-from kinectbench.networks.config_file import read_config
+from kinectbench.networks.config import read_config
 from kinectbench.networks.data import PairFile, pairs_of_step, steps_in_all, validation_pairs
 from kinectbench.networks.network import Network
 from kinectbench.networks.predict import method_of, run_of

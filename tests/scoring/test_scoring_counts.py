@@ -11,8 +11,16 @@ from references import upsample
 from slow import slow
 
 from kinectbench.core.voxels.pair_file import pack
-from kinectbench.scoring.counts import THRESHOLDS, protocol_counts, reduced, tallies, tally
-from kinectbench.scoring.metrics import constant_cross_entropy, ious, metrics
+from kinectbench.scoring.counts import (
+    THRESHOLDS,
+    constant_cross_entropy,
+    ious,
+    metrics,
+    protocol_counts,
+    reduced,
+    tallies,
+    tally,
+)
 from kinectbench.scoring.protocols import USUAL
 from kinectbench.scoring.truth import PackedTruth
 

@@ -21,6 +21,8 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.release.check.figure_check import (
+    floor_problems,
+    frame_problems,
     gate_problems,
     lineage_problems,
     own_problems,
@@ -28,7 +30,6 @@ from kinectbench.release.check.figure_check import (
     refused_problems,
 )
 from kinectbench.release.check.object_check import recording_of
-from kinectbench.release.check.twice_check import floor_problems, frame_problems
 from kinectbench.release.contents import (
     CARD,
     CITATION,

@@ -74,7 +74,7 @@ def make_method(folder: Path) -> None:
     from small_method import RECORDINGS, TINY
     from synthetic_release import publish_synthetic
 
-    from kinectbench.networks.config_file import read_config
+    from kinectbench.networks.config import read_config
     from kinectbench.networks.train import train
     from kinectbench.release.release import open_release
 
