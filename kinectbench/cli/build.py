@@ -11,7 +11,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
-from kinectbench.core import SettingsError, listed, missing_extra, printable
+from kinectbench.core import SettingsError, listed, printable, require_extra
 from kinectbench.core.store.address import url_of
 
 if TYPE_CHECKING:
@@ -168,8 +168,7 @@ def build_recordings(
     The `error` of a result is None on success. With `brief`, a failure that is not tried again because
     nothing has changed is printed without its reason.
     """
-    if missing := missing_extra("build"):
-        raise SettingsError(missing, what="no-package")
+    require_extra("build")
     chosen = chosen_jobs(common, ids)
     if brief:
         _tell_changed_settings(chosen, upto)

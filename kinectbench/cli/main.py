@@ -39,10 +39,10 @@ from kinectbench.core import (
     KinectBenchError,
     SettingsError,
     internal_error,
-    missing_extra,
     missing_module,
     printable,
     remove_half_filled,
+    require_extra,
 )
 from kinectbench.core.store.address import unusable
 from kinectbench.engine.interrupts import (
@@ -137,8 +137,7 @@ def _with_build(command: Command) -> Command:
 
     @wraps(command)
     def checked(*args: object, **options: object) -> None:
-        if missing := missing_extra("build"):
-            raise SettingsError(missing, what="no-package")
+        require_extra("build")
         return command(*args, **options)
 
     return checked

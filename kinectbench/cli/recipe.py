@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common
-from kinectbench.core import KinectBenchError, SettingsError, StorageError, listed_below
+from kinectbench.core import KinectBenchError, StorageError, listed_below
 
 if TYPE_CHECKING:
     from kinectbench.release.recipe import FetchedScan, Recipe
@@ -67,15 +67,14 @@ def _stream(common: Common, recipe: "Recipe", scans: "Sequence[Scan]") -> int:
 
     Scans that are built already, or whose build would fail again, are not fetched.
     """
-    from kinectbench.core import missing_extra, storage_errors
+    from kinectbench.core import require_extra, storage_errors
     from kinectbench.engine.artefact import whole_manifest
     from kinectbench.engine.failures import forget_failure, stored_failure, would_fail_again
     from kinectbench.engine.pipeline import STAGE_NAMES
     from kinectbench.engine.slim import is_slim, slim
     from kinectbench.release.recipe import BENCHMARK, FetchedScan, remove_scan
 
-    if missing := missing_extra("build"):
-        raise SettingsError(missing, what="no-package")
+    require_extra("build")
     rows, left, used = [], Counter(scan.scan for scan in scans), set[str]()
     for number, scan in enumerate(scans, 1):
         build = recipe.out / "build" / scan.id

@@ -20,7 +20,7 @@ from kinectbench.core.errors import (
     internal_error,
     pydantic_message,
 )
-from kinectbench.core.extras import missing_extra, missing_module, package_version
+from kinectbench.core.extras import missing_extra, missing_module, package_version, require_extra
 from kinectbench.core.names import (
     RESULTS,
     Category,

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
+from kinectbench.core.errors import SettingsError
+
 # Top-level module -> extra of pyproject.toml.
 EXTRA_OF: Mapping[str, str] = {
     **dict.fromkeys(("cv2", "fast_simplification", "lz4", "manifold3d", "matplotlib"), "build"),
@@ -46,6 +48,16 @@ def missing_extra(extra: str) -> str | None:
     """Advice if a module of an extra is not installed; None if all are."""
     missing = [module for module, of in EXTRA_OF.items() if of == extra and find_spec(module) is None]
     return _advice(missing, extra) if missing else None
+
+
+def require_extra(extra: str, needed_by: str = "") -> None:
+    """Refuse to go on if a module of an extra is not installed; the message begins with what needs it.
+
+    Raises:
+        SettingsError: with advice on how to install it.
+    """
+    if missing := missing_extra(extra):
+        raise SettingsError(f"{needed_by}: {missing}" if needed_by else missing, what="no-package")
 
 
 def _advice(modules: list[str], extra: str) -> str:

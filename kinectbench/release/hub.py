@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from kinectbench.core import ReleaseError, SettingsError, StorageError, missing_extra, printable
+from kinectbench.core import ReleaseError, SettingsError, StorageError, printable, require_extra
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS, benchmark_sha256, parse_sums
 from kinectbench.release.contents import release_files
@@ -34,8 +34,7 @@ def hub_name(url: str) -> str:
     name = url.removeprefix(SCHEME).removeprefix("datasets/").rstrip("/")
     if not NAME.fullmatch(name):
         raise SettingsError(f"--to {printable(url)}: wanted hf://user/name, of a data set", what="bad-url")
-    if missing := missing_extra("hub"):
-        raise SettingsError(f"--to {printable(url)}: {missing}", what="no-package")
+    require_extra("hub", f"--to {printable(url)}")
     return name
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-from kinectbench.core import SettingsError, missing_extra
+from kinectbench.core import SettingsError, require_extra
 from kinectbench.core.artefacts.score_figures import CLOSINGS
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.executor import Executor
@@ -122,8 +122,8 @@ def check_words(protocols: Sequence[str] | None, upsampling: str, close: str | N
         raise SettingsError(f"no upsampling '{upsampling}': choose {' or '.join(CONVENTIONS)}")
     if close not in (None, *CLOSINGS):
         raise SettingsError(f"--close {close}: choose {' or '.join(CLOSINGS)}")
-    if close == "poisson" and (missing := missing_extra("build")):
-        raise SettingsError(f"--close {close}: {missing}", what="no-package")
+    if close == "poisson":
+        require_extra("build", f"--close {close}")
 
 
 def check_missing(missing: str) -> Missing:

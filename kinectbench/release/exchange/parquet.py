@@ -6,7 +6,7 @@ installed.
 
 from pathlib import Path
 
-from kinectbench.core import SettingsError
+from kinectbench.core import require_extra
 from kinectbench.core.artefacts.targets import NUMBER_COLUMNS, columns_of
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.exchange.layouts import new_folder, write_export_json
@@ -32,14 +32,10 @@ def export_parquet(release: Release, out: Path, progress: Progress = no_progress
         SettingsError: `out` holds something else, or pyarrow is not installed.
         StorageError: the disk is full or read-only.
     """
-    try:
-        import pyarrow as arrow
-        from pyarrow import parquet
-    except ImportError as error:
-        advice = "pip install 'kinectbench[tables]'"
-        raise SettingsError(
-            f"export: Parquet needs the package pyarrow; run `{advice}`", what="no-package"
-        ) from error
+    require_extra("tables", "export: Parquet")
+    import pyarrow as arrow
+    from pyarrow import parquet
+
     names = columns_of(release.targets)
     schema = arrow.schema(
         [(name, arrow.float64() if name in NUMBER_COLUMNS else arrow.string()) for name in names]
