@@ -116,7 +116,7 @@ def _codes(probe: Probe) -> Iterator[Code]:
     yield Code(
         "depth_code", "the bits of a float16", "`camera: {depth_code: float16}`", lambda d, _: float16_m(d)
     )
-    yield Code("depth_code", "a Kinect's raw disparity", DISPARITY_ADVICE, lambda d, _: of_disparity_m(d))
+    yield Code("depth_code", "a Kinect's raw disparity", DISPARITY_ADVICE, lambda d, _: _of_disparity_m(d))
     yield from _along_the_ray(probe)
     for near_m, far_m in NEAR_FAR_M:
         yield Code(
@@ -160,7 +160,7 @@ def _scaled(
     return lambda depth, _: decode(depth).astype(np.float32) / np.float32(scale)
 
 
-def of_disparity_m(raw: UInt16) -> NDArray[np.floating]:
+def _of_disparity_m(raw: UInt16) -> NDArray[np.floating]:
     """Return the depth, metres, of a Kinect v1's raw disparity of any shape; 0 where it has none."""
     read = (raw > 0) & (raw < FARTHEST_DISPARITY)
     return np.where(read, 1 / (DISPARITY_OFFSET + DISPARITY_SLOPE * np.where(read, raw, 0)), 0.0)

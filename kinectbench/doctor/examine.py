@@ -51,7 +51,7 @@ SAME_UNIT = (
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 
 
-def open_anyhow(
+def _open_anyhow(
     path: Path, settings: CameraSettings | None, *, follow_links: bool = False
 ) -> tuple[Recording | None, list[Finding]]:
     """Open a recording; if it opens only with intrinsics given, open it with those of a Kinect.
@@ -111,7 +111,7 @@ def inspect(
     Returns:
         The diagnosis; and the probe, None if the recording cannot be opened.
     """
-    recording, findings = open_anyhow(path, settings, follow_links=follow_links)
+    recording, findings = _open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:
         return Diagnosis({"path": str(path), "format": None}, gravest_first(findings)), None
     ground = Ground(recording, plane_world, is_needed=plane_world is None and not boxed)

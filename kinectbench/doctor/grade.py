@@ -49,7 +49,7 @@ def check_grade(
     # In a longer recording compared frames are farther apart, but missing poses are certain.
     certain = every or posed.sum() < MIN_GOOD_FRAMES
     try:
-        sequence = as_sequence(probe.recording, indices)
+        sequence = _as_sequence(probe.recording, indices)
         health = track(sequence, "trust" if refined else mode, tracking).health
     except TrackingError as error:
         severity: Severity = "stops" if certain and not refined else "warning"
@@ -87,16 +87,11 @@ def _is_whole(recording: Recording, index: int) -> bool:
     return True
 
 
-def as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
+def _as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
     """Return some frames of a recording as a sequence, with the depth and colour of a build's sequence.
 
-    Args:
-        recording: the opened recording.
-        indices: indices of the frames, increasing; none is damaged or of another size.
-
-    Returns:
-        A sequence of these frames; colour that is not registered to depth, and that no calibration can
-            register, is left out.
+    The frames, in increasing order, are sound and of one size. Colour that is not registered to depth, and
+    that no calibration can register, is left out.
     """
     problem = trajectory_problem(recording)
     register = onto_depth(recording)

@@ -35,7 +35,7 @@ def check_trajectory_delay(
     probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[FramePair, ...]
 ) -> Iterator[Finding]:
     """Report given poses that fit the depth clearly better when shifted in time."""
-    delay_ns = trajectory_delay_ns(probe, given, convention, pairs)
+    delay_ns = _trajectory_delay_ns(probe, given, convention, pairs)
     # Without stamps, an offset of less than a frame is no clock offset.
     if delay_ns is None or abs(delay_ns) < (LEAST_NS if probe.counts_frames else LEAST_FINE_NS):
         return
@@ -58,7 +58,7 @@ def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
     return GivenTrajectory(given.stamps_ns // divisor, given.T_world_camera)
 
 
-def trajectory_delay_ns(
+def _trajectory_delay_ns(
     probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[FramePair, ...]
 ) -> int | None:
     """Return how late the poses' stamps are, in nanoseconds, by the best fit to depth; None if it is unclear.

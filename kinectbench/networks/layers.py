@@ -12,7 +12,7 @@ from torch.nn import functional
 KERNEL = 4
 
 
-def same_padding(cells: int, stride: int) -> tuple[int, int]:
+def _same_padding(cells: int, stride: int) -> tuple[int, int]:
     """Return the padding before and after an axis for a kernel of 4 and `ceil(cells / stride)` outputs.
 
     Source: TensorFlow's "SAME", which puts the odd cell behind.
@@ -30,7 +30,7 @@ class SameConv(nn.Conv3d):
 
     def forward(self, x: Tensor) -> Tensor:
         """Pad, then convolve."""
-        sides = [same_padding(cells, self.stride[0]) for cells in reversed(x.shape[2:])]
+        sides = [_same_padding(cells, self.stride[0]) for cells in reversed(x.shape[2:])]
         padded = functional.pad(x, [cells for side in sides for cells in side])
         return super().forward(padded)
 

@@ -240,10 +240,10 @@ def completed_target(
 def _write(
     kept: PredictionFolder, target: Target, probability: NDArray[np.float16], run: UnfinishedFile
 ) -> None:
-    kept.write(target, prediction_bytes(probability, run))
+    kept.write(target, _prediction_bytes(probability, run))
 
 
-def prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
+def _prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
     """Return a prediction's file content: probabilities, packed or float16, or thresholded bits at 256^3."""
     if run.threshold is not None:
         planes = upsampled_planes(probability)

@@ -96,7 +96,7 @@ class RecAE(Network):
         for index, one in enumerate(base.split(1)):
             drawn = torch.randint(count, (3,), generator=generator, device=generator.device)
             place = tuple(int(k) for k in drawn)
-            logits = tile_of(self._finer, one, place, cells)
+            logits = _tile_of(self._finer, one, place, cells)
             parts.append((logits, *truth.tile(index, place, count).at(cells)))
         yield tuple(torch.cat(each) for each in zip(*parts, strict=True))
 
@@ -117,20 +117,14 @@ class RecAE(Network):
         return list(self.up)[UNTIL_64:]
 
 
-def tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], cells: int) -> Tensor:
+def _tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], cells: int) -> Tensor:
     """Return a tile of the output of doubling layers with ReLU between them, without computing the rest.
 
     An output cell of a layer depends on the input cell that it lies in and on that cell's neighbours. So one
     more cell around the tile is enough at every layer.
 
-    Args:
-        layers: transposed convolutions 4^3 of stride 2.
-        base: (1, c, n, n, n), input of the first layer.
-        place: index of the tile along each axis.
-        cells: number of cells along a side of the tile, in the output.
-
-    Returns:
-        (1, 1, cells, cells, cells), equal to that part of the whole output.
+    `layers` are transposed convolutions 4^3 of stride 2; `base` (1, c, n, n, n) is the input of the first.
+    The tile (1, 1, cells, cells, cells) is at index `place` along each axis.
     """
     lows = [index * cells >> len(layers) for index in place]
     width, side, margin = cells >> len(layers), base.shape[-1], 1

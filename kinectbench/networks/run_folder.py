@@ -147,7 +147,7 @@ def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], co
     with replaced_file(folder / TrainingFile.FILE) as temporary:
         temporary.write_text(course.text(), encoding="utf-8")
     with replaced_file(folder / CURVES) as temporary:
-        temporary.write_bytes(curves_png(config.name, state.rows))
+        temporary.write_bytes(_curves_png(config.name, state.rows))
 
 
 def benchmarks(facts: dict[str, Any]) -> list[str]:
@@ -224,7 +224,7 @@ BLUE, ORANGE = "#3b6ea5", "#c77728"
 LOSSES = (("loss", INK), ("reconstruction", BLUE), ("discriminator", ORANGE))
 
 
-def curves_png(name: str, rows: Sequence[TrainingRow]) -> bytes:
+def _curves_png(name: str, rows: Sequence[TrainingRow]) -> bytes:
     """Return a PNG of a method's losses and validation IoU by step; the same rows give the same bytes."""
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True)

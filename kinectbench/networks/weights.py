@@ -186,11 +186,11 @@ def check_fit(wanted: Shapes, arrays: Mapping[str, NpyHeader], where: str) -> No
     Raises:
         StorageError: a name or a shape does not fit; a line for each, at most 20, beginning with `where`.
     """
-    if problems := list(misfits(wanted, arrays)):
+    if problems := list(_misfits(wanted, arrays)):
         raise StorageError(*(f"{where}: {problem}" for problem in problems[:20]))
 
 
-def misfits(wanted: Shapes, arrays: Mapping[str, NpyHeader]) -> Iterator[str]:
+def _misfits(wanted: Shapes, arrays: Mapping[str, NpyHeader]) -> Iterator[str]:
     """Yield a line for each array that is missing, of another shape, or not wanted."""
     for name, shape in wanted.items():
         if name not in arrays:

@@ -48,7 +48,7 @@ class CameraPredictionFile:
     path: Path
 
 
-def names_of(target: Target, hypotheses: int) -> list[str]:
+def _names_of(target: Target, hypotheses: int) -> list[str]:
     """Return the names of a view's predictions; several hypotheses are numbered from 0."""
     return [target.name] if hypotheses == 1 else [f"{target.name}.{k}" for k in range(hypotheses)]
 
@@ -62,7 +62,7 @@ def find_files(
     """
     root = folder.resolve()
     for target in targets:
-        for name in names_of(target, method.hypotheses):
+        for name in _names_of(target, method.hypotheses):
             present = [path for suffix in SUFFIXES if (path := folder / f"{name}{suffix}").is_file()]
             if not present:
                 yield target, name, None
@@ -119,11 +119,11 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
         beyond_share=beyond_share(shape, T_grid_camera, float(size_m) * FULL_CELLS),
         refused=_refused(shape, T_grid_camera, float(size_m)),
         open_because=open_because(shape),
-        content=shape_content(shape),
+        content=_shape_content(shape),
     )
 
 
-def shape_content(shape: CameraShape) -> Held:
+def _shape_content(shape: CameraShape) -> Held:
     """Return a digest of a predicted shape, by which equal predictions are found."""
     return content_of(shape.points_m, shape.faces)
 
@@ -169,7 +169,7 @@ def check_camera(
             answered += 1
             try:
                 if not is_compared:
-                    content: Held | None = shape_content(load_camera_shape(found, method))
+                    content: Held | None = _shape_content(load_camera_shape(found, method))
                 elif (here := view_agreement(release, found, method)) is not None:
                     compared[name], content = here, here.content
                 else:
@@ -251,14 +251,14 @@ def missing_in_camera(name: str) -> str:
 
 def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list[str]:
     """Return a line for each file in a folder that belongs to no view."""
-    names = [name for target in release.targets for name in names_of(target, method.hypotheses)]
+    names = [name for target in release.targets for name in _names_of(target, method.hypotheses)]
     expected = {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)}
     return stray_lines(stray_files(folder, expected), ())
 
 
 def _unknown(release: Release, method: MethodFile) -> set[str]:
     """Return the keys of `T_camera_prediction` in method.json that name neither a view nor a prediction."""
-    names = {name for target in release.targets for name in names_of(target, method.hypotheses)}
+    names = {name for target in release.targets for name in _names_of(target, method.hypotheses)}
     return set(method.T_camera_prediction or ()) - names - {target.name for target in release.targets}
 
 

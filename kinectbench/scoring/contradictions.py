@@ -45,7 +45,7 @@ MOST_CE = -math.log(CE_CLIP)  # nats a voxel, for a prediction that is wrong eve
 
 def contradictions(table: ScoreTable) -> Iterator[str]:
     """Yield the contradictions of a table, a sentence each, the gravest first."""
-    yield from out_of_bounds(table)
+    yield from _out_of_bounds(table)
     yield from _of_version(table)
     yield from _of_names(table)
     yield from _of_rows(table)
@@ -255,7 +255,7 @@ def _named(names: Sequence[str]) -> str:
 ROUNDING = 1e-9  # a sum of shares may be above 1 by 1e-15
 
 
-def out_of_bounds(table: ScoreTable) -> Iterator[str]:
+def _out_of_bounds(table: ScoreTable) -> Iterator[str]:
     """Yield a sentence for each value outside the schema's minimum, maximum, pattern or list of words.
 
     Values that follow from the rows are not checked: the reader computes them again.

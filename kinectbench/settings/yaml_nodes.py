@@ -132,7 +132,7 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
     try:
         node = _nodes(text, source, allowance or Allowance())
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark or null_mark(source)
+        mark = error.problem_mark or error.context_mark or _null_mark(source)
         raise SettingsError(
             f"{_place(source, mark.line)}: {_problem(error, text, mark.index)}", what="bad-yaml"
         ) from None
@@ -143,7 +143,7 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
         ) from None
     except RecursionError:
         raise SettingsError(f"{source}: nested too deeply", what="bad-yaml") from None
-    return node or yaml.ScalarNode(NULL_TAG, "", null_mark(source), null_mark(source))
+    return node or yaml.ScalarNode(NULL_TAG, "", _null_mark(source), _null_mark(source))
 
 
 @contextlib.contextmanager
@@ -172,7 +172,7 @@ def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
     return _PlainLoader(text, source, allowance).get_single_node()
 
 
-def null_mark(source: str) -> yaml.Mark:
+def _null_mark(source: str) -> yaml.Mark:
     """The mark of the first character of a source, for errors and nodes without a position."""
     return yaml.Mark(source, 0, 0, 0, None, 0)
 

@@ -236,12 +236,12 @@ def in_order_of_time(T_world_camera: Float64) -> bool:
     T = T_world_camera[np.isfinite(T_world_camera[:, 0, 0])]
     if len(T) < FEWEST:
         return True
-    step = float(np.median(views_apart(T[:-1], T[1:])))
-    far = np.concatenate([views_apart(T, np.roll(T, len(T) // k, axis=0)) for k in (2, 3, 5)])
+    step = float(np.median(_views_apart(T[:-1], T[1:])))
+    far = np.concatenate([_views_apart(T, np.roll(T, len(T) // k, axis=0)) for k in (2, 3, 5)])
     return step < max(NEAR, STEP_SHARE * float(np.median(far)))
 
 
-def views_apart(T_a: Float64, T_b: Float64) -> Float64:
+def _views_apart(T_a: Float64, T_b: Float64) -> Float64:
     """Distance (n,) between views (n, 4, 4): metres between the cameras plus radians of rotation."""
     apart_m = np.linalg.norm(T_a[:, :3, 3] - T_b[:, :3, 3], axis=1)
     turn_rad = rotation_angle_rad(np.swapaxes(T_a[:, :3, :3], 1, 2) @ T_b[:, :3, :3])

@@ -40,20 +40,13 @@ SLICE_COLORS = np.array([(253, 252, 249), (176, 172, 164), (43, 108, 180), (200,
 UNKNOWN_COLOR = np.array([246, 214, 120], np.float64)
 
 
-def render_errors(
+def _render_errors(
     mesh: TriangleMesh, other: ReferenceSurface, viewpoint: Viewpoint, signed: bool, colors: Colors
 ) -> Rgb:
     """Draw a mesh, each point coloured by its distance from another surface.
 
-    Args:
-        mesh: the mesh to draw, frame `object`.
-        other: the other surface, same frame; closed if `signed`.
-        viewpoint: the viewpoint, frame `object`.
-        signed: whether to colour by signed distance (positive outside `other`) or by absolute distance.
-        colors: maps distances (n,) in metres to colours (n, 3) in [0, 1].
-
-    Returns:
-        (SIZE_PX, SIZE_PX, 3) uint8 RGB.
+    All are in the frame `object`. With `signed`, distances from the closed surface `other` are positive
+    outside. `colors` maps distances (n,) in metres to colours (n, 3) in [0, 1].
     """
     size_px = SIZE_PX * SUPERSAMPLING
     distance_m, normals_view = cast(mesh, viewpoint, size_px)
@@ -160,7 +153,7 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
             return np.asarray(scale.to_rgba(error_m * 1000)[:, :3], dtype=np.float64)
 
         for axes, viewpoint in zip(axes_row, looks, strict=True):
-            axes.imshow(render_errors(mesh, other, viewpoint, signed, colors))
+            axes.imshow(_render_errors(mesh, other, viewpoint, signed, colors))
             axes.axis("off")
         figure.colorbar(
             scale, ax=list(axes_row), label=label, shrink=0.85, extend="both" if signed else "max"

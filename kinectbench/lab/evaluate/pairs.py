@@ -201,7 +201,7 @@ def evaluated_pair(
         truth: the true solid.
         T_world_camera: (4, 4), true pose of the frame's camera in the truth's world.
     """
-    cells = truth.cells(grid_in_truth(pair, T_world_camera))
+    cells = truth.cells(_grid_in_truth(pair, T_world_camera))
     true, judged = cells.solid & cells.judged, cells.judged
     full, known = unpack(pair.full), unpack(pair.known)
     # Like `verify`: these are the cells before the partial rule thinned them out.
@@ -217,7 +217,7 @@ def evaluated_pair(
     )
 
 
-def grid_in_truth(pair: Pair, T_world_camera: NDArray[np.float64]) -> Grid:
+def _grid_in_truth(pair: Pair, T_world_camera: NDArray[np.float64]) -> Grid:
     """Return a pair's 256^3 grid in the truth's world, placed by the true camera pose (4, 4)."""
     T_camera_grid = invert_rigid(pair.T_world_camera) @ pair.T_world_grid
     return replace(pair.grid, T_world_grid=T_world_camera @ T_camera_grid)

@@ -89,7 +89,7 @@ def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, Reference
     model = read_object(folder / "object")
     found = reference_figures(model, register_reference(model, reference.mesh), reference.closed).model_copy(
         update={
-            "reference": named_mesh(path),
+            "reference": _named_mesh(path),
             "sha256": reference.sha256,
             **({"itself": True} if reference.sha256 in _truths(folder / "object") else {}),
         }
@@ -108,7 +108,7 @@ def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, Reference
     return found, whole
 
 
-def named_mesh(path: Path) -> str:
+def _named_mesh(path: Path) -> str:
     """Return a mesh's name in reference.json: its path if relative, else its last folder and file name.
 
     The folder is part of it because all simulated meshes are called object.ply. The rest of an absolute path
@@ -140,7 +140,7 @@ def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool
         return head.model_copy(
             update={"T_world_reference": T, "residual_m": round(fit.pose.residual_m, DECIMALS)}
         )
-    f_5mm, f_10mm = f_scores(model, fit, T, (0.005, 0.01))
+    f_5mm, f_10mm = _f_scores(model, fit, T, (0.005, 0.01))
     whole, known = solids_iou(model, fit.theirs.mesh.transformed(T)) if closed else (None, None)
     axis_floor = None
     if fit.symmetric_axis_floor is not None:
@@ -158,24 +158,19 @@ def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool
             "f_score_10mm": round(f_10mm, DECIMALS),
             "iou": None if known is None else round(known, DECIMALS),
             "whole_iou": None if whole is None else round(whole, DECIMALS),
-            "directions": by_direction(fit, T, T_floor_world),
+            "directions": _by_direction(fit, T, T_floor_world),
         }
     )
 
 
-def f_scores(
+def _f_scores(
     model: ObjectModel, fit: RegisteredReference, T: Float64, thresholds_m: tuple[float, ...]
 ) -> list[float]:
     """Return an F-score for each threshold, over surface that the recording observed.
 
     Precision is over the object's measured surface. Recall is over those parts of the reference that lie in
     free space or near measured surface. Distances are exact, from points to triangles.
-
-    Args:
-        model: the object.
-        fit: the registered reference.
-        T: (4, 4), maps the reference to the object's world.
-        thresholds_m: distances, metres.
+    `T` (4, 4) maps the reference to the object's world.
     """
     ours, theirs = fit.ours, fit.theirs
     there = theirs.distance_m(transform_points(invert_rigid(T), ours.points[ours.counted]))
@@ -199,16 +194,12 @@ def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
     return np.asarray(inside & (model.shape.labels[tuple(at.T)] == Label.FREE))
 
 
-def by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -> DirectionsPart:
+def _by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -> DirectionsPart:
     """Return mean distances, signed and absolute, of the measured surface from the reference.
 
     There is a mean for faces that point up, for those that point down and for the others. Positive: the
     measured surface is too far out.
-
-    Args:
-        fit: the registered reference.
-        T: (4, 4), maps the reference to the object's world.
-        T_floor_world: (4, 4), maps the object's world to a frame whose z is up.
+    `T` (4, 4) maps the reference to the object's world, and `T_floor_world` that to a frame whose z is up.
     """
     ours, theirs = fit.ours, fit.theirs
     points, normals = ours.points[ours.counted], ours.normals[ours.counted]

@@ -86,14 +86,14 @@ def make_model(task: Task) -> None:
         for name, steps in task.groups.items():
             pairs = (
                 (view, *make_synthetic_pair(checked, eye, view, settings, task.model.name))
-                for view in drawn_views(task, steps)
+                for view in _drawn_views(task, steps)
             )
             write = _write_recgan if settings.layout == "recgan" else _write_release
             groups[name] = write(task, name, folder / FILES, checked, eye.camera, pairs)
         MadeModel(split=task.split, quality=_quality(task.model, checked), groups=groups).write(folder)
 
 
-def drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
+def _drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
     """Return the views of one group: all, or `most_views` drawn at random by the model's name."""
     views, most = all_views(steps), task.settings.most_views
     if most is None or most >= len(views):

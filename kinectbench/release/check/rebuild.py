@@ -136,7 +136,7 @@ def rebuild_plan(
             else "all truth is held back: only the private part can be made again",
             what="not-rebuildable",
         )
-    notes = [*version_notes(metadata), *stage_notes(contents, wanted)]
+    notes = [*version_notes(metadata), *_stage_notes(contents, wanted)]
     if drawn != every:
         notes.append(f"{len(drawn)} of {len(every)} objects are made again: {', '.join(sorted(drawn))}")
     if held_back:
@@ -189,7 +189,7 @@ def version_notes(metadata: ReleaseInfo) -> list[str]:
     ]
 
 
-def stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
+def _stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
     """Return a line for each stage whose local version differs from the one that built these recordings."""
     lineage = _lineage(contents)
     made = {

@@ -80,7 +80,7 @@ def export_bop(release: Release, out: Path, progress: Progress = no_progress) ->
                 (folder / MODELS_EVAL / file).write_bytes(model_ply(decimated(mesh_mm, EVAL_TRIANGLES)))
                 infos[str(number)] = model_info(mesh_mm)
             scene = folder / split / f"{number:06d}"
-            last = write_scene(release, targets, scene, number, model, done, progress)
+            last = _write_scene(release, targets, scene, number, model, done, progress)
             camera, done = camera or last, done + len(targets)
             scenes.append(
                 {
@@ -125,7 +125,7 @@ def _write_dataset_files(
     write_export_json(folder, release, {"layout": "bop", "scenes": scenes})
 
 
-def write_scene(
+def _write_scene(
     release: Release,
     targets: Sequence[Target],
     folder: Path,
@@ -136,20 +136,8 @@ def write_scene(
 ) -> Camera:
     """Write one scene: depth, masks, its JSON files, and colour if it is registered to the depth.
 
-    Args:
-        release: the opened release.
-        targets: the pairs of one recording; the name of a view is the number of its image.
-        folder: the scene's folder, which is made.
-        obj_id: id of the recording's object.
-        model: the object, or None if its truth is held back: then there is no ground truth.
-        before: number of views of all earlier scenes, for `progress`.
-        progress: called with (views done, views in all).
-
-    Returns:
-        The camera of the last view.
-
-    Raises:
-        ReleaseError: a file of the release is missing or damaged.
+    The name of a view is the number of its image. Without `model`, whose truth is held back, there is no
+    ground truth. `before` counts the views of earlier scenes. The last view's camera is returned.
     """
     renderer = None if model is None else DepthRenderer(model.mesh)
     colored = color_registered(release, targets[0].recording)

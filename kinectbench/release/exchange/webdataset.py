@@ -55,8 +55,8 @@ def export_webdataset(
                 for target in targets:
                     content = release.pair_content(target)
                     row = pair_record(target, _read(release, target, content))
-                    _add(shard, f"{sample_key(target)}.npz", content)
-                    _add(shard, f"{sample_key(target)}.json", json.dumps(row, allow_nan=False).encode())
+                    _add(shard, f"{_sample_key(target)}.npz", content)
+                    _add(shard, f"{_sample_key(target)}.json", json.dumps(row, allow_nan=False).encode())
                     done += 1
                     progress(done, len(release.targets))
             shards[name] = len(targets)
@@ -64,7 +64,7 @@ def export_webdataset(
     return done
 
 
-def sample_key(target: Target) -> str:
+def _sample_key(target: Target) -> str:
     """Return the key of a pair's sample in a shard, `<recording>_<view>`, with dots replaced by `-`."""
     return f"{target.recording.replace('.', '-')}_{target.view}"
 
@@ -73,7 +73,7 @@ def _check_keys(targets: Sequence[Target]) -> None:
     """Raise an error if two recordings would get the same keys: if `.` or `-` is their only difference."""
     recordings: dict[str, str] = {}
     for target in targets:
-        first = recordings.setdefault(sample_key(target), target.recording)
+        first = recordings.setdefault(_sample_key(target), target.recording)
         if first != target.recording:
             raise SettingsError(
                 f"'{first}' and '{target.recording}' would have the same keys in WebDataset; rename one"

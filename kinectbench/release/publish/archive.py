@@ -20,7 +20,7 @@ REGULAR_0644 = 0o100644 << 16
 DEFLATE_LEVEL = 9
 
 
-def archive_stem(info: ReleaseInfo) -> str:
+def _archive_stem(info: ReleaseInfo) -> str:
     """Return the name of a release's archive without suffix: `<name>-<version>`.
 
     Without a version, the first 8 digits of benchmark_sha256 replace it. The name of the private part of a
@@ -73,7 +73,7 @@ def write_archive(release: Path, out: Path, progress: Progress = no_progress) ->
     info = ReleaseInfo.read(release)
     _refuse(info.distribution.reasons if info.distribution else ())
     listed = listed_files(release, lambda done, total: progress(done, 2 * total))
-    stem, names = archive_stem(info), [SHA256SUMS, *listed]
+    stem, names = _archive_stem(info), [SHA256SUMS, *listed]
     path = out / f"{stem}.zip"
     with replaced_file(path) as temporary:
         with zipfile.ZipFile(temporary, "w") as archive:

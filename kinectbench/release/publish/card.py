@@ -81,7 +81,7 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
     return words | ({KIND: quality.truth.kind} if quality.truth else {})
 
 
-def reference_words(info: RecordingInfo) -> dict[str, str]:
+def _reference_words(info: RecordingInfo) -> dict[str, str]:
     """Return {label: figure} on a reference mesh's agreement; empty if it does not fit, or is the truth."""
     if info.reference is None or info.reference.refused is not None or info.reference.itself:
         return {}
@@ -89,7 +89,7 @@ def reference_words(info: RecordingInfo) -> dict[str, str]:
     return {label: f"{value:.3f}" for label, value in figures.items() if value is not None}
 
 
-def visible_words(info: RecordingInfo) -> dict[str, str]:
+def _visible_words(info: RecordingInfo) -> dict[str, str]:
     """Return {label: mean share of the true surface that a view sees}; empty if not known."""
     return {} if info.visible_share is None else {VISIBLE: f"{info.visible_share:.1%}"}
 
@@ -166,7 +166,7 @@ def card(
         partial_rule=info.partial_rule,
         package_version=info.package_version,
         notice=_notice(info),
-        counts="\n\n".join(filter(None, (counts_table(targets), category_table(info, targets)))),
+        counts="\n\n".join(filter(None, (counts_table(targets), _category_table(info, targets)))),
         example=example.file,
         truth=INPUT_LINES if hidden else TRUTH_LINES,
         shown="partial_256" if hidden else "full",
@@ -239,7 +239,7 @@ def counts_table(targets: Sequence[Target]) -> str:
     return _markdown(["category", "objects", *(f"{split} pairs" for split in SPLITS)], rows)
 
 
-def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
+def _category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
     """Return a Markdown table of categories: object sizes, medians of visible and unknown share and of IoU.
 
     The text is empty if none of these is known.
@@ -264,7 +264,7 @@ def category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
 
 
 def category_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: text} of one recording's known figures, those that `category_table` summarises."""
+    """Return {label: text} of one recording's known figures, those that `_category_table` summarises."""
     of = info.quality
     size = _ranges(np.array([of.box.size_m])) if of.box else ""
     rest = _words((info.visible_share, of.unknown_share, *(getattr(of, key) for key in ESTIMATES)))
@@ -292,7 +292,7 @@ def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
 def card_figures(info: ReleaseInfo) -> str:
     """Return a Markdown table of each recording's pairs, refused views and quality, and `underside_line`."""
     words = {
-        name: quality_words(recording.quality) | reference_words(recording) | visible_words(recording)
+        name: quality_words(recording.quality) | _reference_words(recording) | _visible_words(recording)
         for name, recording in info.recordings.items()
     }
     every = [*(label for label, _, _ in QUALITY.values()), VISIBLE, *REFERENCE.values(), UNDERSIDE, KIND]

@@ -166,7 +166,7 @@ def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, 
         pictures[2:] = [
             ("full, as seen", _png(seen_from_the_front(full, CLAY))),
             ("full, from the right", _png(seen_from_the_right(full, CLAY))),
-            ("slice", _png(upright_slice(unpack(pair.partial_256), full, known))),
+            ("slice", _png(_upright_slice(unpack(pair.partial_256), full, known))),
         ]
     return pictures
 
@@ -186,7 +186,7 @@ def seen_from_the_right(cells: Bools, color: tuple[int, int, int]) -> Rgb:
     return _shaded(cells[::-1].transpose(1, 2, 0), color)
 
 
-def upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
+def _upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
     """Draw a vertical slice through the middle of a shape, (ny, nz, 3) uint8 RGB; the camera is on the left.
 
     Cells of `full` are clay-coloured, cells of `partial` blue, and empty cells that are not known yellow.

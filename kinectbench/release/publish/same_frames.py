@@ -17,7 +17,7 @@ SAME_SHARE = 0.5
 LOOKED_FOR = 16
 
 
-def same_frames(
+def _same_frames(
     settings: BenchmarkSettings, build: Path, recordings: Sequence[str]
 ) -> Iterator[tuple[RecordingSettings, RecordingSettings]]:
     """Yield every two recordings that have the same frames but name different objects.
@@ -50,13 +50,13 @@ def same_frames(
 
 
 def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> list[str]:
-    """Return a line for each two recordings that `same_frames` yields.
+    """Return a line for each two recordings that `_same_frames` yields.
 
     Raises:
         ReleaseError: two such recordings are in different splits.
     """
     lines = []
-    for first, second in same_frames(settings, build, recordings):
+    for first, second in _same_frames(settings, build, recordings):
         if first.split != second.split:
             raise ReleaseError(
                 f"{first.id} ({first.split}) and {second.id} ({second.split}) hold the same frames, so that "

@@ -41,13 +41,13 @@ def write_view_pictures(folder: Path, targets: Sequence[Target]) -> None:
     for split in SPLITS:
         of_split = [target for target in targets if target.split == split]
         for target in of_split:
-            picture = view_picture(folder / "views" / target.recording, target.view)
+            picture = _view_picture(folder / "views" / target.recording, target.view)
             write_below(folder / PREVIEWS / split / row_picture(target), images.jpeg(picture))
         if of_split:
             write_below(folder / PREVIEWS / split / ROWS, rows_text(of_split).encode())
 
 
-def view_picture(views: Path, view: str) -> Rgb:
+def _view_picture(views: Path, view: str) -> Rgb:
     """Draw a view's depth with the mask's outline, and its colour image, if any, to the right."""
     picture = depth_with_mask(views, view)
     path = views / f"{view}.color.jpg"

@@ -88,7 +88,7 @@ def score_in_camera(
     failures |= {target: result for target, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, ViewResult)}
     empty = [target.name for target in sorted(files) if not files[target]]
-    fixed = fixed_thresholds({target.category for target in results})
+    fixed = _fixed_thresholds({target.category for target in results})
     settings = settings_in_space(protocols, missing).model_copy(update={"close": close})
     table = table_in_space(release, method, results, failures, settings, empty, fixed)
     said = (*first, *_without_inside(results, close), *_open_truth(release, test), *table.warnings, *strays)
@@ -164,7 +164,7 @@ def left_out_table(
     """
     test = pairs_to_score(release, validation=False, solid=False)
     failures, settings = dict.fromkeys(test, reason), settings_in_space(protocols, missing)
-    fixed = fixed_thresholds({target.category for target in test})
+    fixed = _fixed_thresholds({target.category for target in test})
     return table_in_space(release, method, {}, failures, settings, (), fixed)
 
 
@@ -191,7 +191,7 @@ def _files(
     return {target: found for target, found in files.items() if target not in failures}, failures
 
 
-def fixed_thresholds(categories: Iterable[str]) -> Thresholds:
+def _fixed_thresholds(categories: Iterable[str]) -> Thresholds:
     """Return placeholder thresholds for predictions without probabilities: every row states a threshold."""
     of = dict.fromkeys(sorted(categories), FIXED)
     return Thresholds(of, FIXED_SOURCE, (), dict.fromkeys(of, FIXED_SOURCE))

@@ -151,7 +151,7 @@ def surface_of(shape: CameraShape) -> Surface:
     if shape.form == "voxels":
         own = cell_surface(shape.cells.astype(bool), shape.voxel_size_m)[0]
     else:
-        own = distance_surface(shape.cells.astype(np.float32), shape.voxel_size_m)
+        own = _distance_surface(shape.cells.astype(np.float32), shape.voxel_size_m)
     return own.transformed(shape.T_camera_grid)
 
 
@@ -230,7 +230,7 @@ def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
     return _squares(centers_m, corner, first, second, normals, voxel_size_m), inside + low
 
 
-def distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
+def _distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
     """Return the zero crossings of signed distances (i, j, k), negative inside, as a surface, grid frame.
 
     Space outside the grid is free, so a solid that extends beyond the grid is closed at the border.

@@ -268,8 +268,8 @@ def _mean(rows: Sequence[Scored]) -> Scored:
     `solid` is whether all rows are solid, `as_papers` is None; all else is from the first row.
     """
     figures = [row.figures for row in rows]
-    surface = SurfaceMetrics(**_means([vars_of(of.surface) for of in figures]))
-    voxels = VoxelMetrics(**_means([vars_of(of.voxels) for of in figures]))
+    surface = SurfaceMetrics(**_means([_vars_of(of.surface) for of in figures]))
+    voxels = VoxelMetrics(**_means([_vars_of(of.voxels) for of in figures]))
     return replace(
         rows[0],
         figures=replace(figures[0], surface=surface, voxels=voxels, as_papers=None),
@@ -280,7 +280,7 @@ def _mean(rows: Sequence[Scored]) -> Scored:
     )
 
 
-def vars_of(metrics: SurfaceMetrics | VoxelMetrics) -> dict[str, float | None]:
+def _vars_of(metrics: SurfaceMetrics | VoxelMetrics) -> dict[str, float | None]:
     """Return {name of a metric: value} of a metrics object."""
     return {field.name: getattr(metrics, field.name) for field in fields(metrics)}
 
