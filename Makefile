@@ -54,7 +54,7 @@ docs-pictures: setup ## make the tutorial's pictures and outputs again, of one r
 	@$(BIN)/python scripts/docs_pictures.py
 
 docs-format: setup ## write the schemas, docs/keys.md and docs/errors.md again
-	@$(BIN)/python -m kinectbench.release.publish.schemas
+	@$(BIN)/python scripts/docs_schemas.py
 	@$(BIN)/python scripts/docs_format.py
 	@$(BIN)/python scripts/docs_errors.py
 

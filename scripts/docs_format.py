@@ -13,6 +13,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from docs_schemas import scores_schema
+
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.manifest import Failed, Manifest
 from kinectbench.core.artefacts.method import MethodFile, TrainingFile
@@ -21,7 +23,7 @@ from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFi
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics, VoxelMetrics
-from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
+from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import ALL_COLUMNS, SPLITS, TARGETS_CSV, Splits

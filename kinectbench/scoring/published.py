@@ -124,8 +124,7 @@ def _tables() -> Iterator[PublishedTable]:
         yield PublishedTable(title, int(views[1]) if views else None, tuple(rows), categories)
 
 
-REAL, *_synthetic = _tables()
-SYNTHETIC, PUBLISHED = tuple(_synthetic), REAL.rows
+REAL, *SYNTHETIC = _tables()
 # Table 12, millions of parameters.
 PARAMETERS = {"3D-EPN": 52.4, "Varley et al.": 430.3, "Han et al.": 7.5, "3D-RecGAN++": 167.1}
 PARAMETERS_LINE = "The paper's numbers of parameters, millions (Table 12): " + ", ".join(

@@ -3,10 +3,11 @@
 import dataclasses
 
 import pytest
+from docs_schemas import LATER
 
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.score_figures import ScoreRow
-from kinectbench.core.artefacts.scores import LATER, BaseRate, CategoryAverages
+from kinectbench.core.artefacts.scores import BaseRate, CategoryAverages
 from kinectbench.report.tables import DETAILS
 from kinectbench.scoring.averages import category_averages, object_means, overall_averages
 from kinectbench.scoring.from_rows import _by_object

@@ -7,11 +7,12 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from docs_schemas import scores_schema
 from sklearn.metrics import log_loss, precision_score, recall_score
 from typed import present
 
 from kinectbench.core.artefacts.counted import JOURNAL, PairResult
-from kinectbench.core.artefacts.scores import ScoreTable, scores_schema
+from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release
 from kinectbench.scoring import pair_result
@@ -66,7 +67,7 @@ def test_the_schema_holds(table: ScoreTable, release: Release, tmp_path: Path) -
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
     content = json.loads(table.text())
     jsonschema.validate(content, SCHEMA)
-    assert scores_schema() == SCHEMA  # else: python -m kinectbench.release.publish.schemas
+    assert scores_schema() == SCHEMA  # else: python scripts/docs_schemas.py
     # These predictions are of no run of `predict`, and few enough for their rows to be in the file.
     absent = ("run_sha256", "rows_file")
     assert [key for key in SCHEMA["properties"] if key not in absent] == list(content)

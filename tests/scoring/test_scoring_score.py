@@ -19,7 +19,7 @@ from kinectbench.core.errors import PredictionError, ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring import score as score_module
-from kinectbench.scoring.published import CATEGORIES, LABEL, PUBLISHED
+from kinectbench.scoring.published import CATEGORIES, LABEL, REAL
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.score import score
 
@@ -215,7 +215,7 @@ def test_published_scores_stand_only_beside_their_categories(table: ScoreTable) 
 
 def test_published_scores() -> None:
     assert CATEGORIES == ("bench", "chair", "couch", "table")
-    assert {entry.method: entry.iou[2] for entry in PUBLISHED} == {
+    assert {entry.method: entry.iou[2] for entry in REAL.rows} == {
         "3D-RecGAN++": 0.540, "3D-RecAE": 0.538, "3D-EPN": 0.508, "Varley et al.": 0.433, "Han et al.": 0.235
     }  # fmt: skip
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from docs_schemas import LATER, scores_schema
 from numpy.typing import NDArray
 from raising import raises
 from references import shell_of
@@ -15,7 +16,7 @@ from synthetic_release import Recordings, synthetic_pair, synthetic_settings, wr
 
 from kinectbench.cli.score_tables import comparison_tables, score_table
 from kinectbench.core.artefacts.counted import Tally
-from kinectbench.core.artefacts.scores import LATER, ScoreTable, scores_schema
+from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.voxels.pair_file import pack, pair_bytes
 from kinectbench.release.publish.publish import publish

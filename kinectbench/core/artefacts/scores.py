@@ -5,7 +5,7 @@ import hashlib
 import io
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
@@ -22,16 +22,12 @@ from kinectbench.core.artefacts.score_columns import (
 from kinectbench.core.artefacts.score_figures import (
     FINITE,
     IN_UNIT_RANGE,
-    SURFACE_METRICS,
     Averages,
     ByThreshold,
     Closing,
-    InSpace,
     OptionalUnitRange,
-    Resolution,
     ScoreRow,
     UnitRange,
-    Unknown,
     fields_of,
 )
 from kinectbench.core.artefacts.score_marks import REPORTED, Mark, Sha256, ValidationUse, Verified
@@ -366,34 +362,3 @@ DERIVED = (
     *("iou_by_threshold", "marks"),
 )
 NO_FACTS = {*DERIVED, "verified", "rows_file"}
-
-# Keys that tables of the first versions lack.
-LATER_KEYS = (
-    *("threshold_source_by_category", "threshold_objects", "validation", "missing_as_empty", "marks"),
-    *("verified", "run_sha256", "rows_file"),
-    *("notes", "extremes", "iou_by_threshold", "hashes", "baseline", "intervals", "categories"),
-    "all_unknown_pairs",
-)
-LATER_AVERAGES = (
-    *("base_rate_source", "truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high"),
-    *("truth_repeatability_iou", "truth_unknown_share"),
-)
-LATER_ROWS = (
-    *SURFACE_METRICS,
-    *fields_of(Resolution),
-    *fields_of(Unknown),
-    *fields_of(ByThreshold),
-    *fields_of(InSpace),
-)
-LATER = {*LATER_KEYS, *LATER_AVERAGES, *LATER_ROWS}
-
-
-def scores_schema() -> dict[str, Any]:
-    """A JSON schema that the scores.json of every version satisfies."""
-    schema = ScoreTable.model_json_schema(by_alias=True)
-    for part in (
-        schema,
-        *(schema["$defs"][name] for name in ("ScoreRow", "CategoryAverages", "OverallAverages")),
-    ):
-        part["required"] = [key for key in part["properties"] if key not in LATER]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

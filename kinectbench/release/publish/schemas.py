@@ -1,13 +1,10 @@
 """Schemas of a release's files, for readers without this package.
 
-The published schemas are stored in `schemas/` beside this module, so that the bytes of a release do not
-depend on the version of pydantic; a test compares them with the models. `schemas/` also has the schema of
-scores.json, which is not published. After a change of the models, run `python -m
-kinectbench.release.publish.schemas` in a checkout: it writes all schemas, and docs/scores.schema.json.
+They are stored in `schemas/` beside this module, so that the bytes of a release do not depend on the version
+of pydantic; `scripts/docs_schemas.py` makes them of the models, and a test compares them.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import fields
 from fnmatch import fnmatchcase
 from importlib import resources
 from pathlib import Path
@@ -18,7 +15,6 @@ from kinectbench.core import pretty_json, printable, pydantic_message
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
-from kinectbench.core.artefacts.scores import scores_schema
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.targets import (
     COLUMNS,
@@ -30,15 +26,6 @@ from kinectbench.core.artefacts.targets import (
     Splits,
 )
 from kinectbench.core.artefacts.views import ViewsFile
-from kinectbench.core.voxels.pair_file import (
-    FORMAT_VERSION,
-    INPUT_KEYS,
-    MATRIX_SIDES,
-    NUMBERS,
-    PACKED_SHAPES,
-    TEXTS,
-    Pair,
-)
 from kinectbench.release.contents import SCHEMAS
 
 # {schema's name: (files of the release, model)}.
@@ -54,22 +41,9 @@ JSON_FILES: dict[str, tuple[str, type[Stored]]] = {
 }
 TABLE_SCHEMA = "targets.csv.json"
 PAIR_SCHEMA = "pair.npz.json"
-SCORES_SCHEMA = "scores.schema.json"
 # Most characters of an error message, and most errors that are reported for one file.
 MOST_CHARACTERS, MOST_FAULTS = 200, 50
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
 PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}
-
-
-def schema_texts() -> dict[str, str]:
-    """Make every schema from the models: return {file name: text}."""
-    schemas = {
-        f"{name}.schema.json": {"$schema": DIALECT, "$comment": files}
-        | model.model_json_schema(by_alias=True)
-        for name, (files, model) in JSON_FILES.items()
-    }
-    schemas |= {TABLE_SCHEMA: _table(), PAIR_SCHEMA: _pair(), SCORES_SCHEMA: scores_schema()}
-    return {name: pretty_json(schema) for name, schema in schemas.items()}
 
 
 def write_schemas(folder: Path, columns: Sequence[str]) -> None:
@@ -87,7 +61,7 @@ def write_schemas(folder: Path, columns: Sequence[str]) -> None:
     for name in (*(f"{name}.schema.json" for name in written), TABLE_SCHEMA, PAIR_SCHEMA):
         (folder / SCHEMAS / name).write_bytes(stored.joinpath(name).read_bytes())
     if TRUTH_COLUMN in columns:
-        (folder / SCHEMAS / TABLE_SCHEMA).write_text(pretty_json(_table(columns)), encoding="utf-8")
+        (folder / SCHEMAS / TABLE_SCHEMA).write_text(pretty_json(targets_schema(columns)), encoding="utf-8")
 
 
 def schema_problems(name: str, text: str) -> Iterator[str]:
@@ -111,7 +85,7 @@ def schema_problems(name: str, text: str) -> Iterator[str]:
                     yield f"'{where}': {problem}" if where else problem
 
 
-def _table(columns: Iterable[str] = COLUMNS) -> dict[str, object]:
+def targets_schema(columns: Iterable[str] = COLUMNS) -> dict[str, object]:
     """Return the table schema (https://datapackage.org/standard/table-schema/) of targets.csv."""
     rows: list[dict[str, object]] = []
     for column in columns:
@@ -130,34 +104,3 @@ def _table(columns: Iterable[str] = COLUMNS) -> dict[str, object]:
     fewer = {"fieldsMatch": "superset"} if TRUTH_COLUMN in columns else {}
     comment = f"{TARGETS_CSV}, targets/*.csv"
     return {"$comment": comment, **fewer, "fields": rows, "primaryKey": ["recording", "view"]}
-
-
-def _pair() -> dict[str, object]:
-    """Return the schema of a pair file: name, dtype, shape and description of each array."""
-    keys = []
-    about = {field.name: field.metadata["description"] for field in fields(Pair)}
-    about["format_version"] = str(FORMAT_VERSION)
-    for name in about:
-        row: dict[str, object] = {"name": name, "input": name in (*INPUT_KEYS, "format_version")}
-        if name in PACKED_SHAPES:
-            row |= {"dtype": "uint8", "shape": list(PACKED_SHAPES[name]), "packed": True}
-        elif name in MATRIX_SIDES:
-            row |= {"dtype": "float64", "shape": [MATRIX_SIDES[name]] * 2}
-        else:
-            dtype = "float64" if name in NUMBERS else "text" if name in TEXTS else "integer"
-            row |= {"dtype": dtype, "shape": []}
-        keys.append(row | {"description": about[name]})
-    packed = "bits along the last axis, most significant first: numpy.unpackbits(array, axis=-1)"
-    return {
-        "$comment": "pairs/*/*.npz; of held-back splits the keys with input only",
-        "packed": packed,
-        "keys": keys,
-    }
-
-
-if __name__ == "__main__":
-    for file_name, file_text in schema_texts().items():
-        (Path(__file__).with_name(SCHEMAS) / file_name).write_text(file_text, encoding="utf-8")
-    (Path(__file__).parents[3] / "docs" / SCORES_SCHEMA).write_text(
-        schema_texts()[SCORES_SCHEMA], encoding="utf-8"
-    )
