@@ -51,9 +51,10 @@ class DepthCalibration:
 
     def correction_per_m(self, width: int, height: int) -> Float32:
         """The correction to add to 1 / depth at each pixel: (height, width) float32, 1/m."""
-        u, v = np.meshgrid(np.arange(width), np.arange(height))
-        terms = legendre_terms(u.ravel().astype(float), v.ravel().astype(float), width, height)
-        return np.asarray((terms @ self.coefficients_per_m).reshape(height, width), np.float32)
+        columns, rows = _polynomials(np.arange(width), width), _polynomials(np.arange(height), height)
+        of_degrees = np.zeros((DEGREE + 1, DEGREE + 1))
+        of_degrees[tuple(np.transpose(TERMS))] = self.coefficients_per_m
+        return np.asarray(rows @ of_degrees.T @ columns.T, np.float32)
 
 
 NO_CALIBRATION = DepthCalibration(np.zeros(len(TERMS)))
@@ -65,6 +66,8 @@ def corrected_depth_m(depth_m: Float32, correction_per_m: Float32) -> Float32:
     Depth that the correction would move to infinity or behind the camera becomes 0.
     """
     scale = 1 + depth_m * correction_per_m
+    if scale.min(initial=1) > 0:  # without a mask, in a quarter of the time
+        return depth_m / scale
     placed: Float32 = np.divide(depth_m, scale, out=np.zeros_like(depth_m), where=scale > 0)
     return placed
 
@@ -93,6 +96,10 @@ def too_far_for_mm(depth_m: Float32) -> float:
 
 def legendre_terms(u: NDArray[np.floating], v: NDArray[np.floating], width: int, height: int) -> Float64:
     """Products of Legendre polynomials at pixels (m,), mapped to -1 ... 1: (m, number of terms)."""
-    columns = np.polynomial.legendre.legvander(2 * (u + 0.5) / width - 1, DEGREE)
-    rows = np.polynomial.legendre.legvander(2 * (v + 0.5) / height - 1, DEGREE)
+    columns, rows = _polynomials(u, width), _polynomials(v, height)
     return np.stack([columns[:, i] * rows[:, j] for i, j in TERMS], axis=1)
+
+
+def _polynomials(pixels: NDArray[np.number], size: int) -> Float64:
+    """Legendre polynomials of degree 0 to 6 at pixels (m,) of `size` in a row or column: (m, 7)."""
+    return np.asarray(np.polynomial.legendre.legvander(2 * (pixels + 0.5) / size - 1, DEGREE))

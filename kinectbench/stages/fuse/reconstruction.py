@@ -197,7 +197,7 @@ def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far
     depth_m, farthest_m = sequence.depth_m(index), _max_depth_m(settings)
     if far:
         farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))
-    depth_m[(depth_m < settings.min_depth_m) | (depth_m > farthest_m)] = 0.0
+    depth_m *= (depth_m >= settings.min_depth_m) & (depth_m <= farthest_m)  # faster than by a mask
     return depth_m
 
 

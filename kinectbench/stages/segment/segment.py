@@ -1,12 +1,14 @@
 """The stage `segment`: find the object in the fused scene, fuse it finely, and make it a closed solid."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from kinectbench.core.errors import ShapeError
 from kinectbench.core.geometry import Camera, Grid, OrientedBox, TriangleMesh
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress, Underside
 from kinectbench.core.voxels.observation import Observation, merge
@@ -116,7 +118,7 @@ def segment(
     odd, even = (
         observe(sequence, trajectory, half, found.grid, fusion, progress) for half in (good[0::2], good[1::2])
     )
-    of_odd, of_even = (_solid_of_half(half, found, rules) for half in (odd, even))
+    of_odd, of_even = ahead(partial(_solid_of_half, found=found, rules=rules), (odd, even))
     sigma_m = surface_sigma_m(odd, even)
     together = enlarged_observation(merge(odd, even), found.scale)
     del odd, even  # of a large object each is a gigabyte

@@ -24,6 +24,7 @@ from kinectbench.core.geometry.depth import (
     legendre_terms,
 )
 from kinectbench.core.geometry.gauss_newton import NormalEquations, eliminated, weighted_products
+from kinectbench.core.threads import ahead
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
 from kinectbench.stages.track.frame_maps import Level, MapCache
@@ -138,7 +139,7 @@ def _solved(products: Sequence[Float64]) -> Float64:
 
 
 def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[Float64, Float64]]:
-    return [each for each in map(_sums, views) if each is not None]
+    return [each for each in ahead(_sums, views) if each is not None]
 
 
 def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
