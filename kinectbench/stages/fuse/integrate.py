@@ -40,8 +40,6 @@ FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
 VOTE_BITS, MOST_VOTES = np.uint32(16), np.uint32(0xFFFF)
 # Voxels of a layer of a block, and of a block.
 SLAB_CELLS, BLOCK_CELLS = BLOCK_VOXELS**2, BLOCK_VOXELS**3
-# A pixel's depth and weight are fetched at once: the two halves of 64 bits.
-LOWER_HALF, HALF_BITS = np.uint64(0xFFFFFFFF), np.uint64(32)
 # Voxels nearer to the camera's plane, or behind it, count as so far away that no depth reaches them.
 NEAREST_M, BEHIND_CAMERA_M = np.float32(1e-3), np.float32(1e6)
 # Twice the noise of a depth of 8 m.
@@ -160,7 +158,7 @@ def _integrate_batch(
 
     def part(start: int, stop: int) -> None:
         _integrate(
-            start, stop, seen, volume.blocks, tsdf, weight, votes, pixels.view(np.uint64)[..., 0], to_pixels,
+            start, stop, seen, volume.blocks, tsdf, weight, votes, pixels, to_pixels,
             middle_px, volume.voxel_size_m, np.float32(truncation_m), noise_m,
         )  # fmt: skip
 
@@ -211,19 +209,18 @@ def _integrate(  # type: ignore[no-untyped-def]
 
     For f frames and n blocks: `seen` (f, n) as from `visible_blocks`; `blocks` (n, 3) block coordinates;
     `tsdf`, `weight` and `votes` (n, 512), changed in place; `noise` (f, 9) as from `_noise_m`. `pixels`
-    (f, height, width) uint64 have a float32 depth, metres, in the lower half and its float32 weight in the
-    upper one, and an empty border. `to_pixels` (f, 3, 4) maps the volume's frame to camera axes, with x and y
-    multiplied by fx and fy. `middle` (2,) is the principal point, moved for the border and for rounding.
-    `voxel` (edge) and `truncation` are in metres.
+    (f, height, width, 2) float32 have a depth, metres, and its weight, and an empty border. `to_pixels`
+    (f, 3, 4) maps the volume's frame to camera axes, with x and y multiplied by fx and fy. `middle` (2,) is
+    the principal point, moved for the border and for rounding. `voxel` (edge) and `truncation` are in metres.
     """
     index = np.empty(BLOCK_CELLS, np.uint32)
-    fetched = np.empty(BLOCK_CELLS, np.uint64)
+    depths, weights = np.empty(BLOCK_CELLS, np.float32), np.empty(BLOCK_CELLS, np.float32)
     z = np.empty(BLOCK_CELLS, np.float32)
     new_total, new_weight = np.zeros(BLOCK_CELLS, np.float32), np.zeros(BLOCK_CELLS, np.float32)
     new_votes = np.zeros(BLOCK_CELLS, np.int32)
     corner = np.empty(3, np.float32)
-    frames, height, width = pixels.shape
-    of_pixel = pixels.reshape(frames, height * width)
+    frames, height, width, _ = pixels.shape
+    of_pixel = pixels.reshape(frames, height * width, 2)
     inside = np.empty((frames, 3, BLOCK_CELLS), np.float32)
     for f in range(frames):
         _inside_block(inside[f], to_pixels[f], voxel)
@@ -237,12 +234,14 @@ def _integrate(  # type: ignore[no-untyped-def]
                     along = row[0] * gx + row[1] * gy + row[2] * gz
                     corner[axis] = along * (BLOCK_VOXELS * voxel) + row[3]
                 _project(index, z, corner, inside[f], middle, width, height)
-                for n in range(BLOCK_CELLS):
-                    fetched[n] = of_pixel[f, index[n]]
                 if seen[f, b] == CLEAR:
-                    any_new |= _add_clear(new_total, new_weight, new_votes, fetched, truncation)
+                    for n in range(BLOCK_CELLS):
+                        weights[n] = of_pixel[f, index[n], 1]
+                    any_new |= _add_clear(new_total, new_weight, new_votes, weights, truncation)
                 else:
-                    any_new |= _add(new_total, new_weight, new_votes, fetched, z, truncation, noise[f])
+                    for n in range(BLOCK_CELLS):
+                        depths[n], weights[n] = of_pixel[f, index[n], 0], of_pixel[f, index[n], 1]
+                    any_new |= _add(new_total, new_weight, new_votes, depths, weights, z, truncation, noise[f])
         if any_new:
             _merge(tsdf[b], weight[b], new_total, new_weight)
             _count(votes[b], new_votes)
@@ -281,20 +280,18 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
-def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # type: ignore[no-untyped-def]
+def _add(new_total, new_weight, new_votes, depths, weights, z, truncation, noise):  # type: ignore[no-untyped-def]
     """Add a frame's weighted distances, weights and votes to a block's sums; return whether it has any.
 
-    The sums (512,) are of weight * distance, of weights, and of votes. `fetched` (512,) uint64 has, for each
-    voxel's pixel, the float32 depth (lower half) and weight (upper half). `z` (512,) is each voxel's depth,
-    metres, `noise` (9,) is as from `_noise_m`.
+    The sums (512,) are of weight * distance, of weights, and of votes. `depths` and `weights` (512,) are of
+    each voxel's pixel, `z` (512,) is each voxel's depth, metres, `noise` (9,) is as from `_noise_m`.
     """
     f32 = np.float32
     near, growth, near_depth, pose, vote_pose = noise[0], noise[1], noise[2], noise[3], noise[4]
     half_diagonal, fading_per_m, window, clear = noise[5], noise[6], noise[7], noise[8]
     any_added = f32(0)
     for n in range(BLOCK_CELLS):
-        depth = np.uint32(fetched[n] & LOWER_HALF).view(f32)
-        weight = np.uint32(fetched[n] >> HALF_BITS).view(f32)
+        depth, weight = depths[n], weights[n]
         distance = depth - z[n]
         sigma = near + growth * (depth - near_depth) * (depth - near_depth)
         least = -max(truncation, BEHIND_SIGMAS * sigma) if weight >= 0 else BEFORE_FAR_M
@@ -318,14 +315,14 @@ def _add(new_total, new_weight, new_votes, fetched, z, truncation, noise):  # ty
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
-def _add_clear(new_total, new_weight, new_votes, fetched, truncation):  # type: ignore[no-untyped-def]
+def _add_clear(new_total, new_weight, new_votes, weights, truncation):  # type: ignore[no-untyped-def]
     """Do what `_add` does, for a block that lies far in front of all measured depth.
 
     There, each distance is the truncation and each vote is `free`.
     """
     any_added = np.float32(0)
     for n in range(BLOCK_CELLS):
-        added = abs(np.uint32(fetched[n] >> HALF_BITS).view(np.float32))
+        added = abs(weights[n])
         any_added += added
         new_votes[n] += FREE_VOTE if added > 0 else NO_VOTE
         new_total[n] += added * truncation
