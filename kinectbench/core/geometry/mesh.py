@@ -204,11 +204,27 @@ def _open3d() -> ModuleType:
 
 
 def write_ply(mesh: TriangleMesh, path: Path) -> None:
-    """Write vertices (float32, metres), faces and colours; the same bytes for the same mesh."""
-    import trimesh
+    """Write vertices (float32, metres), faces and colours; the same bytes as by trimesh."""
+    channels = () if mesh.colors is None else ("red", "green", "blue", "alpha")
+    properties = [*(f"float {axis}" for axis in "xyz"), *(f"uchar {channel}" for channel in channels)]
+    lines = [
+        *("ply", "format binary_little_endian 1.0", "comment https://github.com/mikedh/trimesh"),
+        *(f"element vertex {len(mesh.vertices)}", *(f"property {each}" for each in properties)),
+        *(f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header\n"),
+    ]
+    vertex, face = _ply_types(len(channels))
+    vertices, faces = np.empty(len(mesh.vertices), vertex), np.empty(len(mesh.faces), face)
+    vertices["xyz"], vertices["rest"] = mesh.vertices, 255  # opaque
+    if mesh.colors is not None:
+        vertices["rest"][:, :3] = mesh.colors
+    faces["count"], faces["corners"] = 3, mesh.faces
+    path.write_bytes("\n".join(lines).encode() + vertices.tobytes() + faces.tobytes())
 
-    shell = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
-    path.write_bytes(trimesh.exchange.ply.export_ply(shell, vertex_normal=False))
+
+def _ply_types(extra_bytes: int) -> tuple[np.dtype[np.void], np.dtype[np.void]]:
+    """A vertex, with so many bytes after its position, and a triangle as they lie in a PLY file."""
+    vertex = np.dtype([("xyz", "<f4", 3), ("rest", "u1", extra_bytes)])
+    return vertex, np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 
 
 def read_own_ply(path: Path, *, colors: bool = False) -> TriangleMesh:
@@ -238,8 +254,7 @@ def parse_ply(content: bytes, *, colors: bool = False) -> TriangleMesh:
     if head is None:
         raise ValueError("not a binary PLY file of triangles as this package writes it")
     vertices, faces = int(head[1]), int(head[3])
-    vertex = np.dtype([("xyz", "<f4", 3), ("rest", "u1", head[2].count(b"\n"))])
-    face = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+    vertex, face = _ply_types(head[2].count(b"\n"))
     vertex_end = head.end() + vertices * vertex.itemsize
     claimed = vertex_end + faces * face.itemsize
     if len(content) != claimed:
