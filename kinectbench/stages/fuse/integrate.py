@@ -241,7 +241,9 @@ def _integrate(  # type: ignore[no-untyped-def]
                 else:
                     for n in range(BLOCK_CELLS):
                         depths[n], weights[n] = of_pixel[f, index[n], 0], of_pixel[f, index[n], 1]
-                    any_new |= _add(new_total, new_weight, new_votes, depths, weights, z, truncation, noise[f])
+                    any_new |= _add(
+                        new_total, new_weight, new_votes, depths, weights, z, truncation, noise[f]
+                    )
         if any_new:
             _merge(tsdf[b], weight[b], new_total, new_weight)
             _count(votes[b], new_votes)

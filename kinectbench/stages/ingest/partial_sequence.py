@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, ListedFrame, Recording
-from kinectbench.stages.ingest.sequence_writer import SequenceWriter, Watch
+from kinectbench.stages.ingest.sequence_writer import SequenceWriter
 
 # For a frame: its stamp; and for each of its files the name, the size and the time of the last change.
 FrameMark: TypeAlias = tuple[int, tuple[tuple[str, int, int], ...]]
@@ -68,13 +68,10 @@ def frame_mark(place: ListedFrame) -> FrameMark | None:
     return place.stamp_ns, tuple((name, stat.st_size, stat.st_mtime_ns) for name, stat in stats)
 
 
-def go_on_from(partial: PartialSequence, writer: SequenceWriter, watch: Watch | None = None) -> None:
+def go_on_from(partial: PartialSequence, writer: SequenceWriter) -> None:
     """Copy the frames of an earlier sequence to a new writer, if they belong to the writer's recording.
 
-    Args:
-        partial: the earlier sequence.
-        writer: a writer that has taken no frame yet.
-        watch: gets those of the copied frames that it wants to see.
+    The writer must have taken no frame yet.
     """
     before, recording = partial.writer, writer.checks.recording
     if not _is_of(partial, recording):
@@ -89,10 +86,6 @@ def go_on_from(partial: PartialSequence, writer: SequenceWriter, watch: Watch | 
     writer.rows, writer.taken = before.rows, before.taken
     writer.checks = before.checks
     writer.checks.recording = recording
-    for row in writer.rows if watch else ():
-        assert watch is not None and row.recorded is not None
-        if watch.wants(row.recorded):
-            watch.see(row.recorded, recording.frame(row.recorded))
 
 
 def _same_file(source: Path, target: Path) -> None:
