@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
@@ -67,15 +68,18 @@ STAGE_COMMANDS: Mapping[str, Command] = {
 }
 
 
-def run_stage(common: Common, name: str, ids: list[str] | None) -> int:
-    """Build recordings up to a stage (`build`: all stages) and print the outcome; return the exit status."""
+def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Executor | None" = None) -> int:
+    """Build recordings up to a stage (`build`: all stages) and print the outcome; return the exit status.
+
+    They are built by `executor` if it is given, else as the options say.
+    """
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
     if name == "build":
         tell_unknown_categories(common, ids)
     chosen, force = shard_jobs(common, ids), stages if common.force else ()
-    with common.executor() as executor:
+    with nullcontext(executor) if executor else common.executor() as executor:
         rows = build_jobs(
             chosen,
             upto,

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -66,7 +66,7 @@ def record_command(
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
     check_new(out)
-    with _begun(out) if built else nullcontext() as begun:
+    with _begun(out, common.workers) if built else nullcontext() as begun:
         done = _recorded(camera, out, seconds, port, guided)
         ended_s = time.monotonic()
         _tell(common, done)
@@ -99,16 +99,17 @@ def _recorded(
 
 
 @contextmanager
-def _begun(out: Path) -> "Iterator[BuildProcess | None]":
+def _begun(out: Path, workers: int) -> "Iterator[BuildProcess | None]":
     """Start a process that builds while recording; yield it, or None if a package for it is missing."""
     from kinectbench.core import missing_extra
 
     if missing_extra("build"):
         yield None  # the build reports it
         return
+    from kinectbench.engine.parallel import MOST_THREADS
     from kinectbench.record.build_process import BuildProcess
 
-    begun = BuildProcess(out)
+    begun = BuildProcess(out, min(workers, MOST_THREADS))
     try:
         yield begun
     finally:
@@ -149,19 +150,13 @@ def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | Non
     """
     from kinectbench.cli.build import run_stage
     from kinectbench.cli.recordings import init_command
-    from kinectbench.stages.ingest.partial_sequence import using_partial_sequence
-    from kinectbench.stages.track.partial_odometry import using_partial_odometry
 
     if begun is not None:
         begun.ended()
     quiet, config = replace(common, as_json=False), out / DEFAULT_CONFIG
     on_interrupt.words = f"stopped; `kinectbench build --config {quote(str(config))}` goes on from here"
     init_command(folder=out)
-    with ExitStack() as stack:
-        if begun is not None:
-            stack.enter_context(using_partial_sequence(begun.sequence))
-            stack.enter_context(using_partial_odometry(begun.odometry))
-        status = run_stage(replace(quiet, config=config), "build", None)
+    status = run_stage(replace(quiet, config=config), "build", None, begun)
     took_s = time.monotonic() - ended_s
     console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording"], "cyan")
     return status

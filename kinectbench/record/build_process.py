@@ -1,14 +1,19 @@
-"""Start a build in a separate process while the recording is still being written.
+"""Build in a separate process, which begins while the recording is still being written.
 
 The process reads the growing folder, so it never delays the recorder. It stores each frame and registers it
-to earlier frames with the build's own code, and the build later continues from these results.
+to earlier frames with the build's own code. The build continues from these results, in the same process: all
+libraries are loaded there by then.
 """
 
+import copy
 import multiprocessing
 import os
 import shutil
 import signal
+import threading
 import warnings
+from collections import abc
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -16,8 +21,18 @@ from pathlib import Path
 import numpy as np
 
 from kinectbench.core.errors import KinectBenchError, RecordingError
+from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core.pictures import new_figure
 from kinectbench.core.sequence import Sequence
-from kinectbench.stages.ingest.partial_sequence import FrameMark, PartialSequence, frame_mark, stored_by
+from kinectbench.core.threads import using_threads
+from kinectbench.engine.executor import Executor, Listener, Outcomes, Result, SendMessage, Task
+from kinectbench.stages.ingest.partial_sequence import (
+    FrameMark,
+    PartialSequence,
+    frame_mark,
+    stored_by,
+    using_partial_sequence,
+)
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import Recording
 from kinectbench.stages.ingest.sequence_folder import FolderFrames
@@ -25,9 +40,9 @@ from kinectbench.stages.ingest.sequence_writer import SequenceWriter
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.odometry import Follower
-from kinectbench.stages.track.partial_odometry import PartialOdometry
+from kinectbench.stages.track.partial_odometry import PartialOdometry, using_partial_odometry
 
-# Niceness: the recorder and the guide get the processor first.
+# Niceness while recording: the recorder and the guide get the processor first.
 NICER = 10
 # Interval at which the folder's lists are read: 70 ms for 600 frames.
 READ_AGAIN_S = 1.0
@@ -39,18 +54,26 @@ STORED = ".stored-"
 # Signals that a closed terminal, or the end of a process group, sends. They are ignored: the recorder ends
 # this process.
 IGNORED = (signal.SIGINT, signal.SIGHUP, signal.SIGTERM) if os.name == "posix" else (signal.SIGINT,)
-# The process ends within a frame; after this time it is killed.
+# The process ends with its next progress; after this time it is killed.
 ENDS_WITHIN_S = 5.0
 
 
-class BuildProcess:
-    """Stores and registers the frames of a growing folder in a separate process."""
+class BuildProcess(Executor):
+    """Stores and registers the frames of a growing folder in a separate process, and builds there."""
 
-    def __init__(self, folder: Path) -> None:
-        """Start the process (spawned: threads do not survive a fork); the folder may appear later."""
+    def __init__(self, folder: Path, threads: int = 1) -> None:
+        """Start the process (spawned: threads do not survive a fork); the folder may appear later.
+
+        Args:
+            folder: the growing folder.
+            threads: number of threads for the build.
+        """
         context = multiprocessing.get_context("spawn")
         self._mine, theirs = context.Pipe()
-        self._process = context.Process(target=_run, args=(theirs, folder), name="build", daemon=True)
+        self._threads = threads
+        self._process = context.Process(
+            target=_run, args=(theirs, folder, threads), name="build", daemon=True
+        )
         self._process.start()
         self._stored = folder / f"{STORED}{self._process.pid}"
         theirs.close()
@@ -62,17 +85,39 @@ class BuildProcess:
 
     def ended(self) -> None:
         """Tell the process that the folder is complete, so that it takes the last frames, too."""
-        self._ask("whole")
+        with suppress(OSError):
+            self._mine.send(None)
 
-    def sequence(self) -> PartialSequence | None:
-        """Return the frames stored so far, while the process goes on; None without any, or if it failed."""
-        answer = self._answer("sequence")
-        return answer if isinstance(answer, PartialSequence) else None
+    def slots(self) -> int:
+        """Always one."""
+        return 1
 
-    def odometry(self) -> PartialOdometry | None:
-        """Return the odometry so far, and let the process end; None without any, or if it failed."""
-        answer = self._answer("odometry")
-        return answer if isinstance(answer, PartialOdometry) else None
+    def outcomes(
+        self,
+        function: abc.Callable[[Task, SendMessage], Result],
+        tasks: abc.Sequence[Task],
+        listener: Listener,
+        memory_gb: abc.Callable[[Task], float] | None = None,
+        *,
+        slowest_twice: bool = False,
+    ) -> Outcomes[Task, Result]:
+        """See `Executor`; if the process has died, its tasks run in this process."""
+        for task in tasks:
+            yield task, self._result(function, task, listener)
+
+    def _result(
+        self, function: abc.Callable[[Task, SendMessage], Result], task: Task, listener: Listener
+    ) -> Result:
+        with suppress(EOFError, OSError):
+            self._mine.send((function, task))
+            while True:
+                is_result, said = self._mine.recv()
+                if is_result:
+                    result: Result = said
+                    return result
+                listener.heard(said)
+        with using_threads(self._threads):
+            return function(task, listener.heard)
 
     def close(self) -> None:
         """End the process, and delete what it stored."""
@@ -81,16 +126,6 @@ class BuildProcess:
         self._process.kill()
         self._process.join()
         shutil.rmtree(self._stored, ignore_errors=True)
-
-    def _ask(self, what: str) -> None:
-        with suppress(OSError):
-            self._mine.send(what)
-
-    def _answer(self, what: str) -> object:
-        self._ask(what)
-        with suppress(EOFError, OSError):
-            return self._mine.recv()
-        return None
 
 
 class GrowingBuild:
@@ -165,28 +200,85 @@ class GrowingBuild:
         return PartialOdometry(self._follower, tuple(self._digests)) if self._follower else None
 
 
-def _run(connection: Connection, folder: Path) -> None:
-    """The process: take frames until the other end asks for the odometry, or closes."""
+class _Taking:
+    """Takes the frames of a growing folder on a thread, until the odometry is asked for.
+
+    Attributes:
+        ended: to be set when the folder is complete.
+    """
+
+    def __init__(self, growing: GrowingBuild) -> None:
+        self.ended = threading.Event()
+        self._growing, self._whole, self._busy = growing, False, False
+        self._pool = ThreadPoolExecutor(1, initializer=_prepare)
+        self._pool.submit(self._take)
+
+    def _take(self) -> None:
+        """Take one frame, or wait for one; then submit itself, so that requests come in between."""
+        if not self._busy or self.ended.is_set() != self._whole:  # only now are the last rows final
+            self._whole = self.ended.is_set()
+            self._growing.read_again()
+        self._busy = self._growing.take(whole=self._whole)
+        if not self._busy and not self._whole:
+            self.ended.wait(READ_AGAIN_S)
+        if self._busy or not self._whole:
+            self._pool.submit(self._take)
+
+    def sequence(self) -> PartialSequence | None:
+        """A copy of the sequence so far, while further frames are taken."""
+        return self._pool.submit(lambda: copy.deepcopy(self._growing.sequence())).result()
+
+    def odometry(self) -> PartialOdometry | None:
+        """The odometry so far; no more frames are taken."""
+        self.stop()
+        growing = self._growing
+        del self._growing  # it holds the frames' images
+        return growing.odometry()
+
+    def stop(self) -> None:
+        """Take no more frames; wait for the present one."""
+        self.ended.set()
+        self._pool.shutdown(cancel_futures=True)
+
+
+def _prepare() -> None:
+    """Be nice to others (Linux counts niceness by thread), and load the libraries of a build."""
+    with suppress(OSError):
+        os.nice(NICER)
+    import kinectbench.engine.steps  # noqa: F401
+
+    raycaster()
+    new_figure(1, 1)
+
+
+def _run(connection: Connection, folder: Path, threads: int) -> None:
+    """The process: take frames until the other end gives a task, or closes."""
     for each in IGNORED:
         signal.signal(each, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the recorder owns the terminal
-    with suppress(OSError):
-        os.nice(NICER)
     stored = folder / f"{STORED}{os.getpid()}"
-    growing, whole, busy = GrowingBuild(folder, stored), False, False
+    taking = _Taking(GrowingBuild(folder, stored))
+
+    def say(message: object) -> None:
+        try:
+            connection.send((False, message))
+        except OSError as error:  # the other end closed; this is no failure of the build
+            raise KeyboardInterrupt from error
+
     try:
-        while True:
-            asked = connection.recv() if connection.poll(0 if busy else READ_AGAIN_S) else ""
-            if asked == "odometry":
-                connection.send(growing.odometry())
-                return
-            if asked == "sequence":
-                connection.send(growing.sequence())
-            whole |= asked == "whole"
-            if not busy or asked == "whole":  # only now are the last rows final
-                growing.read_again()
-            busy = growing.take(whole=whole)
-    except Exception:  # the other end closed, or the build reports the error later
+        with (
+            using_threads(threads),
+            using_partial_sequence(taking.sequence),
+            using_partial_odometry(taking.odometry),
+        ):
+            while True:
+                asked = connection.recv()
+                taking.ended.set()
+                if asked is not None:
+                    function, task = asked
+                    connection.send((True, function(task, say)))
+    except (Exception, KeyboardInterrupt):  # the other end closed, or the build reports the error later
         return
     finally:
+        taking.stop()
         shutil.rmtree(stored, ignore_errors=True)

@@ -5,6 +5,8 @@ import os
 import pickle
 import shutil
 import signal
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,11 @@ from made_once import made_once
 from small_runs import make_small
 from typed import noted
 
+from kinectbench.core import threads
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.engine.executor import SendMessage, WorkerLost
 from kinectbench.engine.parallel import build
 from kinectbench.engine.stages import Job
 from kinectbench.record.build_process import MAY_CHANGE, STORED, BuildProcess, GrowingBuild
@@ -23,11 +27,15 @@ from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.ingest import sequence_writer
 from kinectbench.stages.ingest.images import decode_depth_png, encode_png
-from kinectbench.stages.ingest.partial_sequence import PartialSequence, using_partial_sequence
+from kinectbench.stages.ingest.partial_sequence import (
+    PartialSequence,
+    partial_sequence,
+    using_partial_sequence,
+)
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import FileRecording, RawFrame
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.stages.track import track, tracker
+from kinectbench.stages.track import partial_odometry, track, tracker
 from kinectbench.stages.track.odometry import Follower
 from kinectbench.stages.track.partial_odometry import (
     PartialOdometry,
@@ -115,15 +123,42 @@ def test_what_was_taken_of_other_frames_is_not_used(recorded: Path, tmp_path: Pa
             assert partial_odometry_of(read_sequence(tmp_path / change)) is None
 
 
+class Heard(list[object]):
+    """The messages of tasks."""
+
+    def heard(self, message: object) -> None:
+        self.append(message)
+
+    def warn(self, message: str, task: object = None) -> None:
+        raise AssertionError(message)
+
+
+def taken_in(task: object, say: SendMessage) -> tuple[int, int, object, int]:
+    """What a build finds: numbers of frames stored and followed, its threads' default, and its process."""
+    sequence, ask = partial_sequence(), partial_odometry._ask.get()
+    odometry = ask() if ask else None
+    say(task)
+    stored = sequence.writer.taken if sequence else 0
+    return stored, len(odometry.digests) if odometry else 0, threads._threads.get(), os.getpid()
+
+
+def built_by(process: BuildProcess, listener: Heard) -> tuple[int, int, object, int]:
+    """The result of `taken_in` in the process."""
+    [(task, result)] = process.outcomes(taken_in, ["task"], listener)
+    assert task == "task" and not isinstance(result, WorkerLost)
+    return result
+
+
 def test_a_process_takes_the_frames_as_they_come(recorded: Path, tmp_path: Path) -> None:
-    """It waits for the folder, and gives what it has taken when it is asked."""
-    process = BuildProcess(tmp_path / "out")
+    """It waits for the folder, and the build in it goes on from what it has taken."""
+    process = BuildProcess(tmp_path / "out", threads=2)
     shutil.copytree(recorded / "out", tmp_path / "out")
     process.ended()
-    sequence, partial = process.sequence(), process.odometry()
+    listener = Heard()
+    stored, followed, count, pid = built_by(process, listener)
     process.close()
-    assert sequence is not None and len(sequence.marks) == sequence.writer.taken <= FRAMES
-    assert partial is not None and 1 <= len(partial.digests) == len(partial.follower.frames) <= FRAMES
+    assert listener == ["task"] and (count, pid) == (2, process.pid)
+    assert 1 <= stored <= followed <= FRAMES
     assert not [*(tmp_path / "out").glob(f"{STORED}*")]
 
 
@@ -131,13 +166,50 @@ def test_a_closed_terminal_leaves_nothing(recorded: Path, tmp_path: Path) -> Non
     """Signals to a group of processes do not stop it; its recorder ends it, and what it stored is removed."""
     shutil.copytree(recorded / "out", tmp_path / "out")
     process = BuildProcess(tmp_path / "out")
-    assert process.sequence() is not None or process.sequence() is not None
+    stored = tmp_path / "out" / f"{STORED}{process.pid}"
+    assert comes(stored.is_dir)
     for each in (signal.SIGHUP, signal.SIGTERM):
         os.kill(process.pid or 0, each)
-    assert process.sequence() is not None
-    assert [*(tmp_path / "out").glob(f"{STORED}*")] == [tmp_path / "out" / f"{STORED}{process.pid}"]
+    assert built_by(process, Heard())[3] == process.pid and stored.is_dir()
     process.close()
     assert not [*(tmp_path / "out").glob(f"{STORED}*")]
+
+
+def comes(true: Callable[[], bool], within_s: float = 60) -> bool:
+    """Whether something comes true in time."""
+    ends = time.monotonic() + within_s
+    while not true() and time.monotonic() < ends:
+        time.sleep(0.05)
+    return true()
+
+
+def goes_on(marks: Path, say: SendMessage) -> None:
+    """A build that makes progress until it is stopped, and then says so in a file."""
+    try:
+        while True:
+            say("progress")
+            time.sleep(0.01)
+    except Exception:  # a build would take it as its own failure
+        (marks / "failed").touch()
+    except KeyboardInterrupt:
+        (marks / "interrupted").touch()
+        raise
+
+
+class Stops(Heard):
+    """Ctrl-C at the first message."""
+
+    def heard(self, message: object) -> None:
+        raise KeyboardInterrupt
+
+
+def test_a_stopped_recorder_interrupts_the_build(tmp_path: Path) -> None:
+    """It ends with its next progress, as after Ctrl-C, and not as by a failure."""
+    process = BuildProcess(tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt):
+        next(process.outcomes(goes_on, [tmp_path], Stops()))
+    process.close()
+    assert (tmp_path / "interrupted").exists() and not (tmp_path / "failed").exists()
 
 
 def test_another_camera_in_between_is_refused(recorded: Path, tmp_path: Path) -> None:
@@ -158,7 +230,8 @@ def test_a_process_that_dies_costs_nothing(tmp_path: Path) -> None:
     assert process.pid is not None
     os.kill(process.pid, signal.SIGKILL)
     process.ended()
-    assert process.sequence() is None and process.odometry() is None
+    stored, followed, _, pid = built_by(process, Heard())
+    assert (stored, followed, pid) == (0, 0, os.getpid())
     process.close()
 
 
