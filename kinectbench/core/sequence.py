@@ -1,6 +1,6 @@
 """The normalised recording: indexed frames, one pinhole camera, and optionally a given trajectory."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
@@ -11,6 +11,7 @@ from kinectbench.core.artefacts.sequence import AGAIN
 from kinectbench.core.encoded_images import decoded_image
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import Camera, DepthCalibration, corrected_depth_m
+from kinectbench.core.threads import ahead
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 
 
@@ -102,6 +103,10 @@ class Sequence:
         if self.depth_correction_per_m is None:
             return depth_m
         return corrected_depth_m(depth_m, self.depth_correction_per_m)
+
+    def depths_m(self, frames: Iterable[int], step_px: int = 1) -> Iterator[Float32]:
+        """Depth of frames as by `depth_m`, every `step_px`-th pixel of every such row; read ahead."""
+        return ahead(lambda index: self.depth_m(int(index))[::step_px, ::step_px], frames)
 
     def calibrated(self, calibration: DepthCalibration) -> "Sequence":
         """The same recording with its depth corrected by a calibration."""

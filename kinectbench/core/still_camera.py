@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import depth_sigma_m
 from kinectbench.core.sequence import Sequence as Recorded
+from kinectbench.core.threads import ahead
 from kinectbench.core.types import Bools, Float32
 
 # Number of frames to compare, and the least number.
@@ -157,8 +158,8 @@ def watch_some(sequence: Recorded) -> SomeWatched:
 
     step = max(1, round(sequence.camera.width / COLUMNS))
     chosen = some_of(len(sequence))
-    depths_m = [sequence.depth_m(index)[::step, ::step] for index in chosen]
-    colors = [sequence.color_rgb(index) for index in chosen]
+    depths_m = list(ahead(lambda index: sequence.depth_m(index)[::step, ::step], chosen))
+    colors = ahead(sequence.color_rgb, chosen)
     grays = [None if rgb is None else np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)) for rgb in colors]
     return SomeWatched(depths_m, step, watch(depths_m, grays))
 

@@ -1,6 +1,7 @@
 """Pinhole cameras with optical axes (x right, y down, z forward) and integer pixel centres."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +40,8 @@ class Camera:
         return Camera(width, height, *(float(each) for each in self.intrinsics / step_px))
 
     def rays(self) -> Float64:
-        """Directions through every pixel centre with z = 1: (height, width, 3), camera frame."""
-        return self.rays_at(*np.meshgrid(np.arange(self.width), np.arange(self.height)))
+        """Directions through every pixel centre with z = 1: (height, width, 3), camera frame; read-only."""
+        return _rays(self)
 
     def rays_at(self, u: NDArray[np.number], v: NDArray[np.number]) -> Float64:
         """Directions through pixels (...) with z = 1: (..., 3), camera frame."""
@@ -57,6 +58,13 @@ class Camera:
         return np.stack([self.fx * x / z + self.cx, self.fy * y / z + self.cy], axis=-1)
 
 
+@lru_cache(maxsize=2)
+def _rays(camera: Camera) -> Float64:
+    rays = camera.rays_at(*np.meshgrid(np.arange(camera.width), np.arange(camera.height)))
+    rays.flags.writeable = False
+    return rays
+
+
 class DepthRenderer:
     """Renders the depth of one mesh by ray casting (Open3D RaycastingScene).
 
@@ -69,9 +77,8 @@ class DepthRenderer:
 
     def depth_m(self, camera: Camera, T_world_camera: Float64) -> Float32:
         """Depth along z in metres, (height, width) float32, 0 where the mesh is not hit."""
-        directions = camera.rays() @ T_world_camera[:3, :3].T
-        origins = np.broadcast_to(T_world_camera[:3, 3], directions.shape)
-        rays = np.concatenate([origins, directions], axis=-1).astype(np.float32)
+        rays = np.empty((camera.height, camera.width, 6), np.float32)
+        rays[..., :3], rays[..., 3:] = T_world_camera[:3, 3], camera.rays() @ T_world_camera[:3, :3].T
         # Directions have z = 1 in the camera's frame, so the ray parameter is the depth.
         hit = self._scene.cast_rays(self._tensor(rays))["t_hit"].numpy()
         return np.where(np.isfinite(hit), hit, 0).astype(np.float32)

@@ -91,8 +91,7 @@ def from_above(T_world_camera: Float64) -> Float64:
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
     """Median depth in the middle third of up to 40 of the frames (n,), metres; None without depth there."""
     some = frames[evenly(len(frames), MIDDLE_FRAMES)]
-    thin = slice(None, None, MIDDLE_STEP_PX)
-    return middle_depth_m(sequence.depth_m(int(frame))[thin, thin] for frame in some)
+    return middle_depth_m(sequence.depths_m(some, MIDDLE_STEP_PX))
 
 
 def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:

@@ -69,8 +69,7 @@ def depth_range_of(
     sequence: Sequence, frames: Int64, T_world_camera: Float64, settings: FusionSettings
 ) -> DepthRangePart:
     """Choose the depth range (`depth_range`) for frames (n,) of a sequence, n > 0, with poses (n, 4, 4)."""
-    thin = slice(None, None, SAMPLE_STEP_PX)
-    sampled = sample_depth(sequence.depth_m(int(index))[thin, thin] for index in some_frames(frames))
+    sampled = sample_depth(sequence.depths_m(some_frames(frames), SAMPLE_STEP_PX))
     return depth_range(sequence.camera, T_world_camera, sampled, settings)
 
 

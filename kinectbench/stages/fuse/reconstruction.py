@@ -187,7 +187,7 @@ def observe(
 def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: FusionSettings) -> float:
     """Median of some frames' median depths, metres; 0 without depth."""
     chosen = frames[np.unique(np.linspace(0, len(frames) - 1, DISTANCE_FRAMES).round().astype(int))]
-    depths_m = [usable_depth_m(sequence, int(index), settings) for index in chosen]
+    depths_m = ahead(lambda index: usable_depth_m(sequence, int(index), settings), chosen)
     medians_m = [np.median(depth_m[depth_m > 0]) for depth_m in depths_m if depth_m.any()]
     return float(np.median(medians_m)) if medians_m else 0.0
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.geometry import Camera, gauss_newton, rotation_angle_rad, transform_points
-from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.geometry.gauss_newton import NormalEquations
 from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
@@ -135,7 +134,7 @@ def align_view(
     depth_m: Float32,
     camera: Camera,
     T_world_camera: Float64,
-    renderer: DepthRenderer,
+    rendered_m: Float32,
     pose_sigma_m: float,
 ) -> ViewAlignment:
     """Correct a view's pose by ICP of its depth against the object.
@@ -149,14 +148,13 @@ def align_view(
         depth_m: (height, width) float32, metres, 0 = none.
         camera: intrinsics.
         T_world_camera: (4, 4), the trajectory's pose.
-        renderer: renders the object's closed mesh.
+        rendered_m: (height, width) float32, metres, depth of the object's closed mesh at that pose, 0 = none.
         pose_sigma_m: standard deviation of the trajectory's pose, metres.
 
     Returns:
         The corrected pose, or the trajectory's, and the displacement.
     """
     given = ViewAlignment(T_world_camera, 0.0, 0.0)
-    rendered_m = renderer.depth_m(camera, T_world_camera)
     near = (rendered_m > 0) & (np.abs(depth_m - rendered_m) < NEAR_M)
     stride_px = int(np.clip(np.sqrt(near.sum() / WANTED_POINTS), MIN_STRIDE_PX, MAX_STRIDE_PX))
     points = oriented_points(np.where(near, depth_m, np.float32(0)), camera, stride_px)

@@ -167,9 +167,11 @@ def _look(
         # Things in front of the object, or touching it, do not affect the fit.
         depth_m = np.where(recorded, depth_m, np.float32(0))
     pose_sigma_m = trajectory.assumed_pose_sigma_m(frame)
-    alignment = align_view(depth_m, camera, trajectory.T_world_camera[frame], renderer, pose_sigma_m)
+    rendered_m = renderer.depth_m(camera, trajectory.T_world_camera[frame])
+    alignment = align_view(depth_m, camera, trajectory.T_world_camera[frame], rendered_m, pose_sigma_m)
     T_world_camera = alignment.T_world_camera
-    rendered_m = renderer.depth_m(camera, T_world_camera)
+    if alignment.moved_m or alignment.turned_rad:
+        rendered_m = renderer.depth_m(camera, T_world_camera)
     if recorded is None:
         heights_m = floor.heights_m(depth_m, camera, T_world_camera)
         mask = object_mask(depth_m, rendered_m, heights_m, tolerance_m, low_cut_m(floor, segmentation))

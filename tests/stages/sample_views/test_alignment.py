@@ -19,11 +19,13 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.trajectory.trajectory import UNCHECKED_POSE_SIGMA_M as UNCHECKED_M
+from kinectbench.core.types import Float32, Float64
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.sample_views.alignment import (
     HUBER_SIGMAS,
     OUTLIER_M,
     OrientedPoints,
+    ViewAlignment,
     align_view,
     fitted_motion,
     helps,
@@ -64,6 +66,13 @@ def reference(
         b += w * r * J
         residuals.append(r)
     return A, b, np.array(residuals)
+
+
+def aligned(
+    depth_m: Float32, camera: Camera, pose: Float64, renderer: DepthRenderer, pose_sigma_m: float
+) -> ViewAlignment:
+    """`align_view` with the object as it is rendered at the pose."""
+    return align_view(depth_m, camera, pose, renderer.depth_m(camera, pose), pose_sigma_m)
 
 
 def test_normal_equations_against_numpy() -> None:
@@ -197,10 +206,10 @@ def error_m(chair: Chair, frame: int, T_world_camera: NDArray[np.float64]) -> fl
 def test_a_right_pose_stays(chair: Chair, renderer: DepthRenderer, frame: int) -> None:
     truth = chair.recorded.simulation.T_world_camera[frame]
     sequence = chair.recorded.sequence
-    alignment = align_view(sequence.depth_m(frame), sequence.camera, truth, renderer, pose_sigma_m=0.0005)
+    alignment = aligned(sequence.depth_m(frame), sequence.camera, truth, renderer, pose_sigma_m=0.0005)
     np.testing.assert_array_equal(alignment.T_world_camera, truth)
     assert alignment.moved_m == alignment.turned_rad == 0
-    unchecked = align_view(sequence.depth_m(frame), sequence.camera, truth, renderer, UNCHECKED_M)
+    unchecked = aligned(sequence.depth_m(frame), sequence.camera, truth, renderer, UNCHECKED_M)
     assert error_m(chair, frame, unchecked.T_world_camera) < 0.002
     assert unchecked.moved_m < 0.002 and np.degrees(unchecked.turned_rad) < 0.3
 
@@ -230,7 +239,7 @@ def test_a_wrong_pose_is_corrected(
     else:
         wrong = displaced(truth, shift_m, turn_deg)  # about the camera: 0.8 degrees move the object by 17 mm
     before = error_m(chair, frame, wrong)
-    alignment = align_view(sequence.depth_m(frame), sequence.camera, wrong, renderer, UNCHECKED_M)
+    alignment = aligned(sequence.depth_m(frame), sequence.camera, wrong, renderer, UNCHECKED_M)
     after = error_m(chair, frame, alignment.T_world_camera)
     assert before > 0.01
     assert after < 0.003
@@ -246,7 +255,7 @@ def test_too_little_to_align_by(chair: Chair, renderer: DepthRenderer) -> None:
         (np.zeros_like(sequence.depth_m(0)), truth),
         (sequence.depth_m(0), truth @ rigid(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))),  # looks away
     ):
-        alignment = align_view(depth_m, sequence.camera, pose, renderer, UNCHECKED_M)
+        alignment = aligned(depth_m, sequence.camera, pose, renderer, UNCHECKED_M)
         np.testing.assert_array_equal(alignment.T_world_camera, pose)
         assert alignment.moved_m == 0 and alignment.turned_rad == 0
 
@@ -256,7 +265,7 @@ def test_never_farther_than_allowed(chair: Chair, renderer: DepthRenderer) -> No
     sequence = chair.recorded.sequence
     for frame in FRAMES:
         wrong = displaced(chair.recorded.simulation.T_world_camera[frame], (0.06, 0.06, 0.0), 4.0)
-        alignment = align_view(sequence.depth_m(frame), sequence.camera, wrong, renderer, UNCHECKED_M)
+        alignment = aligned(sequence.depth_m(frame), sequence.camera, wrong, renderer, UNCHECKED_M)
         assert alignment.moved_m <= 0.05 and alignment.turned_rad <= 0.05
         if alignment.moved_m == 0:
             np.testing.assert_array_equal(alignment.T_world_camera, wrong)

@@ -90,7 +90,7 @@ def other_floor(
         return ()
     frames = some_frames(frames)
     step = max(1, round(sequence.camera.width / COLUMNS))
-    depths_m = [sequence.depth_m(int(frame))[::step, ::step] for frame in frames]
+    depths_m = sequence.depths_m(frames, step)
     near_m = [np.where(depth_m <= max_depth_m, depth_m, np.float32(0)) for depth_m in depths_m]
     T_world_camera = trajectory.T_world_camera[frames]
     try:

@@ -52,8 +52,7 @@ def moving_frames(
     camera = sequence.camera.every(step_px)
     renderer = DepthRenderer(scene)
     shares = []
-    for frame in map(int, judged):
-        measured_m = sequence.depth_m(frame)[::step_px, ::step_px]
+    for frame, measured_m in zip(judged, sequence.depths_m(judged, step_px), strict=True):
         T_world_camera = trajectory.T_world_camera[frame]
         heights_m = floor.heights_m(measured_m, camera, T_world_camera)
         scene_m = renderer.depth_m(camera, T_world_camera)
@@ -76,8 +75,8 @@ def beyond_depth_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, m
     step_px = max(1, round(sequence.camera.width / COLUMNS))
     rays = sequence.camera.every(step_px).rays()
     inside, beyond = 0, 0
-    for frame in map(int, some_frames(trajectory.good_frames)):
-        depth_m = sequence.depth_m(frame)[::step_px, ::step_px]
+    some = some_frames(trajectory.good_frames)
+    for frame, depth_m in zip(some, sequence.depths_m(some, step_px), strict=True):
         T_grid_camera = invert_rigid(grid.T_world_grid) @ trajectory.T_world_camera[frame]
         points = transform_points(T_grid_camera, rays[depth_m > 0] * depth_m[depth_m > 0, None])
         within = ((points >= 0) & (points <= grid.size_m)).all(axis=1)
