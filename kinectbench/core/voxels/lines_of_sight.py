@@ -24,9 +24,14 @@ BLOCKED: Final = 2
 # How a voxel is seen; a bit each: by a camera that is as high as it or higher, and by a lower one.
 FROM_ABOVE: Final = 1
 FROM_BELOW: Final = 2
+SEEN: Final = FROM_ABOVE | FROM_BELOW
+# Beside these bits: along how many directions a voxel is seen, in steps of `ONE_WAY`, up to three.
+ONE_WAY: Final = 4
+MOST_WAYS: Final = 3 * ONE_WAY
 # Of distances: nothing of the kind, and as far as one likes.
 _NONE, _FAR = np.float32(-1e9), np.float32(1e9)
-_LEVEL = 1e-9
+# A direction whose vertical part is smaller is level.
+LEVEL: Final = 1e-9
 # One thread marks the voxels of so many directions: to join the marks then takes no 1 % of the time.
 AT_ONCE = 32
 # The lines of so many directions through a slice of a chair's grid lie in a core's cache.
@@ -77,6 +82,11 @@ def directions(count: int) -> Float64:
 
 
 def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
+    """Do as `ways_along`, without the number of directions: FROM_ABOVE, FROM_BELOW, both, or 0."""
+    return ways_along(space, to_camera) & np.uint8(SEEN)
+
+
+def ways_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
     """Find the voxels that cameras see along some directions, from a PLACE or from outside the grid.
 
     Outside the grid nothing blocks a line, and a camera can be anywhere from `least_height_m` on. Lines are
@@ -87,15 +97,26 @@ def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
         to_camera: (n, 3) unit vectors, from a point to a camera.
 
     Returns:
-        (nx, ny, nz) uint8: FROM_ABOVE (by a camera as high as the voxel or higher), FROM_BELOW, both (3), or
-        0 if not seen.
+        (nx, ny, nz) uint8: FROM_ABOVE (by a camera as high as the voxel or higher), FROM_BELOW, or both (3),
+        and the number of these directions, up to 3, times ONE_WAY; 0 if not seen.
     """
     seen = np.zeros(space.state.shape, np.uint8)
     for turned in _turned_along(space, to_camera):
         groups = np.split(turned.ways, range(AT_ONCE, len(turned.ways), AT_ONCE))
-        marks = ahead(turned.seen_along, (to_camera[ways] for ways in groups))
-        seen |= reduce(np.bitwise_or, marks).transpose(np.argsort(turned.order))
+        marks = reduce(_joined, ahead(turned.ways_along, (to_camera[ways] for ways in groups)))
+        seen = _joined(seen, np.ascontiguousarray(marks.transpose(np.argsort(turned.order))))
     return seen
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _joined(ours, theirs):  # type: ignore[no-untyped-def]
+    """Join the marks of two sets of directions: all bits, and the sum of both numbers."""
+    joined, a, b = np.empty_like(ours), ours.reshape(-1), theirs.reshape(-1)
+    flat = joined.reshape(-1)
+    for n in range(len(flat)):
+        ways = min(np.uint8((a[n] & MOST_WAYS) + (b[n] & MOST_WAYS)), np.uint8(MOST_WAYS))
+        flat[n] = ((a[n] | b[n]) & SEEN) | ways
+    return joined
 
 
 def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> NDArray[np.int64]:
@@ -116,7 +137,7 @@ def count_seen(space: Space, to_camera: Float64, pieces: NDArray[np.int32]) -> N
     for turned in _turned_along(space, to_camera):
         flat = pieces.transpose(turned.order).reshape(-1)
         at = np.flatnonzero(flat)
-        along_each = ahead(turned.seen_along, (to_camera[[index]] for index in turned.ways))
+        along_each = ahead(turned.ways_along, (to_camera[[index]] for index in turned.ways))
         for index, marked in zip(turned.ways, along_each, strict=True):
             seen[index] = np.bincount(flat[at[marked.reshape(-1)[at] > 0]], minlength=count)
     return seen
@@ -138,8 +159,8 @@ class _Turned:
     order: tuple[int, ...]
     ways: NDArray[np.int64]
 
-    def seen_along(self, to_camera: Float64) -> NDArray[np.uint8]:
-        """Do as `seen_along` for directions (n, 3) among `ways`; the result has the axes of `state`."""
+    def ways_along(self, to_camera: Float64) -> NDArray[np.uint8]:
+        """Do as `ways_along` for directions (n, 3) among `ways`; the result has the axes of `state`."""
         seen = np.zeros(self.state.shape, np.uint8)
         flat, up_axis = (self.state.reshape(-1), seen.reshape(-1), seen.shape), self.order.index(2)
         n0, n1, n2 = self.state.shape
@@ -163,15 +184,15 @@ def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _beyond(height, up, least):  # type: ignore[no-untyped-def]
+def beyond_grid_m(height, up, least):  # type: ignore[no-untyped-def]
     """Return the distance, metres, to the farthest camera outside the grid; negative: there is none.
 
     The line starts at `height`; `up` is the vertical component of the unit vector to the camera, and `least`
     the least height of a camera, metres.
     """
-    if up > _LEVEL:
+    if up > LEVEL:
         return _FAR
-    if up > -_LEVEL:
+    if up > -LEVEL:
         return _FAR if height >= least else _NONE
     farthest = (height - least) / np.float32(-up)
     return farthest if farthest >= 0 else _NONE
@@ -183,7 +204,7 @@ def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m,
 
     Args:
         state: flat, the state of each voxel.
-        seen: flat, receives FROM_ABOVE and FROM_BELOW.
+        seen: flat, receives what `ways_along` returns.
         shape: number of voxels along each axis.
         ways: (n, 3) unit vectors, from a point to a camera.
         up_axis: the axis that is vertical.
@@ -207,7 +228,7 @@ def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m,
         # All directions look at a slice while it lies in the cache.
         for n in range(len(ways)):
             i = n0 - 1 - count if ways[n, 0] > 0 else count
-            bit = np.uint8(FROM_BELOW if ways[n, up_axis] < -_LEVEL else FROM_ABOVE)
+            bit = np.uint8(FROM_BELOW if ways[n, up_axis] < -LEVEL else FROM_ABOVE)
             # A line keeps its place: the slice moves over them, from the first or from the last place.
             end = np.maximum(np.rint(slopes[n] * (n0 - 1)), 0)
             moved = np.rint(slopes[n] * count)
@@ -235,7 +256,7 @@ def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # 
     """
     enough = 2 + _steps(np.float32(0), step_m, near_m, slices)
     for layer in range(len(heights_m)):
-        far_m = _beyond(heights_m[layer], up, least_m)
+        far_m = beyond_grid_m(heights_m[layer], up, least_m)
         steps = _steps(far_m, step_m, near_m, slices)
         entering[layer] = 0 if far_m < 0 else enough if steps == 0 else max(1, enough - steps - 1)
     return enough
@@ -258,7 +279,7 @@ def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no
 
     Args:
         state: flat, the state of each voxel.
-        seen: flat, gets `bit` at visible voxels.
+        seen: flat, gets `bit` at visible voxels, and one more direction.
         begin: index of the slice's first voxel.
         lines: the lines' counters.
         to: index in `lines` of the line through the first voxel.
@@ -274,107 +295,6 @@ def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no
         number = max(number, kind(2)) if state[at] == PLACE else number
         number = kind(0) if state[at] == BLOCKED else number
         lines[line] = number
-        seen[at] |= bit if number == enough else np.uint8(0)
-
-
-def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
-    """Find further visible voxels along more directions, only from the edge of the visible region on.
-
-    Few directions pass a narrow gap. If a voxel is seen, so are all points between it and the camera; newly
-    seen voxels are therefore next to seen ones.
-
-    Args:
-        space: the voxels.
-        seen: result of `seen_along`.
-        to_camera: (n, 3) unit vectors, from a point to a camera: the additional directions.
-
-    Returns:
-        `seen` with more bits set.
-    """
-    state = space.state
-    more = seen.copy()
-    up = to_camera[:, 2] >= -_LEVEL
-    # Whether a voxel that is seen from above is seen from below as well decides nothing.
-    for bit, enough, ways in (
-        (FROM_ABOVE, FROM_ABOVE, to_camera[up]),
-        (FROM_BELOW, FROM_ABOVE | FROM_BELOW, to_camera[~up]),
-    ):
-        # Each is asked once at most.
-        stack = np.empty(np.count_nonzero((state != BLOCKED) & (more & enough == 0)), np.int64)
-        bits = np.uint8(bit), np.uint8(enough)
-        _grow(more, state, bits, np.ascontiguousarray(ways), stack, space.heights_m, *space.lengths_m)
-    return more
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _grow(seen, state, bits, ways, stack, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    nx, ny, nz = state.shape
-    bit, enough = bits
-    asked = np.zeros(state.shape, np.bool_)
-    count = 0
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if seen[i, j, k] & enough:
-                    count = _push_around(seen, state, asked, enough, stack, count, i, j, k)
-    last = 0
-    while count > 0:
-        count -= 1
-        cell = stack[count]
-        i, j, k = cell // (ny * nz), cell // nz % ny, cell % nz
-        for turn in range(len(ways)):
-            # Neighbours are mostly seen along the same direction.
-            way = (last + turn) % len(ways)
-            if _sees(state, i, j, k, ways[way], heights_m, voxel_m, near_m, least_m):
-                last = way
-                seen[i, j, k] |= bit
-                count = _push_around(seen, state, asked, enough, stack, count, i, j, k)
-                break
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ignore[no-untyped-def]
-    """Push the 6 neighbours of (i, j, k) that must be tested onto the stack; return its new length.
-
-    These are not blocked, have none of the bits `enough` in `seen`, and are not yet marked in `asked`.
-    `count` is the stack's length before.
-    """
-    nx, ny, nz = state.shape
-    for side in range(6):
-        step = 1 if side % 2 else -1
-        a = i + step if side // 2 == 0 else i
-        b = j + step if side // 2 == 1 else j
-        c = k + step if side // 2 == 2 else k
-        if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
-            continue
-        if state[a, b, c] != BLOCKED and not seen[a, b, c] & enough and not asked[a, b, c]:
-            asked[a, b, c] = True
-            stack[count] = (a * ny + b) * nz + c
-            count += 1
-    return count
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sees(state, i, j, k, way, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Return whether some camera sees the voxel (i, j, k); `way` (3,) is the direction from it to the camera.
-
-    The camera is in a PLACE at least `near_m` away, or outside the grid and at least `least_m` high.
-    """
-    nx, ny, nz = state.shape
-    along = max(abs(way[0]), abs(way[1]), abs(way[2]))
-    dx, dy, dz = way[0] / along, way[1] / along, way[2] / along
-    step = np.float32(voxel_m / along)
-    distance_m = np.float32(0)
-    last_k = k
-    count = 0
-    while True:
-        a, b, c = (i + int(np.rint(dx * count)), j + int(np.rint(dy * count)), k + int(np.rint(dz * count)))
-        if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
-            return distance_m - step + _beyond(heights_m[last_k], way[2], least_m) >= near_m
-        if state[a, b, c] == BLOCKED:
-            return False
-        if state[a, b, c] == PLACE and distance_m >= near_m:
-            return True
-        last_k = c
-        distance_m += step
-        count += 1
+        mark = seen[at]
+        marked = np.uint8((mark | bit) + (np.uint8(ONE_WAY) if mark < MOST_WAYS else np.uint8(0)))
+        seen[at] = marked if number == enough else mark

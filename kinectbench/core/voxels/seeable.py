@@ -18,15 +18,16 @@ from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, t
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.distance import distance_within_m
+from kinectbench.core.voxels.fine_sight import seen_around_corners, seen_closely
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
     FROM_ABOVE,
+    LEVEL,
     PASSABLE,
     PLACE,
     Space,
     directions,
     seen_along,
-    seen_around_corners,
 )
 from kinectbench.core.voxels.morphology import from_beyond
 from kinectbench.core.voxels.pair_file import unpack
@@ -35,8 +36,8 @@ from kinectbench.core.voxels.pair_file import unpack
 # apart. With 200 for 60 what is closed moved by 0.1 % of the volume at most (eight families); with 1,600 for
 # 6,400 twice as much of a helmet with slits was closed (voxels of 10 mm).
 COARSE_DIRECTIONS, FINE_DIRECTIONS = 60, 6400
-# Distances from voxel to voxel are exact except for rounding; vertical parts of unit vectors, too.
-ROUNDING_M, LEVEL = 1e-6, 1e-9
+# Distances from voxel to voxel are exact except for rounding.
+ROUNDING_M = 1e-6
 # Below an object on legs so many of eight level rays lead out; behind a door or a front three at most do, and
 # of a desk with a back and two sides as many.
 OPEN_WAYS = 5
@@ -112,7 +113,8 @@ def swept_from_outside(
     heights_m: Float32 | None,
     voxel_size_m: float,
     limits: SensorLimits,
-    to_camera: Float64,
+    count: int,
+    closer: SensorLimits | None = None,
 ) -> Sight:
     """Do as `seen_from_outside`, but only along some directions: fast, but may miss narrow gaps.
 
@@ -122,15 +124,27 @@ def swept_from_outside(
         heights_m: as for `seen_from_outside`.
         voxel_size_m: edge of a voxel, metres.
         limits: as for `seen_from_outside`.
-        to_camera: (n, 3) unit vectors, from a point to a camera.
+        count: number of directions, evenly spread.
+        closer: limits of the lines that are tried along more directions behind gaps; None: none are.
     """
+    to_camera, spacing_rad = directions(count), float(np.sqrt(4 * np.pi / count))
+    level_or_up = to_camera[:, 2] >= -LEVEL
+
+    def seen(space: Space, ways: Float64, already: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        if closer is None:
+            return _grown(seen_along(space, ways), obstacle, voxel_size_m, limits)
+        blocked = line_space(obstacle, heights_m, voxel_size_m, closer).state == BLOCKED
+        wide = replace(space, state=np.where(blocked, np.uint8(BLOCKED), space.state))
+        found, further = seen_closely(space, wide, ways, spacing_rad, already)
+        return _grown(found, obstacle, voxel_size_m, limits) | _grown(further, obstacle, voxel_size_m, closer)
+
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
-    any_way = _grown(seen_along(space, to_camera), obstacle, voxel_size_m, limits)
-    lower = without_rising(space, empty)
-    if lower is space:
-        return Sight(any_way, any_way & FROM_ABOVE > 0, space, lower)
-    level_or_down = seen_along(lower, to_camera[to_camera[:, 2] >= -LEVEL])
-    return Sight(any_way, _grown(level_or_down, obstacle, voxel_size_m, limits) > 0, space, lower)
+    lower, none = without_rising(space, empty), np.zeros_like(space.state)
+    from_above = seen(space, to_camera[level_or_up], none)
+    any_way = from_above | seen(space, to_camera[~level_or_up], from_above)
+    if lower is not space:
+        from_above = seen(lower, to_camera[level_or_up], none)
+    return Sight(any_way, from_above > 0, space, lower)
 
 
 def without_rising(space: Space, empty: Bools) -> Space:

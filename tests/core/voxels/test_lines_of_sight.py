@@ -3,17 +3,19 @@
 import numpy as np
 import pytest
 
+from kinectbench.core.voxels.fine_sight import seen_around_corners, seen_closely
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
     FROM_ABOVE,
     FROM_BELOW,
+    ONE_WAY,
     PASSABLE,
     PLACE,
     Space,
     count_seen,
     directions,
     seen_along,
-    seen_around_corners,
+    ways_along,
 )
 
 VOXEL_M, NEAR_M, LEAST_M = 0.1, 0.25, 0.15
@@ -125,6 +127,41 @@ def test_what_is_seen_grows_until_no_neighbour_sees() -> None:
             beside[tuple(edge)] = False
             missed = beside & (state != BLOCKED) & (grown == 0) & (possible > 0)
             assert not missed.any()
+
+
+def test_directions_are_counted_up_to_three() -> None:
+    state, heights_m = scene(3)
+    space, ways = Space(state, heights_m, VOXEL_M, NEAR_M, LEAST_M), directions(12)
+    counted = ways_along(space, ways) // ONE_WAY
+    plain = sum((seen_along(space, way[None]) > 0).astype(int) for way in ways)
+    np.testing.assert_array_equal(counted, np.minimum(plain, 3))
+    assert {0, 1, 2, 3} == {*np.unique(counted).tolist()}
+
+
+@pytest.mark.parametrize("up", [False, True])
+def test_more_directions_are_tried_behind_a_gap(up: bool) -> None:
+    """A box with a slot in its top or floor: deep in it 400 directions see single voxels, and none between."""
+    state = np.full((60, 60, 60), PASSABLE, np.uint8)
+    state[5:55, 5:55, 5:50], state[6:54, 6:54, 6:49] = BLOCKED, PASSABLE
+    state[27:31, 10:50, 49 if up else 5] = PASSABLE
+    wide = state.copy()
+    wide[27, 10:50, 49 if up else 5] = BLOCKED
+    narrow, wider = (
+        Space(each, np.full(60, np.inf, np.float32), VOXEL_M, NEAR_M, LEAST_M) for each in (state, wide)
+    )
+    ways, many = (each[(each[:, 2] >= 0) == up] for each in (directions(400), directions(25600)))
+    nothing = np.zeros_like(state)
+    first, further = seen_closely(narrow, wider, ways, np.sqrt(4 * np.pi / 400), nothing)
+    np.testing.assert_array_equal(first, seen_along(narrow, ways))
+    inside = np.zeros(state.shape, bool)
+    inside[6:54, 6:54, 6:49] = True
+    all_of_them = seen_along(wider, many)
+    missed = [int((inside & (seen == 0) & (all_of_them > 0)).sum()) for seen in (first, first | further)]
+    assert missed[1] < 0.05 * missed[0] and missed[0] > 1000
+    # Nothing is seen along a line that something stops.
+    assert not (further & ~all_of_them)[inside].any()
+    # Nothing is searched for that was seen before.
+    assert not seen_closely(narrow, wider, ways, np.sqrt(4 * np.pi / 400), nothing + 1)[1].any()
 
 
 def test_directions_are_spread_over_the_sphere() -> None:

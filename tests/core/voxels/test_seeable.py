@@ -25,6 +25,7 @@ from kinectbench.core.voxels.lines_of_sight import (
     PASSABLE,
     PLACE,
     directions,
+    seen_along,
 )
 from kinectbench.core.voxels.seeable import (
     SeeableSolid,
@@ -211,10 +212,33 @@ def test_a_camera_that_rises_through_unseen_space_looks_from_below() -> None:
     limits = replace(LIMITS, near_m=0.1)
     inner, beneath = np.s_[15:45, 15:45, 35:45], np.s_[15:45, 15:45, 5:10]
     for empty, below in ((np.zeros_like(solid), True), (~solid, False)):
-        sight = swept_from_outside(solid, empty, heights_m, 0.01, limits, directions(400))
+        sight = swept_from_outside(solid, empty, heights_m, 0.01, limits, 400)
         assert (sight.any_way[inner] & FROM_ABOVE).all()
         assert (sight.only_from_below[inner] == below).all()
         assert not sight.only_from_below[beneath].any() and not sight.only_from_below[solid].any()
+
+
+def test_closely_what_is_seen_from_below_is_looked_at_from_above_too() -> None:
+    """A box on legs, open below and too narrow for a camera, with a slot in its lid."""
+    solid = np.zeros((60, 90, 100), bool)
+    solid[16:44, 15:75, 20:80] = True
+    solid[18:42, 17:73, 20:78] = False
+    solid[28:32, 20:70, 78:80] = False
+    for x in (16, 42):
+        for y in (15, 73):
+            solid[x : x + 2, y : y + 2, :20] = True
+    heights_m = ((np.arange(100) + 0.5) * 0.005).astype(np.float32)
+    limits, none = replace(LIMITS, line_width_m=0.01, near_m=0.1), np.zeros_like(solid)
+    roughly, closely = (
+        swept_from_outside(solid, none, heights_m, 0.005, limits, 400, each) for each in (None, limits)
+    )
+    assert roughly.lower is roughly.space  # no camera rises into it
+    ways = directions(25600)
+    inside = np.zeros_like(solid)
+    inside[18:42, 17:73, 20:78] = True
+    seen = inside & (seen_along(closely.space, ways[ways[:, 2] >= 0]) > 0)
+    missed = [int((seen & sight.only_from_below).sum()) for sight in (roughly, closely)]
+    assert missed[1] < 0.05 * missed[0] and missed[0] > 500
 
 
 @pytest.mark.parametrize("rail", [22, 30])
@@ -230,7 +254,7 @@ def test_beside_a_leg_a_camera_stands_below_an_object_too(rail: int) -> None:
         solid[15:65, y : y + 2, rail:30] = True
     heights_m = ((np.arange(80) + 0.5) * 0.01).astype(np.float32)
     limits = replace(LIMITS, near_m=0.1)
-    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, directions(400))
+    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, 400)
     inner = np.s_[20:60, 20:60, 36:60]
     assert (sight.any_way[inner] & FROM_ABOVE).mean() > 0.9 and sight.only_from_below[inner].all()
 
@@ -244,7 +268,7 @@ def test_a_camera_that_came_in_through_a_door_may_rise(door: int) -> None:
     solid[66:70, 21:59, 4:door] = False
     heights_m = ((np.arange(120) + 0.5) * 0.01).astype(np.float32)
     limits = replace(LIMITS, line_width_m=0.03, near_m=0.2)
-    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, directions(400))
+    sight = swept_from_outside(solid, np.zeros_like(solid), heights_m, 0.01, limits, 400)
     inner = np.s_[16:64, 16:64, door + 5 : 100]
     assert (sight.any_way[inner] & FROM_ABOVE).mean() > 0.9
     # Some is only seen by lines that look up: they come in through the door, too.

@@ -10,7 +10,7 @@ from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Underside
 from kinectbench.core.voxels.distance import distance_within_m
-from kinectbench.core.voxels.lines_of_sight import Space, directions
+from kinectbench.core.voxels.lines_of_sight import Space
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
 from kinectbench.core.voxels.seeable import swept_from_outside
 
@@ -155,8 +155,8 @@ def classify_voxels(
     # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
     heights_m = _heights_m(observation.grid, layers) if rules.stands else None
-    lines = directions(COARSE if roughly else FINE)
-    sight = swept_from_outside(surface, free, heights_m, voxel_m, narrow(rules.limits), lines)
+    count, closer = (COARSE, None) if roughly else (FINE, rules.limits)
+    sight = swept_from_outside(surface, free, heights_m, voxel_m, narrow(rules.limits), count, closer)
     near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
     near_surface[:, :, : layers.first] = False
     unseen = ~(free | near_surface | excluded)
