@@ -21,7 +21,6 @@ from kinectbench.core.voxels.distance import distance_within_m
 from kinectbench.core.voxels.fine_sight import seen_around_corners, seen_closely
 from kinectbench.core.voxels.lines_of_sight import (
     BLOCKED,
-    FROM_ABOVE,
     LEVEL,
     PASSABLE,
     PLACE,
