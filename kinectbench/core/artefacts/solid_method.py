@@ -51,6 +51,9 @@ class FrontierMethod(StoredPart):
     least_underside_share: float | None = Field(
         None, description="least share of the solid's volume behind an underside"
     )
+    least_narrow_share: float | None = Field(
+        None, description="the same of a region thinner than a line of sight, if there is no other"
+    )
     least_area_m2: float = Field(description="least area of a frontier, square metres")
     least_probability: float = Field(
         description="least probability of being solid, of a voxel that counts as behind a frontier"

@@ -28,6 +28,7 @@ from kinectbench.core.voxels.observation import Observation
 from kinectbench.core.voxels.seeable import line_space, without_rising
 from kinectbench.stages.segment.judge.frontiers import (
     LEAST_AREA_M2,
+    LEAST_NARROW_SHARE,
     LEAST_PROBABILITY,
     LEAST_SHARE,
     Frontier,
@@ -172,7 +173,19 @@ def test_the_largest_volume_comes_first() -> None:
 @pytest.mark.parametrize("thick", [2, 3])
 def test_a_layer_thinner_than_a_line_of_sight_has_none(thick: int) -> None:
     unknown = mask(np.s_[10:30, 12:24, 15 - thick : 15])
-    assert len(found_of(unknown, mask(ABOVE_PIT))) == (thick >= LIMITS.line_width_m / CELL_M)
+    found = found_of(unknown, mask(ABOVE_PIT), solid=mask((slice(0, 8),)))
+    assert len(found) == (thick >= LIMITS.line_width_m / CELL_M)
+
+
+def test_a_thin_layer_has_one_if_it_is_much_of_the_object_and_there_is_no_other() -> None:
+    thin, above = mask(np.s_[10:30, 12:24, 13:15]), mask(ABOVE_PIT)
+    large = round(thin.sum() / LEAST_NARROW_SHARE)
+    for solid_cells, expected in ((large - 100, 1), (large + 100, 0)):
+        solid = mask((slice(0, 8),)).cumsum().reshape(CELLS) <= solid_cells
+        assert len(found_of(thin, above, solid=solid)) == expected
+    # A wide one elsewhere is reported alone.
+    (found,) = found_of(thin | mask(np.s_[32:38, 12:30, 5:15]), above | mask(np.s_[32:38, 12:30, 15:40]))
+    assert found.volume_m3 == pytest.approx(6 * 18 * 10 * CELL_M**3)
 
 
 def test_little_behind_it_or_a_small_mouth_is_not_told() -> None:

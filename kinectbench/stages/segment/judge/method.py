@@ -82,6 +82,7 @@ def method(rules: Rules) -> SolidMethod:
         frontiers=FrontierMethod(
             least_share=frontiers.LEAST_SHARE,
             least_underside_share=LEAST_UNDERSIDE_SHARE,
+            least_narrow_share=frontiers.LEAST_NARROW_SHARE,
             least_area_m2=frontiers.LEAST_AREA_M2,
             least_probability=frontiers.LEAST_PROBABILITY,
             enough=frontiers.ENOUGH,
