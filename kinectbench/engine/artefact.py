@@ -42,7 +42,7 @@ VERSIONS: dict[str, int] = {
     "sample-views": 7,
     "pairs": 4,
     "suggest": 7,
-    "publish": 45,
+    "publish": 46,
     "synthesize": 3,
     "score": 14,
     "baselines": 4,
