@@ -5,6 +5,7 @@ import os
 import pickle
 import shutil
 import signal
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.engine.executor import SendMessage, WorkerLost
 from kinectbench.engine.parallel import build
 from kinectbench.engine.stages import Job
+from kinectbench.record import build_process
 from kinectbench.record.build_process import MAY_CHANGE, STORED, BuildProcess, GrowingBuild
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import TrackingSettings
@@ -208,8 +210,60 @@ def test_a_stopped_recorder_interrupts_the_build(tmp_path: Path) -> None:
     process = BuildProcess(tmp_path / "out")
     with pytest.raises(KeyboardInterrupt):
         next(process.outcomes(goes_on, [tmp_path], Stops()))
-    process.close()
+    # It has ended before the caller clears away what an interrupted build leaves.
     assert (tmp_path / "interrupted").exists() and not (tmp_path / "failed").exists()
+    process.close()
+
+
+def test_a_second_interrupt_leaves_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while the recorder waits for the build to end: the build is killed at once."""
+    process = BuildProcess(tmp_path / "out")
+    join, stops = process._process.join, [KeyboardInterrupt]
+
+    def joined(timeout_s: float | None = None) -> None:
+        if stops:
+            raise stops.pop()
+        join(timeout_s)
+
+    monkeypatch.setattr(process._process, "join", joined)
+    with pytest.raises(KeyboardInterrupt):
+        process.close()
+    assert process._process.exitcode == -signal.SIGKILL
+
+
+class Unheard(Heard):
+    """The first message cannot be shown."""
+
+    def heard(self, message: object) -> None:
+        super().heard(message)
+        if len(self) == 1:
+            raise BrokenPipeError
+
+
+def test_a_message_that_cannot_be_shown_does_not_build_twice(tmp_path: Path) -> None:
+    """An OSError of the listener is no sign that the process has died."""
+    process = BuildProcess(tmp_path / "out")
+    with pytest.raises(BrokenPipeError):
+        next(process.outcomes(taken_in, ["task"], Unheard()))
+    process.close()
+
+
+@pytest.mark.parametrize("fails", ["_write_packed", "_prepare"])
+def test_what_fails_while_recording_is_done_again(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    """A frame that a full disk did not take, or a library that was not loaded: the build takes all frames."""
+    module = sequence_writer if fails == "_write_packed" else build_process
+    done = threading.Event()
+
+    def fail(*_: object) -> None:
+        done.set()
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(module, fails, fail)
+    taking = build_process._Taking(GrowingBuild(recorded / "out", tmp_path))
+    taking.ended.set()
+    assert done.wait(60) and taking.sequence() is None and taking.odometry() is None
 
 
 def test_another_camera_in_between_is_refused(recorded: Path, tmp_path: Path) -> None:
