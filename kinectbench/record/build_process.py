@@ -266,12 +266,22 @@ def _prepare() -> None:
     new_figure(1, 1)
 
 
+def _end_with_recorder(stored: Path) -> None:
+    """Wait until the recorder has ended, and end at once: a stage may send no progress for a long time."""
+    recorder = multiprocessing.parent_process()
+    if recorder is not None:
+        recorder.join()
+        shutil.rmtree(stored, ignore_errors=True)
+        os._exit(1)
+
+
 def _run(connection: Connection, folder: Path, threads: int) -> None:
     """The process: take frames until the other end gives a task, or closes."""
     for each in IGNORED:
         signal.signal(each, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the recorder owns the terminal
     stored = folder / f"{STORED}{os.getpid()}"
+    threading.Thread(target=_end_with_recorder, args=(stored,), daemon=True).start()
     taking = _Taking(GrowingBuild(folder, stored))
 
     def say(message: object) -> None:

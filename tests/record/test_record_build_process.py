@@ -1,6 +1,7 @@
 """The build that begins while one records: it goes on from what was done, and makes the same bytes."""
 
 import json
+import multiprocessing
 import os
 import pickle
 import shutil
@@ -199,20 +200,23 @@ def goes_on(marks: Path, say: SendMessage) -> None:
 
 
 class Stops(Heard):
-    """Ctrl-C at the first message."""
+    """The first message raises an error."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
 
     def heard(self, message: object) -> None:
-        raise KeyboardInterrupt
+        self.append(message)
+        if len(self) == 1:
+            raise self.error
 
 
 def test_a_stopped_recorder_interrupts_the_build(tmp_path: Path) -> None:
     """It ends with its next progress, as after Ctrl-C, and not as by a failure."""
-    process = BuildProcess(tmp_path / "out")
     with pytest.raises(KeyboardInterrupt):
-        next(process.outcomes(goes_on, [tmp_path], Stops()))
+        next(BuildProcess(tmp_path / "out").outcomes(goes_on, [tmp_path], Stops(KeyboardInterrupt())))
     # It has ended before the caller clears away what an interrupted build leaves.
     assert (tmp_path / "interrupted").exists() and not (tmp_path / "failed").exists()
-    process.close()
 
 
 def test_a_second_interrupt_leaves_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,21 +235,29 @@ def test_a_second_interrupt_leaves_no_process(tmp_path: Path, monkeypatch: pytes
     assert process._process.exitcode == -signal.SIGKILL
 
 
-class Unheard(Heard):
-    """The first message cannot be shown."""
+def records(out: Path) -> None:
+    [*BuildProcess(out).outcomes(waits, [60.0], Heard())]
 
-    def heard(self, message: object) -> None:
-        super().heard(message)
-        if len(self) == 1:
-            raise BrokenPipeError
+
+def waits(seconds: float, say: SendMessage) -> None:
+    time.sleep(seconds)
+
+
+def test_a_killed_recorder_leaves_no_process(recorded: Path, tmp_path: Path) -> None:
+    """The build ends with it, whatever it computes."""
+    shutil.copytree(recorded / "out", tmp_path / "out")
+    recorder = multiprocessing.get_context("spawn").Process(target=records, args=(tmp_path / "out",))
+    recorder.start()
+    assert comes(lambda: bool([*(tmp_path / "out").glob(f"{STORED}*")]))
+    recorder.kill()
+    assert comes(lambda: not [*(tmp_path / "out").glob(f"{STORED}*")], within_s=20)
 
 
 def test_a_message_that_cannot_be_shown_does_not_build_twice(tmp_path: Path) -> None:
     """An OSError of the listener is no sign that the process has died."""
-    process = BuildProcess(tmp_path / "out")
+    outcomes = BuildProcess(tmp_path / "out").outcomes(taken_in, ["task"], Stops(BrokenPipeError()))
     with pytest.raises(BrokenPipeError):
-        next(process.outcomes(taken_in, ["task"], Unheard()))
-    process.close()
+        next(outcomes)
 
 
 @pytest.mark.parametrize("fails", ["_write_packed", "_prepare"])
