@@ -13,7 +13,7 @@ import signal
 import threading
 import warnings
 from collections import abc
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -102,30 +102,39 @@ class BuildProcess(Executor):
         slowest_twice: bool = False,
     ) -> Outcomes[Task, Result]:
         """See `Executor`; if the process has died, its tasks run in this process."""
-        for task in tasks:
-            yield task, self._result(function, task, listener)
+        try:
+            for task in tasks:
+                yield task, self._result(function, task, listener)
+        except BaseException:
+            self.close()  # only then can the caller remove what an interrupted build leaves
+            raise
 
     def _result(
         self, function: abc.Callable[[Task, SendMessage], Result], task: Task, listener: Listener
     ) -> Result:
-        with suppress(EOFError, OSError):
+        with suppress(OSError):
             self._mine.send((function, task))
-            while True:
+        while True:
+            try:
                 is_result, said = self._mine.recv()
-                if is_result:
-                    result: Result = said
-                    return result
-                listener.heard(said)
+            except (EOFError, OSError):  # the process has died
+                break
+            if is_result:
+                result: Result = said
+                return result
+            listener.heard(said)  # an OSError of its own does not begin the task again
         with using_threads(self._threads):
             return function(task, listener.heard)
 
     def close(self) -> None:
         """End the process, and delete what it stored."""
         self._mine.close()
-        self._process.join(ENDS_WITHIN_S)
-        self._process.kill()
-        self._process.join()
-        shutil.rmtree(self._stored, ignore_errors=True)
+        try:
+            self._process.join(ENDS_WITHIN_S)
+        finally:  # after another Ctrl-C, too
+            self._process.kill()
+            self._process.join()
+            shutil.rmtree(self._stored, ignore_errors=True)
 
 
 class GrowingBuild:
@@ -215,10 +224,14 @@ class _Taking:
 
     def _take(self) -> None:
         """Take one frame, or wait for one; then submit itself, so that requests come in between."""
-        if not self._busy or self.ended.is_set() != self._whole:  # only now are the last rows final
-            self._whole = self.ended.is_set()
-            self._growing.read_again()
-        self._busy = self._growing.take(whole=self._whole)
+        try:
+            if not self._busy or self.ended.is_set() != self._whole:  # only now are the last rows final
+                self._whole = self.ended.is_set()
+                self._growing.read_again()
+            self._busy = self._growing.take(whole=self._whole)
+        except Exception:  # a frame is half taken: the build begins with the first, and reports an error
+            self._growing = GrowingBuild(self._growing.folder, self._growing.stored)
+            return
         if not self._busy and not self._whole:
             self.ended.wait(READ_AGAIN_S)
         if self._busy or not self._whole:
@@ -226,7 +239,9 @@ class _Taking:
 
     def sequence(self) -> PartialSequence | None:
         """A copy of the sequence so far, while further frames are taken."""
-        return self._pool.submit(lambda: copy.deepcopy(self._growing.sequence())).result()
+        with suppress(BrokenExecutor):  # `_prepare` failed: the build reports why
+            return self._pool.submit(lambda: copy.deepcopy(self._growing.sequence())).result()
+        return None
 
     def odometry(self) -> PartialOdometry | None:
         """The odometry so far; no more frames are taken."""
@@ -251,12 +266,22 @@ def _prepare() -> None:
     new_figure(1, 1)
 
 
+def _end_with_recorder(stored: Path) -> None:
+    """Wait until the recorder has ended, and end at once: a stage may send no progress for a long time."""
+    recorder = multiprocessing.parent_process()
+    if recorder is not None:
+        recorder.join()
+        shutil.rmtree(stored, ignore_errors=True)
+        os._exit(1)
+
+
 def _run(connection: Connection, folder: Path, threads: int) -> None:
     """The process: take frames until the other end gives a task, or closes."""
     for each in IGNORED:
         signal.signal(each, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the recorder owns the terminal
     stored = folder / f"{STORED}{os.getpid()}"
+    threading.Thread(target=_end_with_recorder, args=(stored,), daemon=True).start()
     taking = _Taking(GrowingBuild(folder, stored))
 
     def say(message: object) -> None:

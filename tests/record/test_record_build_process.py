@@ -1,10 +1,12 @@
 """The build that begins while one records: it goes on from what was done, and makes the same bytes."""
 
 import json
+import multiprocessing
 import os
 import pickle
 import shutil
 import signal
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +24,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.engine.executor import SendMessage, WorkerLost
 from kinectbench.engine.parallel import build
 from kinectbench.engine.stages import Job
+from kinectbench.record import build_process
 from kinectbench.record.build_process import MAY_CHANGE, STORED, BuildProcess, GrowingBuild
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import TrackingSettings
@@ -197,19 +200,82 @@ def goes_on(marks: Path, say: SendMessage) -> None:
 
 
 class Stops(Heard):
-    """Ctrl-C at the first message."""
+    """The first message raises an error."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
 
     def heard(self, message: object) -> None:
-        raise KeyboardInterrupt
+        self.append(message)
+        if len(self) == 1:
+            raise self.error
 
 
 def test_a_stopped_recorder_interrupts_the_build(tmp_path: Path) -> None:
     """It ends with its next progress, as after Ctrl-C, and not as by a failure."""
-    process = BuildProcess(tmp_path / "out")
     with pytest.raises(KeyboardInterrupt):
-        next(process.outcomes(goes_on, [tmp_path], Stops()))
-    process.close()
+        next(BuildProcess(tmp_path / "out").outcomes(goes_on, [tmp_path], Stops(KeyboardInterrupt())))
+    # It has ended before the caller clears away what an interrupted build leaves.
     assert (tmp_path / "interrupted").exists() and not (tmp_path / "failed").exists()
+
+
+def test_a_second_interrupt_leaves_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while the recorder waits for the build to end: the build is killed at once."""
+    process = BuildProcess(tmp_path / "out")
+    join, stops = process._process.join, [KeyboardInterrupt]
+
+    def joined(timeout_s: float | None = None) -> None:
+        if stops:
+            raise stops.pop()
+        join(timeout_s)
+
+    monkeypatch.setattr(process._process, "join", joined)
+    with pytest.raises(KeyboardInterrupt):
+        process.close()
+    assert process._process.exitcode == -signal.SIGKILL
+
+
+def records(out: Path) -> None:
+    [*BuildProcess(out).outcomes(waits, [60.0], Heard())]
+
+
+def waits(seconds: float, say: SendMessage) -> None:
+    time.sleep(seconds)
+
+
+def test_a_killed_recorder_leaves_no_process(recorded: Path, tmp_path: Path) -> None:
+    """The build ends with it, whatever it computes."""
+    shutil.copytree(recorded / "out", tmp_path / "out")
+    recorder = multiprocessing.get_context("spawn").Process(target=records, args=(tmp_path / "out",))
+    recorder.start()
+    assert comes(lambda: bool([*(tmp_path / "out").glob(f"{STORED}*")]))
+    recorder.kill()
+    assert comes(lambda: not [*(tmp_path / "out").glob(f"{STORED}*")], within_s=20)
+
+
+def test_a_message_that_cannot_be_shown_does_not_build_twice(tmp_path: Path) -> None:
+    """An OSError of the listener is no sign that the process has died."""
+    outcomes = BuildProcess(tmp_path / "out").outcomes(taken_in, ["task"], Stops(BrokenPipeError()))
+    with pytest.raises(BrokenPipeError):
+        next(outcomes)
+
+
+@pytest.mark.parametrize("fails", ["_write_packed", "_prepare"])
+def test_what_fails_while_recording_is_done_again(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    """A frame that a full disk did not take, or a library that was not loaded: the build takes all frames."""
+    module = sequence_writer if fails == "_write_packed" else build_process
+    done = threading.Event()
+
+    def fail(*_: object) -> None:
+        done.set()
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(module, fails, fail)
+    taking = build_process._Taking(GrowingBuild(recorded / "out", tmp_path))
+    taking.ended.set()
+    assert done.wait(60) and taking.sequence() is None and taking.odometry() is None
 
 
 def test_another_camera_in_between_is_refused(recorded: Path, tmp_path: Path) -> None:
