@@ -13,6 +13,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, on_interrupt, takes
 from kinectbench.core import CaptureError, SettingsError
+from kinectbench.engine.interrupts import interrupt_answered
 
 if TYPE_CHECKING:
     from kinectbench.record.build_process import BuildProcess
@@ -72,6 +73,7 @@ def record_command(
         _tell(common, done)
         if done.failure:
             return CANNOT_BE_USED
+        interrupt_answered()  # it has ended the recording; another one ends the build
         return _build(common, out, ended_s, begun) if built else 0
 
 

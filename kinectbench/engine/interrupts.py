@@ -116,6 +116,14 @@ def check_interrupt() -> None:
         raise KeyboardInterrupt
 
 
+def interrupt_answered() -> None:
+    """Forget an interrupt that has ended what it was meant to end, so that the command can go on.
+
+    `check_interrupt` no longer raises for it. A SIGTERM stays: it is meant for the whole command.
+    """
+    _asked[:] = [number for number in _asked if number != signal.SIGINT]
+
+
 @contextmanager
 def interrupts_held() -> Iterator[None]:
     """Delay interrupts until the block ends; processes started in it never receive any.

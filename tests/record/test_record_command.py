@@ -247,6 +247,17 @@ def test_wrong_usage_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
+def test_ctrl_c_ends_the_recording_and_then_it_is_built(source: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    process = started(out, "--from", source, "--speed", "1", "--build", "--no-guide")
+    time.sleep(1)
+    process.send_signal(signal.SIGINT)
+    printed, err = process.communicate(timeout=300)
+    assert f"wrote {out}:" in printed and "goes on from here" not in err, err
+    # Whether these frames make an object matters to the last stages alone.
+    assert process.returncode != 130 and (out / "build" / "out" / "sequence").is_dir(), err
+
+
 def test_a_build_that_is_stopped_says_how_to_go_on(source: Path, tmp_path: Path) -> None:
     """The recording is whole then: `record` would ask for another folder."""
     out = tmp_path / "out"
