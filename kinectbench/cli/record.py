@@ -95,6 +95,8 @@ def _recorded(
             )
     except KeyboardInterrupt:
         if done is None:
+            if not out.exists():
+                on_interrupt.words = "stopped before the first frame: nothing was written"
             raise
     assert done is not None
     return done

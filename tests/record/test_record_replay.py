@@ -9,7 +9,7 @@ import pytest
 from small_runs import make_small, start
 from written_frames import START_NS, STEP_NS, color_rgb, frame, read, write
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core.errors import CaptureError, RecordingError
 from kinectbench.lab.simulate.writers import RecordedFrame
 from kinectbench.record.devices.replay import KEPT, Replay
 from kinectbench.record.recorder import record
@@ -37,6 +37,15 @@ def test_a_replay_is_recorded_as_it_was(tmp_path: Path, name: str, registered: b
         assert after.color_calibration.camera == before.color_calibration.camera
         T = before.color_calibration.T_color_depth
         assert np.allclose(after.color_calibration.T_color_depth, T, rtol=0, atol=1e-12)
+
+
+def test_a_recording_without_a_sound_frame_says_why(tmp_path: Path) -> None:
+    source = write(tmp_path / "source", "tum", map(frame, range(3)))
+    for path in (source / "depth").iterdir():
+        path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(CaptureError, match=r"no frame can be read: .*\.png"):
+        record(Replay(source, 50.0), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_frames_come_at_their_own_pace_or_faster(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ class Replay(Device):
             camera: settings that override values of the recording.
         """
         self._path, self._speed, self._settings = path, speed, camera
+        self._damage: DamagedImageError | None = None
 
     def plugged_in(self) -> tuple[str, ...]:
         """Return the recording's path, if it exists."""
@@ -55,12 +56,16 @@ class Replay(Device):
 
         A jump of the clock is shortened to the longest step that still counts as a pause
         (`core.trajectory.stamps`).
+
+        Raises:
+            CaptureError: all frames are damaged.
         """
         stamps_ns = np.asarray(self._recording.stamps_ns)
         longest_ns = max(JUMP_NS, JUMP_PERIODS * typical_period_ns(stamps_ns))
         steps_ns = np.clip(np.diff(stamps_ns, prepend=stamps_ns[0]), 0, longest_ns)
         due_s = (np.cumsum(steps_ns) / NS_PER_S / self._speed).tolist()
         started_s: float | None = None
+        yielded = False
         for index, raw in enumerate(self._read_ahead()):
             now_s = time.monotonic()
             started_s = now_s if started_s is None else started_s
@@ -71,7 +76,10 @@ class Replay(Device):
             if late or raw is None:
                 self.missed += 1
             else:
+                yielded = True
                 yield Frame(raw.stamp_ns, raw.depth, raw.color)
+        if not yielded and self._damage is not None:
+            raise CaptureError(f"no frame can be read: {self._damage}")
 
     def close(self) -> None:
         """End the thread that reads."""
@@ -91,5 +99,6 @@ class Replay(Device):
     def _read(self, index: int) -> RawFrame | None:
         try:
             return self._recording.frame(index)
-        except DamagedImageError:
+        except DamagedImageError as error:
+            self._damage = self._damage or error
             return None
