@@ -14,9 +14,10 @@ from kinectbench.core.errors import SegmentationError, TrackingError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.own_pixels import by_own_pixels
-from kinectbench.core.sequence import GivenTrajectory, Sequence
+from kinectbench.core.sequence import Sequence
+from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory, write_trajectory
-from kinectbench.core.types import Progress
+from kinectbench.core.types import Float64, Progress
 from kinectbench.core.upright import upright
 from kinectbench.doctor.during_build import OffsetWatch, refuse_hopeless
 from kinectbench.doctor.still import turntable_warning
@@ -62,6 +63,7 @@ NOTHING_TO_CHOOSE = (
 OVERTAKEN: Mapping[str, str] = {"track": COMPARISON}
 # Most that the given poses of a camera on a tripod vary, metres.
 STRAY_M = 0.02
+ONE_VIEW = "the camera did not move, and all frames show one view of the object: walk around it"
 
 
 def read_tracked(build: Path) -> tuple[Sequence, Trajectory]:
@@ -193,17 +195,20 @@ def _track_scene(
 ) -> Trajectory:
     """Track a scene; warn in health.json if the camera stands still, unless given poses say that it moves."""
     given = None if mode == "ignore" else sequence.given_trajectory
-    line = "" if given is not None and _moves(given) else turntable_warning(sequence)
+    line = "" if given is not None and _moves(given.T_world_camera) else turntable_warning(sequence)
     try:
         trajectory = track(sequence, mode, settings, progress)
     except TrackingError as error:
         raise TrackingError(f"{error}; {line}" if line else str(error), what=error.what) from error
+    if not line and not _moves(trajectory.T_world_camera):
+        line = ONE_VIEW
     if not line or trajectory.health is None:
         return trajectory
     warnings = (line, *trajectory.health.warnings)
     return replace(trajectory, health=trajectory.health.model_copy(update={"warnings": warnings}))
 
 
-def _moves(given: GivenTrajectory) -> bool:
-    """Whether the camera's positions vary by more than those of a camera on a tripod."""
-    return bool(np.ptp(given.T_world_camera[:, :3, 3], axis=0).max() > STRAY_M)
+def _moves(T_world_camera: Float64) -> bool:
+    """Whether the positions of poses (n, 4, 4), NaN where lost, vary by more than those on a tripod."""
+    at = T_world_camera[has_pose(T_world_camera), :3, 3]
+    return bool(len(at) and np.ptp(at, axis=0).max() > STRAY_M)

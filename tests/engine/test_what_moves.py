@@ -1,5 +1,6 @@
 """An object that moves before a still camera: tracked, fused and cut out by its own pixels."""
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from kinectbench.core.geometry.mesh import raycaster
 from kinectbench.core.trajectory.compare import compare_poses, has_pose
 from kinectbench.core.trajectory.trajectory import read_trajectory
 from kinectbench.core.types import Float64
+from kinectbench.engine import steps
 from kinectbench.engine.pipeline import build_recording
 from kinectbench.engine.stages import Job
 from kinectbench.lab.simulate.simulate import simulate
@@ -238,3 +240,25 @@ def _current(root: Path) -> bool:
 
     settings = load_benchmark(root / "benchmark.yaml", [])
     return is_current(Job(settings, settings.recordings[0], root), "track")
+
+
+def test_a_camera_that_does_not_move_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing else moves, either: all frames show one view."""
+    # Noise at edges looks like motion.
+    monkeypatch.setattr(steps, "turntable_warning", lambda sequence: "")
+    still = {"frames": 8, "arc_rad": 0.0, "reach_share": 0.0, "swing_rad": 0.0, "shake_m": 0.0}
+    spec = {
+        "object": "chair:seed=1",
+        "seed": 1,
+        "path": still,
+        "sensor": {"width": 160, "height": 120},
+        "given": {"trajectory": "none"},
+    }
+    simulate(SimulationSpec.model_validate(spec), tmp_path / "still")
+    settings = BenchmarkSettings.model_validate(
+        {"name": "still", "recordings": [{"id": "still", "path": "still", "category": "chair"}]}
+    )
+    of_still = Job(settings, settings.recordings[0], tmp_path)
+    assert not build_recording(of_still, upto="track").error
+    health = json.loads((of_still.build / "trajectory" / "health.json").read_text())
+    assert health["warnings"][0] == steps.ONE_VIEW
