@@ -142,9 +142,10 @@ class Scorer:
         )
 
     def _left(self, split: str) -> list[Target]:
-        """Return a split's pairs that have no prediction.
+        """Return the pairs of a split without a prediction.
 
-        None of validation if the thresholds are from a file, or if no validation pair was predicted.
+        The list is empty for the validation split if the thresholds are from a file or if no validation pair
+        was predicted.
         """
         if split == "validation" and not (
             self._searched and any(target.split == split for target in self._results)

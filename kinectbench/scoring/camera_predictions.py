@@ -58,7 +58,7 @@ def find_files(
 ) -> Iterator[tuple[Target, str, CameraPredictionFile | str | None]]:
     """Yield the view, the name and the file of each expected prediction.
 
-    Instead of the file there is the reason if it cannot be used, and None if there is no file.
+    The third value is the reason if the file cannot be used, and None if there is no file.
     """
     root = folder.resolve()
     for target in targets:

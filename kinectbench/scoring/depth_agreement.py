@@ -136,7 +136,7 @@ def agreement(
     gap = _gap(tree, rng)
 
     def beyond(distance_m: float, scale: float) -> float:
-        """Return a distance less what gaps between a cloud's points, times `scale`, add to it."""
+        """Return a distance without the part that is due to gaps between a cloud's points, times `scale`."""
         return float(np.sqrt(max(distance_m**2 - (gap * scale) ** 2, 0)))
 
     own = distance(np.eye(4))

@@ -158,7 +158,7 @@ def count_reals(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _bins_of(values: NDArray[np.floating], steps: int, rows: NDArray[np.uint8]) -> None:
-    """Write into `rows` (v,) 8 times the row of `bins` (see `count_reals`) that counts each value."""
+    """Write into `rows` (v,) 8 times the index of each value's row in `bins` of `count_reals`."""
     for i in range(len(values)):
         y = np.float64(values[i])
         k = np.int32(np.ceil(y * steps)) - np.int32(

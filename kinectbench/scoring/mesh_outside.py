@@ -53,7 +53,7 @@ def _areas(triangles: Float64) -> Float64:
 
 
 def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
-    """Yield what of triangles is in 0 <= x, y <= side, in pieces that cross neither z = 0 nor z = side."""
+    """Clip triangles to 0 <= x, y <= side; yield pieces that cross neither z = 0 nor z = side."""
     for axis in (0, 1):
         triangles = _cut(_cut(triangles, axis, 0)[1], axis, side)[0]
     below, above = _cut(triangles, 2, 0)

@@ -34,7 +34,7 @@ class Protocol:
 
     @cached_property
     def looked_at(self) -> tuple[int, ...]:
-        """The codes (1 occupied + 2 known + 4 seen) of voxels that would count if all were known."""
+        """The codes (1 occupied + 2 known + 4 seen) that count under the protocol if all voxels are known."""
         return tuple(code for code in CODES if not (self.hidden and code & SEEN))
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Score baselines in memory under the protocols camera and aligned: their cells are taken as a solid."""
+"""Score baselines in memory under the protocols camera and aligned, with their occupied cells as a solid."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
