@@ -177,7 +177,7 @@ def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _given(value: object) -> object:
-    """Return a setting without keys that are null, the default of newer keys that lineage.json may lack."""
+    """Return a setting without its null keys: lineage.json may lack newer keys, whose default is null."""
     return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value
 
 

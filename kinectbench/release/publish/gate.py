@@ -117,7 +117,7 @@ class Gate:
         return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
 
     def said(self, say: Callable[[str], str]) -> "Gate":
-        """Return a copy in which `say` rewrites each line of `failed` and `look`."""
+        """Return a copy in which the function `say` has rewritten each line of `failed` and `look`."""
         failed = {name: say(why) for name, why in self.failed.items()}
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)

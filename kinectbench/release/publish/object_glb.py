@@ -107,7 +107,8 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
     """Return {"mean", "max"} of the distances of the vertices of `of` from the surface of `to`, millimetres.
 
-    `MEASURED` to twice as many vertices are used, evenly spaced by index; all, if there are fewer.
+    Between `MEASURED` and 2 x `MEASURED` vertices are used, evenly spaced by index, or all if there are
+    fewer.
     """
     if of is to:
         return {"mean": 0.0, "max": 0.0}

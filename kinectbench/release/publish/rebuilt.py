@@ -92,8 +92,8 @@ def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> t
         pair_of: function that returns the complete pair of a view by its name.
 
     Returns:
-        IoU on known cells with the truth, means over the cubes of some views: of the solid rebuilt from all
-        views, and of that from one view, the one that the cube belongs to.
+        Two IoUs with the truth on known cells, each a mean over the cubes of some views: of the solid rebuilt
+        from all views, and of the solid rebuilt from the cube's own view alone.
     """
     pairs = {name: pair_of(name) for name in spread(sorted(views), CUBES)}
     every = [_ious(pair, list(views.values())) for pair in pairs.values()]
