@@ -116,8 +116,8 @@ def returned(
 class FaceBias:
     """Mean signed distance of the built surface from measured true surface, metres, by face direction.
 
-    Positive means that the built surface is too far out. A value is None if it has fewer than 50 samples
-    (8 cm^2), which are measured, away from sharp edges and within 15 mm of the built surface.
+    Positive means that the built surface is too far out. The samples are measured, away from sharp edges and
+    within 15 mm of the built surface. A value of fewer than 50 samples (8 cm^2) is None.
 
     Attributes:
         up: on faces that look up: the normal's z in the object's frame is over 0.7.
