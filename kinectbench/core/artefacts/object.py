@@ -258,10 +258,10 @@ class QualityFile(Stored):
 
     @property
     def trusted_iou(self) -> tuple[float | None, float | None, str]:
-        """Estimated IoU to the unknown truth, lower end of its interval, and words on what it counts.
+        """Estimated IoU with the unknown truth, lower end of its interval, and a text that names its voxels.
 
-        It counts known voxels, as scores do, and the words are " on known voxels". In files without that
-        estimate it counts all voxels of the solid, and the words are "".
+        The estimate is over known voxels, as in scores; its text is " on known voxels". Files without that
+        estimate give the one over all voxels of the solid, with the text "".
         """
         if self.estimated_known_iou is None:
             return self.estimated_iou, self.estimated_iou_low, ""

@@ -69,7 +69,7 @@ class Lineage(ReleaseFile):
 
 
 class Removed(StoredPart):
-    """Something that was removed."""
+    """A kind of private data that was removed from one file of the release."""
 
     file: str = Field(description="the release's file")
     what: str = Field(description="what was removed, in words")

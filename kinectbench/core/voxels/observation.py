@@ -1,4 +1,4 @@
-"""What frames measured at the voxels of a grid, and how far to trust it."""
+"""Measurements of frames at the voxels of a grid, and how far to trust them."""
 
 from dataclasses import dataclass
 
@@ -119,7 +119,7 @@ def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: f
 
 
 def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:
-    """Return how far to trust `Observation.free`, 0 to 1: less, the more voxels wide the rays are."""
+    """Return the trust in `Observation.free`, 0 to 1; it falls with the rays' width in voxels."""
     return float(np.interp(ray_width_m / voxel_size_m, RAY_WIDTHS_VOXELS, TRUST_IN_VOTES))
 
 

@@ -55,9 +55,9 @@ def seen_from_outside(
 ) -> NDArray[np.uint8]:
     """Find the voxels that a camera outside an obstacle could see, and whether from above or from below.
 
-    A line of sight has a width: its axis keeps half of it from the obstacle and from the plane, and the space
-    that axes reach is then dilated by half, but not into the obstacle. A camera can be where a ball of its
-    size can be moved to from outside the grid.
+    A line of sight has a width: its axis stays half a width away from the obstacle and from the plane. The
+    space that axes reach is then dilated by half a width, but not into the obstacle. A camera can be where a
+    ball of its size can be moved to from outside the grid.
 
     Args:
         obstacle: bool (nx, ny, nz), what lines and cameras do not cross; its last axis points up.
@@ -232,8 +232,8 @@ def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
 def _open_below(state, ways):  # type: ignore[no-untyped-def]
     """Return a mask of voxels that are open below.
 
-    Such a voxel has at or straight below it, with no BLOCKED voxel between, one with at least `OPEN_WAYS` in
-    `ways`, which is the result of `_level_ways_out`.
+    A voxel is open below if it, or a voxel straight below it with no BLOCKED voxel between, has at least
+    `OPEN_WAYS` in `ways`, the result of `_level_ways_out`.
     """
     nx, ny, nz = state.shape
     below = np.zeros(state.shape, np.bool_)
