@@ -123,7 +123,7 @@ def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[s
 
 
 def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
-    """What `find_intrinsics` returns, by the file with the intrinsics alone."""
+    """Do as `find_intrinsics`, but without a unit of depth from a second file."""
     file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
     if file is not None:
         by_json = file.name in JSON_FILES

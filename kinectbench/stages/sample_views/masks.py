@@ -131,7 +131,7 @@ def inner_silhouette(rendered_m: Float32) -> Bools:
 
 
 class MaskName(NamedTuple):
-    """What the file name of a person's mask says.
+    """The parsed file name of a person's mask.
 
     Attributes:
         number: index of the frame in the sequence, or number of the view.

@@ -64,7 +64,7 @@ NOTHING_KNOWN = FloorHint()
 
 
 class KnowsUp(Protocol):
-    """A recording or sequence that may know which way is up."""
+    """A recording or sequence that may state the up direction."""
 
     @property
     def given_trajectory(self) -> GivenTrajectory | None:
