@@ -69,7 +69,7 @@ def locked(
 
 @contextlib.contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Keep others that call this from the folder within the block, which is short; nothing is printed.
+    """Lock a folder against other callers of this function within the block, which is short; print nothing.
 
     The lock is on the folder itself: a file `.lock` would be one more in a folder that people share. Where
     the disk keeps no such locks, the block runs without.
