@@ -39,7 +39,7 @@ class ColorPlace:
     A score is as in `EdgeFit`, but by edges without wide structure, and at all shifts.
 
     Attributes:
-        zoom: how many times as large colour shows things.
+        zoom: size of objects in colour, relative to depth.
         shift_px: (2,) how far colour lies to the right of and below depth at the middle, depth pixels.
         score: the score there.
         here: the score without zoom, at shifts of at most one pixel of the images compared.
@@ -52,7 +52,7 @@ class ColorPlace:
 
     @property
     def clear(self) -> bool:
-        """Whether colour fits there clearly better than as it is."""
+        """Whether colour fits clearly better with this zoom and shift than unchanged."""
         return self.score > max(PLACED, PLACED_BETTER * self.here)
 
 
@@ -69,7 +69,7 @@ class EdgeFit:
         mirrored: the best score with colour mirrored left to right.
         shift_px: (2,) best shift: how far colour lies to the right of and below depth, depth pixels.
         pixel_px: pixels of depth per pixel of these images.
-        place: where colour fits best, if it is enlarged, too; None: not looked for.
+        place: the best fit with zoom and shift; None: not searched.
     """
 
     here: float
@@ -140,7 +140,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 
 
 def _place(probe: Probe) -> ColorPlace | None:
-    """Find where colour lies on depth, by many zooms; None without frames of colour in depth's shape."""
+    """Find the zoom and shift of colour that fit depth best; None without colour of depth's aspect ratio."""
     import cv2
 
     parts = []
@@ -169,7 +169,7 @@ def _at_zoom(parts: list[tuple[NDArray[np.complex128], NDArray[np.float32]]], zo
 
     Args:
         parts: for each frame the conjugate spectrum of its depth jumps, and its colour edges (height, width).
-        zoom: how many times as large colour shows things.
+        zoom: size of objects in colour, relative to depth.
     """
     import cv2
 
