@@ -257,7 +257,7 @@ class _Taking:
 
 
 def _prepare() -> None:
-    """Be nice to others (Linux counts niceness by thread), and load the libraries of a build."""
+    """Lower this thread's priority (Linux counts niceness by thread), and load the libraries of a build."""
     with suppress(OSError):
         os.nice(NICER)
     import kinectbench.engine.steps  # noqa: F401

@@ -60,7 +60,7 @@ class ObjectLook:
     floor_cut_m: float
 
     def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
-        """Return this look in a new world; `T_world_before` (4, 4) is old to new world; None gives None."""
+        """Return this reconstruction in a new world; `T_world_before` (4, 4): old to new; None gives None."""
         if T_world_before is None:
             return None
         return replace(self, T_floor_world=on_so3(self.T_floor_world @ invert_rigid(T_world_before)))
