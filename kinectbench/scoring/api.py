@@ -165,7 +165,7 @@ class Scorer:
         return grids
 
     def _fixed(self) -> Thresholds:
-        """Return the thresholds; choose them on the validation pairs counted so far unless already fixed."""
+        """Return the thresholds; unless fixed before, choose them on the validation pairs counted so far."""
         if self._thresholds is None:
             self._empty = self._as_empty("validation", None)
             tallies = {target: result.tally for target, result in (self._results | self._empty).items()}

@@ -117,7 +117,7 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
 
 
 def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
-    """Return whether a row counts more voxels, or more of the shape, than its pair's row under `known`."""
+    """Return whether a row covers more voxels, or more of the shape, than its pair's row under `known`."""
     return (row.coverage_voxels or 0.0) > (known.coverage_voxels or 0.0) + ROUNDING or (
         (row.coverage_shape or 0.0) > (known.coverage_shape or 0.0) + ROUNDING
     )

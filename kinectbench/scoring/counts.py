@@ -1,4 +1,4 @@
-"""Count a prediction against its truth in one pass: enough for every metric, threshold and protocol.
+"""Count a prediction against its truth in one pass, for every metric, threshold and protocol.
 
 Binarised predictions, the truth at a coarser resolution, and the paper's metrics are computed here, too.
 Ratios have no unit; cross-entropy is in nats a voxel. The paper does not define its metrics for empty
@@ -90,7 +90,7 @@ def _from_histogram(values: Float64, counts: Int64) -> Tally:
 
 
 def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable[Packed]]) -> Tally:
-    """Tally a prediction that comes in parts, in float64; `grids`: full, known and seen, in such parts."""
+    """Tally a prediction in float64, part by part; `grids`: full, known and seen, cut into the same parts."""
     from kinectbench.scoring.kernels import count_reals
 
     bins, ce_sum = np.zeros((STEPS + 1, 8), np.int64), np.zeros(8)
@@ -262,7 +262,7 @@ def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float
 
 
 def _share(hit: int, total: int, *, other: int) -> float:
-    """Return `hit / total`; for an empty total, 1 if the other set is empty too, else 0."""
+    """Return `hit / total`; if `total` is 0, return 1 if `other` is 0 too, else 0."""
     if total:
         return hit / total
     return 0.0 if other else 1.0

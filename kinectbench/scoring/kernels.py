@@ -66,7 +66,7 @@ def _ones(word: np.uint64) -> np.uint64:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64:
-    """Histogram a packed boolean prediction: (2, 8), how many voxels have each value and code.
+    """Histogram a packed boolean prediction: (2, 8), the number of voxels of each value and code.
 
     A code is 1 if the truth is occupied, + 2 if it is known, + 4 if the input view saw the voxel.
 

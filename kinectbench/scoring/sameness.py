@@ -1,4 +1,4 @@
-"""Find predictions that do not depend on their view: constant ones, and equal ones for different views."""
+"""Find predictions that do not depend on their view: constant ones, and equal ones of different views."""
 
 import hashlib
 from collections import Counter

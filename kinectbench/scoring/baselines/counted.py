@@ -1,4 +1,4 @@
-"""Score baselines in memory, pair by pair: the tables are those that their prediction files would get."""
+"""Score baselines in memory, pair by pair; the tables equal the tables of their prediction files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -119,7 +119,7 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
 
 
 def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tuple[str, ...]:
-    """Return the protocols for predictions in the camera frame: those asked for, else all that apply.
+    """Return the protocols for predictions in the camera frame: the requested ones, else all that apply.
 
     Raises:
         SettingsError: they do not fit these predictions (`unfit`).
