@@ -61,7 +61,7 @@ class _Place:
 
     @property
     def is_known(self) -> bool:
-        """Whether the files there are those of SHA256SUMS: a release, or the remains of a stopped upload.
+        """Whether the stored files are those in SHA256SUMS: a release, or the remains of a stopped upload.
 
         It is False if benchmark.json does not match SHA256SUMS: then another program wrote one of them.
         """

@@ -1,4 +1,4 @@
-"""Check what a release states twice: benchmark.json, quality.json, views.json, lineage.json and floors.
+"""Check facts that a release states twice: benchmark.json, quality.json, views.json, lineage.json, floors.
 
 Early releases, without `benchmark_sha256_version` in benchmark.json, are not checked: their words differ.
 """

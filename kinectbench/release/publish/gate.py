@@ -87,7 +87,7 @@ class Gate:
 
     @property
     def flow(self) -> Flow:
-        """The number of recordings tried, and of those with each outcome."""
+        """The number of recordings tried, and the number with each outcome."""
         in_release = set(self.published) - set(self.left_out)
         return Flow(
             tried=len(in_release) + len(self.left_out) + self.not_built,
@@ -123,14 +123,14 @@ class Gate:
         return replace(self, failed=failed, look=look)
 
     def with_pairs(self, made: Collection[str]) -> "Gate":
-        """Return a copy that leaves out all recordings but `made`, those that have a pair."""
+        """Return a copy without the recordings that have no pair; `made` has the others."""
         without = tuple(name for name in self.published if name not in made)
         poor = {name: lines for name, lines in self.poor.items() if name in made}
         look = {name: lines for name, lines in self.look.items() if name in made}
         return replace(self, without_pair=without, poor=poor, look=look)
 
     def first_reasons(self) -> str:
-        """Return in one line the first reasons why recordings are left out, and how many more there are."""
+        """Return in one line the first reasons why recordings are left out, and the number of others."""
         lines = [left_out_line(name, why) for name, why in self.left_out.items()]
         return first_lines(lines) + (ADVICE if self.refused else "")
 

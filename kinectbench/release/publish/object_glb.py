@@ -28,7 +28,7 @@ MATRIX_DECIMALS, MM_DECIMALS = 12, 3
 
 
 def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = None) -> None:
-    """Write a GLB for each of the recordings that has a mesh.ply in the release; held-back ones have none.
+    """Write a GLB for each recording with a mesh.ply in the release; held-back recordings have none.
 
     Args:
         folder: the release's folder.
