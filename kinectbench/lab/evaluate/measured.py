@@ -48,7 +48,7 @@ class MeasuredSurface:
 
     @property
     def surface(self) -> SurfaceTruth:
-        """The samples as a `SurfaceTruth` in which exactly the measured ones count as seen."""
+        """The samples as a `SurfaceTruth` in which exactly the measured samples are marked as seen."""
         return SurfaceTruth(self.points_world, self.normals_world, self.measured.astype(np.uint16))
 
 
@@ -81,7 +81,7 @@ def measured_surface(build: Build, truth: Truth, registration: BuildRegistration
 
 
 def _spread(frames: Int64) -> Int64:
-    """Reorder frames (n,) so that any first few of them are spread evenly over the recording."""
+    """Reorder frames (n,) so that the first k, for any k, are spread evenly over the recording."""
     return frames[np.argsort((np.arange(len(frames)) * GOLDEN) % 1)]
 
 
