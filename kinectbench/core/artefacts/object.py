@@ -327,14 +327,14 @@ class SynthesisedQualityFile(Stored):
 
 
 class MadeGroup(StoredPart):
-    """Views of a model that were synthesised together: those with a pair, and why the others have none."""
+    """Views of a model that were synthesised together: views with a pair, and views without, with reasons."""
 
     views: tuple[str, ...] = Field(description="names of those that have a pair")
     refused: tuple[str, ...] = Field(description="why each of the others has none")
 
 
 class MadeModel(Stored):
-    """made.json, written for each model during synthesis: what the model contributes to the final report."""
+    """made.json, written for each model during synthesis: the model's data for the final report."""
 
     FILE = "made.json"
     ADVICE = "run the command again"

@@ -76,7 +76,7 @@ class Removed(StoredPart):
 
 
 class Privacy(ReleaseFile):
-    """The content of privacy.json: what was searched for, and removed or kept."""
+    """The content of privacy.json: the private data that were searched for, and removed or kept."""
 
     FILE: ClassVar[str] = PRIVACY_JSON
 

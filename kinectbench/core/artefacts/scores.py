@@ -82,7 +82,7 @@ class OverallAverages(Averages):
 
 
 class ScoreSettings(StoredPart):
-    """Every choice that the numbers depend on, in words and numbers."""
+    """Every setting that the scores depend on, in words and numbers."""
 
     score_version: int | None = Field(
         None,
@@ -255,7 +255,7 @@ class ScoreTable(Stored):
 
     @property
     def standing(self) -> str:
-        """How far the scores were checked: `verified DATE, kinectbench VERSION`, or `reported`."""
+        """Whether the scores were verified: `verified DATE, kinectbench VERSION`, or `reported`."""
         return REPORTED if self.verified is None else self.verified.words
 
     def facts_sha256(self) -> str:

@@ -160,7 +160,7 @@ class _Turned:
     ways: NDArray[np.int64]
 
     def ways_along(self, to_camera: Float64) -> NDArray[np.uint8]:
-        """Do as `ways_along` for directions (n, 3) among `ways`; the result has the axes of `state`."""
+        """Return the marks of `ways_along` for directions (n, 3) among `ways`, in the axes of `state`."""
         seen = np.zeros(self.state.shape, np.uint8)
         flat, up_axis = (self.state.reshape(-1), seen.reshape(-1), seen.shape), self.order.index(2)
         n0, n1, n2 = self.state.shape

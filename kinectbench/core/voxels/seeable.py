@@ -115,7 +115,7 @@ def swept_from_outside(
     count: int,
     closer: SensorLimits | None = None,
 ) -> Sight:
-    """Do as `seen_from_outside`, but only along some directions: fast, but may miss narrow gaps.
+    """Find the visible voxels as `seen_from_outside` does, along some directions only: fast, but misses gaps.
 
     Args:
         obstacle: bool (nx, ny, nz), as for `seen_from_outside`.
