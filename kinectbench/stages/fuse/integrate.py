@@ -318,7 +318,7 @@ def _add(new_total, new_weight, new_votes, depths, weights, z, truncation, noise
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add_clear(new_total, new_weight, new_votes, weights, truncation):  # type: ignore[no-untyped-def]
-    """Do what `_add` does, for a block that lies far in front of all measured depth.
+    """Add a frame to a block's sums as `_add` does, for a block far in front of all measured depth.
 
     There, each distance is the truncation and each vote is `free`.
     """

@@ -166,7 +166,7 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_fold
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
-    """A warning that files of these names beside `read` were not read; empty if there are no such files."""
+    """A warning that files with these `names` beside `read` were not read; empty without such files."""
     others = [name for name in names if name != read.name and (read.parent / name).is_file()]
     if not others:
         return ()

@@ -157,7 +157,7 @@ def _look(
     segmentation: MaskCuts,
     chosen: tuple[int, str],
 ) -> View:
-    """Make a view from a frame and the reason for its place in the order; without name and person's mask."""
+    """Make a view from a frame and the reason for its rank, without name and person's mask."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)

@@ -103,7 +103,7 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder directly contains 16-bit depth and colour images, named as such by a word."""
+    """Whether a folder directly contains 16-bit depth and colour images, with words for these in names."""
     if not path.is_dir():
         return False
     depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))

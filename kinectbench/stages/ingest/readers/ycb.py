@@ -164,7 +164,7 @@ def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]
 
 
 def _arrays(file: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Float64]:
-    """Read those of the arrays named in `shapes` that an HDF5 file has, as float64.
+    """Read the arrays in `shapes` that an HDF5 file has, as float64.
 
     Raises:
         RecordingError: an array is not finite or has another shape.
