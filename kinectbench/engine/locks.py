@@ -1,4 +1,4 @@
-"""Lock a folder so that one run at a time works in it, and remove what killed runs left there.
+"""Lock a folder so that one run at a time works in it, and remove leftovers of killed runs.
 
 The lock is one of the operating system (flock): it disappears with the process that holds it, so no lock can
 be stale. The file `.lock` only names the holder. The package filelock would instead use lock files on a disk
