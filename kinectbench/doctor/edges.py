@@ -58,7 +58,7 @@ class ColorPlace:
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """How well edges of colour coincide with depth discontinuities.
+    """The agreement of colour edges with depth discontinuities.
 
     A score is a correlation minus the median of the correlations at all shifts up to 96 px, in images 320 px
     wide, divided by their standard deviation.
@@ -101,7 +101,7 @@ class EdgeFit:
 
     @property
     def registration(self) -> Registration:
-        """What the edges show of whether colour lies on depth, if the recording says that it does."""
+        """Whether edges confirm the stated registration of colour: "seen", "unclear" or "contradicted"."""
         if self.elsewhere:
             return "contradicted"
         seen = self.here > CLEAR or (self.place is not None and self.place.here > PLACED)
@@ -198,7 +198,7 @@ def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
-    """Report colour that is mirrored, or not registered to depth although the recording says that it is.
+    """Report colour that is mirrored, or not registered to depth although the recording states that it is.
 
     A note reports colour that is only for display, because it is neither registered nor calibrated.
     """
@@ -224,7 +224,7 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
 
 
 def _where(fit: EdgeFit) -> str:
-    """Say how large the edges of colour that is not registered are, and where."""
+    """Describe in words the size and position of the edges of unregistered colour, relative to depth."""
     (right, down), place, large = fit.shift_px.tolist(), fit.place, ""
     if place is not None and place.score > PLACED:
         if place.zoom != 1:
@@ -274,7 +274,7 @@ def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDAr
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normalise correlations; return those at shifts up to REACH_PX (r): (2 r + 1, 2 r + 1), 0 in the middle.
+    """Normalise correlations; return the scores at shifts up to r = REACH_PX: (2 r + 1, 2 r + 1), 0 central.
 
     Their median is subtracted, then they are divided by their standard deviation, both at shifts up to 4 r.
     """
