@@ -1,4 +1,4 @@
-"""Settings of a recipe, sources.yaml: where public scans are, what they contain, and who owns them."""
+"""Settings of a recipe, sources.yaml: location, content and owners of public scans."""
 
 import hashlib
 import re
