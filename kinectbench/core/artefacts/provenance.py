@@ -69,14 +69,14 @@ class Lineage(ReleaseFile):
 
 
 class Removed(StoredPart):
-    """A kind of private data that was removed from one file of the release."""
+    """Something that was removed."""
 
     file: str = Field(description="the release's file")
     what: str = Field(description="what was removed, in words")
 
 
 class Privacy(ReleaseFile):
-    """The content of privacy.json: the private data that were searched for, and removed or kept."""
+    """The content of privacy.json: what was searched for, and removed or kept."""
 
     FILE: ClassVar[str] = PRIVACY_JSON
 

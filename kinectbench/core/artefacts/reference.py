@@ -44,7 +44,7 @@ class DirectionsPart(StoredPart):
 
 
 class ReferenceInfo(StoredPart):
-    """A release's facts about the reference mesh of a recording."""
+    """What a release says of a recording's reference."""
 
     reference: str = Field(description=MESH)
     sha256: str = Field(description="SHA-256 of its bytes")

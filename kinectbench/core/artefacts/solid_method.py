@@ -45,7 +45,7 @@ class CarriedLegs(StoredPart):
 
 
 class FrontierMethod(StoredPart):
-    """Rules for the unseen regions to report, and for the viewpoints that would see them."""
+    """Which unseen regions that a camera could see are reported, and from where to look into them."""
 
     least_share: float = Field(description="least share of the solid's volume behind a frontier")
     least_underside_share: float | None = Field(
