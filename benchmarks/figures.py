@@ -24,8 +24,8 @@ class Figure:
     Attributes:
         name: what was measured, with its unit.
         value: a number, a text or a list, as JSON keeps it.
-        bar: what it has to be, in words; None if it is only told.
-        met: whether it is; None without a bar.
+        bar: the required value, in words; None if the figure is only stated.
+        met: whether the value meets the bar; None without a bar.
     """
 
     name: str
@@ -34,8 +34,8 @@ class Figure:
     met: bool | None = None
 
 
-def told(name: str, value: Any) -> Figure:
-    """A figure without a bar."""
+def stated(name: str, value: Any) -> Figure:
+    """A figure that is only stated, without a bar."""
     return Figure(name, value)
 
 
@@ -83,7 +83,7 @@ def run(
         figures = [*measure()]
     except KinectBenchError as error:
         sys.exit(f"error: {error}")
-    figures.append(told("this script, s", round(time.monotonic() - started, 1)))
+    figures.append(stated("this script, s", round(time.monotonic() - started, 1)))
     table = Table("figure", "measured", Column("bar", no_wrap=True), Column(no_wrap=True))
     for figure in figures:
         verdict = {None: "", True: "[green]pass[/]", False: "[red]fail[/]"}[figure.met]

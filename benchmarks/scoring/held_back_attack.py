@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import open3d as o3d
-from figures import Figure, arguments, at_most, run, told
+from figures import Figure, arguments, at_most, run, stated
 
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import ViewsFile
@@ -217,11 +217,11 @@ def attacked(name: str, views: Sequence[View], release: Release, truth: Release)
     # A whole view, with its background and its floor, is what any attack is held against.
     alone = single([View(truth, view.target) for view in views], truth, truth)
     plain = max(SINGLE, key=lambda each: alone[each])
-    yield told(f"{name}: best baseline ({plain}), IoU", alone[plain])
+    yield stated(f"{name}: best baseline ({plain}), IoU", alone[plain])
     best = max(alone, key=lambda each: alone[each])
-    yield told(f"{name}: one view alone, best way ({best}), IoU", alone[best])
+    yield stated(f"{name}: one view alone, best way ({best}), IoU", alone[best])
     found: dict[str, float] = {"one view": max(single(views, release, truth).values())}
-    yield told(f"{name}: public, one view alone, best way, IoU", found["one view"])
+    yield stated(f"{name}: public, one view alone, best way, IoU", found["one view"])
     one_recording = len({view.target.recording for view in views}) == 1
     if len(views) > 1:
         edges = edges_of(views)
@@ -230,16 +230,16 @@ def attacked(name: str, views: Sequence[View], release: Release, truth: Release)
             found[way] = float(ious(views, placed, truth).max())
             if one_recording:
                 angle, shift = errors(views, placed, truth)
-                yield told(f"{name}: ICP of the {way}, poses off, degrees and mm", [angle, shift])
-            yield told(f"{name}: ICP of the {way}, {len(views)} views, IoU", found[way])
+                yield stated(f"{name}: ICP of the {way}, poses off, degrees and mm", [angle, shift])
+            yield stated(f"{name}: ICP of the {way}, {len(views)} views, IoU", found[way])
         if one_recording:
             bound = float(ious(views, true_poses(views, truth), truth).max())
-            yield told(f"{name}: true poses, the bound, IoU", bound)
+            yield stated(f"{name}: true poses, the bound, IoU", bound)
     strongest = max(found, key=lambda each: found[each])
     gain = found[strongest] - alone[best]
     words = f"{name}: strongest attack ({strongest}), IoU above one view"
     isolated = all(release.metadata.isolates(view.target.recording) for view in views)
-    yield at_most(words, gain, MARGIN) if isolated else told(words, gain)
+    yield at_most(words, gain, MARGIN) if isolated else stated(words, gain)
 
 
 def measured(public: Path, private: Path, most: int) -> Iterator[Figure]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from builds import build_root
-from figures import Figure, arguments, at_most, equals, run, told
+from figures import Figure, arguments, at_most, equals, run, stated
 from numpy.typing import NDArray
 from scipy import ndimage
 from score_surfaces import surface_of, surface_reference
@@ -269,9 +269,9 @@ def measure(root: Path, folder: Path | None, count: int) -> list[Figure]:
     write_predictions(release, root / "predictions", turn=0)
     found = compared(release, root / "predictions", surface=True)
     return [
-        told("pairs scored, each under 3 protocols", len(release.split("test"))),
-        told("kinds of prediction", list(KINDS)),
-        told("pairs left out, with their protocol", found.left_out),
+        stated("pairs scored, each under 3 protocols", len(release.split("test"))),
+        stated("kinds of prediction", list(KINDS)),
+        stated("pairs left out, with their protocol", found.left_out),
         *(at_most(f"largest difference of {name}", of, MAX_DIFFERENCE) for name, of in found.largest.items()),
         equals("thresholds found otherwise", found.wrong, []),
     ]

@@ -14,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from figures import Figure, run, told
+from figures import Figure, run, stated
 from numpy.typing import NDArray
 
 from kinectbench.core.types import Float64
@@ -107,10 +107,10 @@ def measure(options: argparse.Namespace) -> Sequence[Figure]:
         best = {key: int(np.argmax(rows[~is_test].mean(axis=0))) for key, rows in found.items()}
         judged = [target for target in targets if target.split == "test"]
         means = {key: by_object(rows[is_test, best[key]], judged) for key, rows in found.items()}
-        figures += [told(f"{framing}: pairs, objects", f"{len(tests)}, {len(means[name])}")]
+        figures += [stated(f"{framing}: pairs, objects", f"{len(tests)}, {len(means[name])}")]
         for key, values in means.items():
             low, high = interval(values)
-            figures += [told(f"{framing}: IoU of {key}", f"{values.mean():.3f} ({low:.3f} to {high:.3f})")]
+            figures += [stated(f"{framing}: IoU of {key}", f"{values.mean():.3f} ({low:.3f} to {high:.3f})")]
         for key in SIMPLE:
             more = means[name] - means[key]
             low, high = interval(more)

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from figures import Figure, at_most, equals, told
+from figures import Figure, at_most, equals, stated
 from memory import watched_workers
 
 from kinectbench.core.sequence import Sequence
@@ -60,11 +60,11 @@ def guide_figures(folder: Path, settings: CameraSettings | None) -> list[Figure]
     live = ate_m(sequence, poses, written_ns[[each.number for each in said]])
     return [
         equals(f"guide: frames written of {len(source)}", done.frames, len(source)),
-        told("guide: missed, dropped", [done.missed, done.dropped]),
-        told("guide: frames that it looked at, lost", [len(said), int((~has_pose(poses)).sum())]),
+        stated("guide: missed, dropped", [done.missed, done.dropped]),
+        stated("guide: frames that it looked at, lost", [len(said), int((~has_pose(poses)).sum())]),
         at_most("guide: age of its picture, median, ms", float(np.median(age_ms)), AGE_MS),
         at_most("guide: age of its picture, 99 %, ms", float(np.quantile(age_ms, 0.99)), OLDEST_MS),
-        told("guide: ATE live and offline, mm", [round(1000 * live, 2), round(1000 * ours, 2)]),
+        stated("guide: ATE live and offline, mm", [round(1000 * live, 2), round(1000 * ours, 2)]),
         at_most("guide: ATE over that offline", live / ours, ATE_TIMES),
         at_most("guide: peak memory, MB", max(peaks.values()), GUIDE_MB),
     ]

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
-from figures import Figure, arguments, at_least, at_most, equals, run, told
+from figures import Figure, arguments, at_least, at_most, equals, run, stated
 from guide_replay import guide_figures
 from ingest_writers import BagWriter, every_frame
 from memory import peak_mb
@@ -94,8 +94,8 @@ def folder_figures(folder: Path) -> list[Figure]:
     frames, seconds, _ = ingested(folder)
     frame_ms = 1000 * seconds / frames
     return [
-        told("folder: decoding a depth PNG, ms CPU", decode_ms),
-        told("folder: ingest a frame, ms CPU", frame_ms),
+        stated("folder: decoding a depth PNG, ms CPU", decode_ms),
+        stated("folder: ingest a frame, ms CPU", frame_ms),
         at_most("folder: ingest beyond decoding, ms CPU a frame", frame_ms - decode_ms, FOLDER_MS),
     ]
 
@@ -109,7 +109,7 @@ def bag_figures(frames: list[RawFrame], root: Path) -> list[Figure]:
         words = f"bag, raw depth + JPEG, {name} chunks: frames a second of CPU"
         # bz2 itself unpacks some 20 MB a second.
         found.append(
-            told(words, count / seconds) if name == "bz2" else at_least(words, count / seconds, BAG_FPS)
+            stated(words, count / seconds) if name == "bz2" else at_least(words, count / seconds, BAG_FPS)
         )
         bag.unlink()
     return found
@@ -126,7 +126,7 @@ def memory_figures(frames: list[RawFrame], root: Path, sizes_gb: list[float]) ->
             file_gb = bag.stat().st_size / 1e9
             words = f"{size_gb:g} GB of images, {name} chunks ({count} frames, file {file_gb:.2f} GB)"
             found.append(at_most(f"{words}: peak memory, MB", peak, LIMIT_MB))
-            found.append(told(f"{words}: CPU s", round(seconds, 1)))
+            found.append(stated(f"{words}: CPU s", round(seconds, 1)))
             bag.unlink()
     return found
 
@@ -140,7 +140,7 @@ def doctor_figures(frames: list[RawFrame], root: Path) -> list[Figure]:
     after, seconds = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic() - started
     cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return [
-        told("inspect: frames, by the clock (s)", [said["frames"], round(seconds, 1)]),
+        stated("inspect: frames, by the clock (s)", [said["frames"], round(seconds, 1)]),
         # Others may have this machine's cores, too.
         at_most(f"inspect, {DOCTOR_FRAMES} frames of a bag, CPU s", cpu_s, DOCTOR_S),
     ]
@@ -202,8 +202,8 @@ def record_figures(folder: Path) -> list[Figure]:
         frames, missed, dropped, cpu_s, peak = said
         found += [
             equals(f"{words}: frames written of {RECORDED} at {RECORD_HZ:g} Hz", frames, RECORDED),
-            told(f"{words}: missed, dropped", [missed, dropped]),
-            told(f"{words}: ms CPU a frame", 1000 * cpu_s / RECORDED),
+            stated(f"{words}: missed, dropped", [missed, dropped]),
+            stated(f"{words}: ms CPU a frame", 1000 * cpu_s / RECORDED),
             at_most(f"{words}: peak memory, MB", peak, RECORD_MB),
         ]
     return found

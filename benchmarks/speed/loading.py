@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from figures import Figure, arguments, run, told
+from figures import Figure, arguments, run, stated
 
 import kinectbench
 
@@ -125,17 +125,17 @@ def measure(options: argparse.Namespace) -> list[Figure]:
         read = (
             (lambda index, dataset=dataset: unpacked(dataset[index])) if name == HERE else dataset.__getitem__
         )
-        figures.append(told(f"{name}: CPU ms", cpu_ms(read, len(dataset))))
+        figures.append(stated(f"{name}: CPU ms", cpu_ms(read, len(dataset))))
         for workers in options.workers:
             rate, here_ms, there_ms = measured(dataset, workers, options.seconds, name == HERE)
             figures += [
-                told(f"{name}, {workers} workers: items a second", rate),
-                told(f"{name}, {workers} workers: CPU ms here, in the workers", [here_ms, there_ms]),
+                stated(f"{name}, {workers} workers: items a second", rate),
+                stated(f"{name}, {workers} workers: CPU ms here, in the workers", [here_ms, there_ms]),
             ]
     paths = [dataset.release.pair_path(target) for target in dataset.targets]
     for packed in (True, False) if paths[0].is_file() else ():
         took = cpu_ms(lambda index, packed=packed: by_numpy(paths[index], packed), len(paths))
-        figures.append(told(f"numpy, {'packed' if packed else 'unpacked'}: CPU ms", took))
+        figures.append(stated(f"numpy, {'packed' if packed else 'unpacked'}: CPU ms", took))
     return figures
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from builds import build_root
-from figures import Figure, arguments, at_most, run, told
+from figures import Figure, arguments, at_most, run, stated
 
 from kinectbench.cli.common import SOME_FAILED
 from kinectbench.core.errors import KinectBenchError
@@ -45,7 +45,7 @@ SETTINGS = (
     "pairs.min_visible_share=0",
 )
 CHEAP = ("--no-surface", "--no-baselines")
-# Command → most milliseconds of CPU time for each recording, which has one pair; None: only told.
+# Command → most milliseconds of CPU time for each recording, which has one pair; None: only stated.
 STEPS: Mapping[str, tuple[tuple[str, ...], float | None]] = {
     "init": (("init", ".", "--force"), None),
     "build, nothing to do": (("build", "--jobs", "1"), 2),
@@ -170,9 +170,9 @@ def figures(costs: Mapping[int, Mapping[str, Cost]]) -> list[Figure]:
             what = f"{name}, {count} recordings"
             each = round(1000 * cost.cpu_s / count, 2)
             cpu = f"{what}: CPU, ms each"
-            found.append(told(cpu, each) if most_ms is None else at_most(cpu, each, most_ms))
-            found.append(told(f"{what}: wall, s", round(cost.wall_s, 1)))
-            found.append(told(f"{what}: memory, MB", round(cost.peak_mb)))
+            found.append(stated(cpu, each) if most_ms is None else at_most(cpu, each, most_ms))
+            found.append(stated(f"{what}: wall, s", round(cost.wall_s, 1)))
+            found.append(stated(f"{what}: memory, MB", round(cost.peak_mb)))
         for few, many in pairwise(sorted(count for count in costs if name in costs[count])):
             growth = costs[many][name].cpu_s / costs[few][name].cpu_s / (many / few)
             what = f"{name}: time each of {many} recordings by that of {few}"

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from figures import Figure, arguments, at_most, equals, run, told
+from figures import Figure, arguments, at_most, equals, run, stated
 from numpy.typing import NDArray
 from references import shell_of
 
@@ -116,8 +116,8 @@ def measure(build: Path) -> list[Figure]:
         wrong = {name: wrong.get(name, 0) + count for name, count in here.items()}
     camera = sequence.camera
     return [
-        told("image, px", f"{camera.width} x {camera.height}"),
-        told("faces of the shape", len(model.shape.mesh.faces)),
+        stated("image, px", f"{camera.width} x {camera.height}"),
+        stated("faces of the shape", len(model.shape.mesh.faces)),
         at_most(f"{PAIRS} pairs, CPU s", cpu_s, CPU_S),
         *(equals(f"wrong cells of `{name}`", count, 0) for name, count in wrong.items()),
     ]

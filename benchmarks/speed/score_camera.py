@@ -19,7 +19,7 @@ import numpy as np
 import trimesh
 from analytic_release import publish_analytic, true_in_camera
 from builds import build_root
-from figures import Figure, arguments, at_most, run, told
+from figures import Figure, arguments, at_most, run, stated
 
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_figures import CLOSINGS, IN_SPACE
@@ -83,7 +83,7 @@ def measure(root: Path, views: int, jobs: int) -> list[Figure]:
         at_most("cpu of a view, closed mesh, s", view_s(closed, True, TIMES), MAX_VIEW_S),
         at_most("cpu of a view, open mesh, s", view_s(opened, False, TIMES), MAX_VIEW_S),
         *(
-            told(
+            stated(
                 f"the same with --close {close}, s", view_s(replace(opened, close=close), True, TIMES_CLOSED)
             )
             for close in CLOSINGS
@@ -96,10 +96,10 @@ def measure(root: Path, views: int, jobs: int) -> list[Figure]:
     assert all(isinstance(one, ViewResult) for one in found)
     return [
         *figures,
-        told("views, processes", [views, jobs]),
+        stated("views, processes", [views, jobs]),
         at_most("wall clock, s", wall_s, MAX_THOUSAND_S * views / 1000),
-        told("load of the machine before, and after", [before, os.getloadavg()[0]]),
-        told("cpu of all processes, s; of a view", [cpu_s, cpu_s / views]),
+        stated("load of the machine before, and after", [before, os.getloadavg()[0]]),
+        stated("cpu of all processes, s; of a view", [cpu_s, cpu_s / views]),
     ]
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from builds import build_root
-from figures import Figure, arguments, at_most, equals, run, told
+from figures import Figure, arguments, at_most, equals, run, stated
 from memory import peak_mb, watched_workers
 from synthetic_release import publish_synthetic
 
@@ -143,15 +143,15 @@ def measure(root: Path, jobs: int, repeats: int) -> list[Figure]:
         rows, written_s, read_s, table_mb = submit_all(pool, large_table, [root])[0].result()
     count, ratio = repeats * PAIRS, repeats / max(repeats // 4, 1)
     return [
-        told("scorings, processes", [count, jobs]),
+        stated("scorings, processes", [count, jobs]),
         at_most("wall clock, s", many.wall_s, MAX_S * repeats / REPEATS),
-        told("wall clock of a quarter, s", round(few.wall_s, 1)),
-        told("cpu of all processes, s; a scoring, ms", [many.cpu_s, 1000 * many.cpu_s / count]),
+        stated("wall clock of a quarter, s", round(few.wall_s, 1)),
+        stated("cpu of all processes, s; a scoring, ms", [many.cpu_s, 1000 * many.cpu_s / count]),
         at_most("cpu of a scoring, against one of a quarter", many.cpu_s / ratio / few.cpu_s, MAX_NONLINEAR),
         at_most("peak memory of a worker, MB", many.worker_mb, MAX_WORKER_MB),
         at_most("the same, of a quarter, MB", few.worker_mb, MAX_WORKER_MB),
         at_most("peak memory of one process alone, MB", alone_mb, MAX_WORKER_MB),
-        told("rows of a large table; seconds to write it, and to read it", [rows, written_s, read_s]),
+        stated("rows of a large table; seconds to write it, and to read it", [rows, written_s, read_s]),
         at_most("peak memory of making, writing and reading it, MB", table_mb, MAX_TABLE_MB),
         equals("tables of one process and of several are the same", alone, True),
     ]

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from figures import Figure, arguments, at_least, at_most, run, told
+from figures import Figure, arguments, at_least, at_most, run, stated
 from numpy.typing import NDArray
 from references import upsample
 from scipy import ndimage
@@ -100,7 +100,7 @@ def one_pair(rounds: int) -> list[Figure]:
         )
         name = np.dtype(dtype).name
         figures += [
-            told(f"{name}: naive, careful, kinectbench, cpu ms", [round(t * 1e3, 1) for t in times]),
+            stated(f"{name}: naive, careful, kinectbench, cpu ms", [round(t * 1e3, 1) for t in times]),
             at_least(f"{name}: as fast as naive numpy, times", times[0] / times[2], 40),
             at_least(f"{name}: as fast as careful numpy, times", times[1] / times[2], 4),
             at_most(f"{name}: largest difference to float64", max(difference(a, c), difference(b, c)), 1e-6),
@@ -126,7 +126,7 @@ def from_npz(rounds: int, values: NDArray[Any], full: Bools, truth: PackedTruth)
         )
     milliseconds = [round(t * 1e3) for t in times]
     return [
-        told("load a compressed npz and score: naive, careful, kinectbench, cpu ms", milliseconds),
+        stated("load a compressed npz and score: naive, careful, kinectbench, cpu ms", milliseconds),
         at_least("load and score: as fast as naive numpy, times", times[0] / times[2], 3),
         at_least("load and score: as fast as careful numpy, times", times[1] / times[2], 3),
         at_most("load and score: largest difference", max(difference(a, c), difference(b, c)), 1e-6),
@@ -153,7 +153,9 @@ def surfaces(rounds: int) -> list[Figure]:
         times, (expected, found) = interleaved(rounds, tree, blocks)
         worst = max(float(np.abs(e - f).max()) for e, f in zip(expected, found, strict=True))
         figures += [
-            told(f"surface distances, {name}: cKDTree, kinectbench, cpu ms", [round(t * 1e3) for t in times]),
+            stated(
+                f"surface distances, {name}: cKDTree, kinectbench, cpu ms", [round(t * 1e3) for t in times]
+            ),
             at_least(f"surface distances, {name}: as fast as cKDTree, times", times[0] / times[1], bar),
             at_most(f"surface distances, {name}: largest difference, cells", worst, 1e-9),
         ]
@@ -170,7 +172,7 @@ def resampling(rounds: int) -> list[Figure]:
     worst = float(np.abs(zoomed - upsample(values, convention=CORNER_ALIGNED)).max())
     times, _ = interleaved(rounds, lambda: ndimage.zoom(values, SIDE / 32, order=1), planes)
     return [
-        told(
+        stated(
             "32^3 to 256^3: scipy zoom, kinectbench (plane by plane), cpu ms",
             [round(t * 1e3, 2) for t in times],
         ),

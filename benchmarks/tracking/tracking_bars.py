@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from figures import Figure, at_least, at_most, equals, told
+from figures import Figure, at_least, at_most, equals, stated
 from tracking_cases import (
     DEPTH_ONLY,
     GROUPS,
@@ -30,7 +30,7 @@ NOT_MEASURED = "not measured"
 
 
 def bar_figures(rows: Sequence[Row]) -> list[Figure]:
-    """The bars, in the order of the groups; a part that was not measured is told as that."""
+    """The bars, in the order of the groups; a part that was not measured is stated as such."""
     figures: list[Figure] = []
     for group in GROUPS:
         of_group = [row for row in rows if row.case.group == group]
@@ -54,7 +54,7 @@ def _accuracy(group: str, method: str, rows: list[Row]) -> list[Figure]:
     """The worst of a group in each figure."""
     what = group if method == OURS else f"{group}, depth only"
     if not rows:
-        return [told(what, NOT_MEASURED)]
+        return [stated(what, NOT_MEASURED)]
     bar = rows[0].case.bars[method]
     assert isinstance(bar, Bar)
     found = f"{what} ({len(rows)} of {EXPECTED[group]})"
@@ -66,7 +66,7 @@ def _accuracy(group: str, method: str, rows: list[Row]) -> list[Figure]:
     unnamed = sum(row.outcome.unnamed for row in rows)
     figures.append(equals(f"{found}: frames lost and not reported", unnamed, 0))
     passed = sum(not row.short_of(bar) for row in rows)
-    return [*figures, told(f"{found}: recordings that hold all", passed)]
+    return [*figures, stated(f"{found}: recordings that hold all", passed)]
 
 
 def _worst(
@@ -87,7 +87,7 @@ def _refined(rows: Sequence[Row]) -> Figure:
     what = "cabinet, refine: point-to-plane residual between distant frames, mm"
     row = next((row for row in rows if row.method == REFINE), None)
     if row is None or not row.outcome.more:
-        return told(what, NOT_MEASURED if row is None else row.outcome.problem)
+        return stated(what, NOT_MEASURED if row is None else row.outcome.problem)
     more = row.outcome.more
     refined, given = more["refined_residual_mm"], more["given_residual_mm"]
     shares = f"{more['refined_share']:.1%} of the points compared; given {more['given_share']:.1%}"
@@ -106,7 +106,7 @@ def _against_rivals(rows: Sequence[Row]) -> list[Figure]:
             what = f"{kind}: recordings with a lower ATE than Open3D's {method}"
             what += f" times {factor}" if factor != 1 else ""
             if not theirs:
-                figures.append(told(what, NOT_MEASURED))
+                figures.append(stated(what, NOT_MEASURED))
                 continue
             lost = [row.case.name for row in theirs if not beaten(ours[row.case.name], row, factor)]
             what += f" (not on {', '.join(lost)})" if lost else ""
@@ -115,7 +115,7 @@ def _against_rivals(rows: Sequence[Row]) -> list[Figure]:
     both = [(ours[row.case.name], row) for row in slam]
     ratios = {t.case.name: t.cpu_ms / o.cpu_ms for o, t in both if o.posed.any() and t.posed.any()}
     if not ratios:
-        return [*figures, told(f"CPU time of {SLAM} to ours", NOT_MEASURED)]
+        return [*figures, stated(f"CPU time of {SLAM} to ours", NOT_MEASURED)]
     least = min(ratios, key=ratios.__getitem__)
     words = f"CPU time per frame of {SLAM} to ours, least of {len(ratios)}: {least}"
     return [*figures, at_least(words, ratios[least], MIN_CPU_RATIO)]
@@ -149,9 +149,9 @@ def _time(rows: Sequence[Row]) -> list[Figure]:
         f"peak memory at {third} frames, MB",
     )
     return [
-        at_most(names[0], middle.cpu_ms, MAX_CPU_MS) if middle else told(names[0], NOT_MEASURED),
+        at_most(names[0], middle.cpu_ms, MAX_CPU_MS) if middle else stated(names[0], NOT_MEASURED),
         at_most(names[1], long.cpu_ms / short.cpu_ms, MAX_GROWTH)
         if long and short
-        else told(names[1], NOT_MEASURED),
-        at_most(names[2], long.outcome.peak_mb, MAX_PEAK_MB) if long else told(names[2], NOT_MEASURED),
+        else stated(names[1], NOT_MEASURED),
+        at_most(names[2], long.outcome.peak_mb, MAX_PEAK_MB) if long else stated(names[2], NOT_MEASURED),
     ]

@@ -18,7 +18,7 @@ import yaml
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "support"))
 
 from builds import CORES, run_on_build
-from figures import Figure, arguments, at_least, told
+from figures import Figure, arguments, at_least, stated
 from replica_scans import CAMERA, Scan, forty, make
 
 from kinectbench.core.artefacts.trajectory import Grade
@@ -130,7 +130,7 @@ def rows(found: list[Judged], group: str) -> Iterator[Figure]:
     for grade in ("good", "fair", "not good"):
         errors_mm = np.array([1000 * each.ate_m for each in own if each.grade == grade])
         if not len(errors_mm):
-            yield told(f"{group}: {grade}", "none")
+            yield stated(f"{group}: {grade}", "none")
             continue
         known_mm = errors_mm[np.isfinite(errors_mm)]
         text = f"{len(errors_mm)} recordings"
@@ -138,7 +138,7 @@ def rows(found: list[Judged], group: str) -> Iterator[Figure]:
             middle, most = np.median(known_mm), known_mm.max()
             within = (known_mm <= 1000 * GOOD_M).mean()
             text += f", ATE median {middle:.1f} mm, largest {most:.1f} mm, {within:.0%} within 10 mm"
-        yield told(f"{group}: {grade}", text)
+        yield stated(f"{group}: {grade}", text)
     good = [each.ate_m for each in own if each.grade == "good"]
     bad = [each.ate_m for each in own if each.grade == "not good"]
     if good:
@@ -146,7 +146,7 @@ def rows(found: list[Judged], group: str) -> Iterator[Figure]:
         yield at_least(f"{group}: good, and within 10 mm", hits, LEAST_HITS)
     if bad:
         misses = float(np.mean([not ate_m <= GOOD_M for ate_m in bad]))
-        yield told(f"{group}: not good, and beyond 10 mm", round(misses, 3))
+        yield stated(f"{group}: not good, and beyond 10 mm", round(misses, 3))
 
 
 def measure(options: argparse.Namespace, root: Path) -> list[Figure]:
@@ -154,7 +154,7 @@ def measure(options: argparse.Namespace, root: Path) -> list[Figure]:
     with worker_pool(CORES) as pool:
         found = [future.result() for future in submit_all(pool, judged, tasks)]
     figures = [
-        told(each.name, f"{each.grade}, ATE {1000 * each.ate_m:.1f} mm, {each.posed_share:.0%} with a pose")
+        stated(each.name, f"{each.grade}, ATE {1000 * each.ate_m:.1f} mm, {each.posed_share:.0%} with a pose")
         for each in found
     ]
     groups = dict.fromkeys(task.group for task in tasks)

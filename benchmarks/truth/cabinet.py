@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from builds import built, read_json, run_on_build, stage_seconds
 from faces import Face, measure_faces
-from figures import Figure, arguments, at_least, at_most, equals, told
+from figures import Figure, arguments, at_least, at_most, equals, stated
 from ingest_writers import BagWriter
 from numpy.typing import NDArray
 
@@ -73,12 +73,12 @@ def object_figures(job: Job) -> list[Figure]:
         equals("chosen", model.quality.selection, "automatic"),
         equals("pieces of the solid (6-connected)", int(pieces), 1),
         at_most("underside of the solid off z = 0, m", abs(float(below_m)), MAX_FLOOR_OFFSET_M),
-        told("box, m", [*model.box.size_m]),
+        stated("box, m", [*model.box.size_m]),
         at_most("floor off z = 0 below the object's centre, m", offset_m, MAX_FLOOR_OFFSET_M),
         at_most("floor tilted from z = 0, degrees", tilt_deg, MAX_FLOOR_TILT_DEG),
         at_most("box of odd and of even frames: largest difference of a side, m", *_sides(model.quality)),
-        told("solids of odd and of even frames: IoU", model.quality.repeatability_iou),
-        told("surface's standard deviation, m", model.surface_sigma_m),
+        stated("solids of odd and of even frames: IoU", model.quality.repeatability_iou),
+        stated("surface's standard deviation, m", model.surface_sigma_m),
     ]
 
 
@@ -110,10 +110,10 @@ def face_figures(job: Job) -> list[Figure]:
         faces = measure_faces(vertices, model.box, model.floor.T_floor_world)
         flat = sum(face.rms_m <= MAX_FACE_RMS_M for face in faces)
         words = f"{name}'s mesh: faces of five flat to 3 mm rms"
-        found.append(at_least(words, flat, MIN_FLAT_FACES) if name == "object" else told(words, flat))
+        found.append(at_least(words, flat, MIN_FLAT_FACES) if name == "object" else stated(words, flat))
         trimmed = sum(face.trimmed_rms_m <= MAX_FACE_RMS_M for face in faces)
-        found.append(told(f"{words}, trimmed", trimmed))
-        found.append(told(f"{name}'s mesh: rms, trimmed (vertices, share kept)", [*map(_words, faces)]))
+        found.append(stated(f"{words}, trimmed", trimmed))
+        found.append(stated(f"{name}'s mesh: rms, trimmed (vertices, share kept)", [*map(_words, faces)]))
     return found
 
 
@@ -128,9 +128,9 @@ def tracking_figures(job: Job) -> list[Figure]:
     reasons = [f"frame {row['frame']}: {row['reason']}" for row in health["rejected"]]
     return [
         equals("frame 0 is left out", 0 in [row["frame"] for row in health["rejected"]], True),
-        told("frames left out", reasons),
-        told("frames without a pose", health["lost"]),
-        told("frames agree within, mm (median)", health["median_shift_mm"]),
+        stated("frames left out", reasons),
+        stated("frames without a pose", health["lost"]),
+        stated("frames agree within, mm (median)", health["median_shift_mm"]),
     ]
 
 
@@ -143,9 +143,9 @@ def pair_figures(job: Job) -> list[Figure]:
     return [
         equals("views with a mask", sum(bool(view.mask.any()) for view in views), VIEWS),
         equals("pairs", len(made), VIEWS),
-        told("pairs refused", [f"{row['view']}: {row['reason']}" for row in table["refused"]]),
-        told("containment: mean, least", [float(np.mean(containment)), min(containment)]),
-        told("residual, m: median, largest", [float(np.median(residual)), max(residual)]),
+        stated("pairs refused", [f"{row['view']}: {row['reason']}" for row in table["refused"]]),
+        stated("containment: mean, least", [float(np.mean(containment)), min(containment)]),
+        stated("residual, m: median, largest", [float(np.median(residual)), max(residual)]),
     ]
 
 
@@ -183,7 +183,7 @@ def compare(folder: Path, bag: Path) -> list[Figure]:
     for stage, pattern in (("pairs", "*.npz"), ("views", "*.depth.png"), ("views", "*.mask.png")):
         names = {path.name for root in (folder, bag) for path in (root / stage).glob(pattern)}
         different = [name for name in sorted(names) if not _same(folder / stage / name, bag / stage / name)]
-        found.append(told(f"{stage}/{pattern}: files", len(names)))
+        found.append(stated(f"{stage}/{pattern}: files", len(names)))
         found.append(equals(f"{stage}/{pattern}: missing or different in the other", different, []))
     return found
 
@@ -203,9 +203,9 @@ def measure(data: Path, root: Path, bag: bool) -> list[Figure]:
         *object_figures(job),
         *face_figures(job),
         *pair_figures(job),
-        told("build, s", round(sum(seconds.values()), 1)),
-        told("    by stage", [f"{name} {value:.1f}" for name, value in seconds.items()]),
-        told("peak memory of this process after the build, MB", round(peak_mb)),
+        stated("build, s", round(sum(seconds.values()), 1)),
+        stated("    by stage", [f"{name} {value:.1f}" for name, value in seconds.items()]),
+        stated("peak memory of this process after the build, MB", round(peak_mb)),
         *(bag_figures(data, root) if bag else ()),
     ]
 
@@ -216,7 +216,7 @@ def bag_figures(data: Path, root: Path) -> list[Figure]:
     bag_file = root / "cabinet.bag"
     wrap(Path(settings.recordings[0].path), bag_file)
     folder, bag = built(with_bag(settings, bag_file.resolve()), root)
-    return [told("the bag, MB", round(bag_file.stat().st_size / 1e6, 1)), *compare(folder.build, bag.build)]
+    return [stated("the bag, MB", round(bag_file.stat().st_size / 1e6, 1)), *compare(folder.build, bag.build)]
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ import argparse
 import time
 
 import numpy as np
-from figures import Figure, arguments, run, told
+from figures import Figure, arguments, run, stated
 
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.seeable import seeable_solid
@@ -36,10 +36,10 @@ def measure(options: argparse.Namespace) -> list[Figure]:
         rows = np.array([row for (of, _), row in zip(tasks, done, strict=True) if of == family])
         closed, slit, iou, cpu_s = (float(mean) for mean in rows.mean(axis=0))
         figures += [
-            told(f"{family}: IoU of the seeable to the exact solid", iou),
-            told(f"{family}: closed, % of the volume", 100 * closed),
-            told(f"{family}: not judged, % of the volume", 100 * slit),
-            told(f"{family}: CPU s an object", cpu_s),
+            stated(f"{family}: IoU of the seeable to the exact solid", iou),
+            stated(f"{family}: closed, % of the volume", 100 * closed),
+            stated(f"{family}: not judged, % of the volume", 100 * slit),
+            stated(f"{family}: CPU s an object", cpu_s),
         ]
     return figures
 

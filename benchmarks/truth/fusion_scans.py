@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from figures import Figure, at_least, at_most, told
+from figures import Figure, at_least, at_most, stated
 from numpy.typing import NDArray
 from tracking_recordings import ingested, object_spec, sequence_in, simulated, true_poses
 
@@ -121,7 +121,7 @@ def scan_figures(objects: Rows[tuple[str, int]], cache: Path) -> list[Figure]:
                 lines.append(f"{family}{seed}, {name} poses: {_line(found)}")
     true, tracked = rows["true"], rows["tracked"]
     return [
-        told("scans, 2 m cube at 5 mm", lines),
+        stated("scans, 2 m cube at 5 mm", lines),
         at_least("true poses: F at 5 mm, least", min(map(_f, true)), TRUE_F),
         at_most("true poses: mean error, greatest, mm", 1000 * max(map(_mean_m, true)), 1000 * TRUE_MEAN_M),
         at_least("tracked: F at 5 mm, least", min(map(_f, tracked)), TRACKED_F),

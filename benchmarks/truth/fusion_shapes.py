@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from analytic_scenes import MemoryFrames
-from figures import Figure, at_most, told
+from figures import Figure, at_most, stated
 
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import Sequence
@@ -103,7 +103,7 @@ def shape_figures() -> list[Figure]:
     figures = []
     for name, shape in SHAPES.items():
         error_mm = 1000 * shape.error_m(fuse(*recorded(shape), SETTINGS).mesh.vertices)
-        figures.append(told(f"{name}: points judged", len(error_mm)))
+        figures.append(stated(f"{name}: points judged", len(error_mm)))
         figures.append(at_most(f"{name}: standard deviation, mm", float(error_mm.std()), STD_MM))
         figures.append(at_most(f"{name}: |bias|, mm", abs(float(error_mm.mean())), BIAS_MM))
     return figures

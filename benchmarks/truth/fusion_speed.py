@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from figures import Figure, at_least, told
+from figures import Figure, at_least, stated
 from fusion_scans import SETTINGS, VOXEL_M, at_object_scale, object_figures
 from numpy.typing import NDArray
 from tracking_recordings import true_poses
@@ -123,12 +123,12 @@ def speed_figures(sequence: Sequence, truth: Truth) -> list[Figure]:
     clock.run("our colour", lambda: color_vertices(mesh, sequence, _trajectory(sequence, STRIDE)))
     errors = {"ours": object_figures(mesh, truth), "VoxelBlockGrid": object_figures(plain.mesh(), truth)}
     return [
-        told("frames", len(depths_m)),
-        *(told(f"{name}, CPU ms a frame", 1000 * s / len(depths_m)) for name, s in clock.spent_s.items()),
+        stated("frames", len(depths_m)),
+        *(stated(f"{name}, CPU ms a frame", 1000 * s / len(depths_m)) for name, s in clock.spent_s.items()),
         at_least("VoxelBlockGrid / ours, depth only", clock.ratio("rival", "ours"), DEPTH_BAR),
         at_least("VoxelBlockGrid / ours, with colour",
                  clock.ratio("rival, colour", "ours", "our colour"), COLOR_BAR),
-        *(told(f"{name}: F at 5 mm, mean error mm",
+        *(stated(f"{name}: F at 5 mm, mean error mm",
                [e.visible.scores[0].f, 1000 * e.visible.accuracy.mean_m if e.visible.accuracy else None])
           for name, e in errors.items()),
     ]  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from builds import CORES, build_root, built
-from figures import Figure, arguments, at_least, at_most, run, told
+from figures import Figure, arguments, at_least, at_most, run, stated
 from ground_truth_rows import OURS, Row, Task, measure_row
 from numpy.typing import NDArray
 from tracking_recordings import FAMILIES, object_spec, simulated
@@ -91,9 +91,9 @@ def solid_figures(rows: Sequence[Row]) -> list[Figure]:
     calibration = sum(row.calibration / row.calibration[:, 0].sum() for row in rows)
     ece = float(np.abs(calibration[:, 1] - calibration[:, 2]).sum() / calibration[:, 0].sum())
     figures = [
-        told("objects", len(rows)),
+        stated("objects", len(rows)),
         at_least("IoU at 256^3, mean", float(actual.mean()), 0.86),
-        told("IoU at 256^3, least", [f"{rows[int(np.argmin(actual))].name}", float(actual.min())]),
+        stated("IoU at 256^3, least", [f"{rows[int(np.argmin(actual))].name}", float(actual.min())]),
         at_least("IoU at 64^3, mean", float(np.mean([s.coarse.iou for s in solids])), 0.88),
         at_least("IoU on known voxels, mean", float(np.mean([s.fine.known_iou or 0 for s in solids])), 0.90),
         at_most(
@@ -106,11 +106,11 @@ def solid_figures(rows: Sequence[Row]) -> list[Figure]:
         at_most(
             "estimated against actual IoU: median error", float(np.median(np.abs(estimated - actual))), 0.04
         ),
-        told("the same: largest error", float(np.abs(estimated - actual).max())),
+        stated("the same: largest error", float(np.abs(estimated - actual).max())),
         at_most("expected calibration error", ece, 0.05),
     ]
     if len(rows) > 2:
-        figures.append(told("rank correlation (Spearman)", float(spearmanr(estimated, actual).statistic)))
+        figures.append(stated("rank correlation (Spearman)", float(spearmanr(estimated, actual).statistic)))
     return figures
 
 
@@ -119,7 +119,7 @@ def recipe_figures(rows: Sequence[Row]) -> list[Figure]:
     figures = []
     for name in rows[0].recipes:
         mean = float(np.mean([row.recipes[name] for row in rows]))
-        figures.append(told(f"own voxels, above the floor's cut: IoU of {name}, mean", mean))
+        figures.append(stated(f"own voxels, above the floor's cut: IoU of {name}, mean", mean))
     for family in sorted({row.family for row in rows}):
         means = {
             name: float(np.mean([row.recipes[name] for row in rows if row.family == family]))
@@ -150,14 +150,14 @@ def stage_figures(rows: Sequence[Row]) -> list[Figure]:
             float(np.mean([r.dropped.mean() for r in rows])),
             0.03,
         ),
-        told("closed mesh: F at 5 mm on what was seen, least", min(seen)),
+        stated("closed mesh: F at 5 mm on what was seen, least", min(seen)),
         at_least("pairs: containment in the truth, mean", float(np.mean(contained)), 0.97),
         at_most(
             "pairs: depth residual, median, mm",
             1000 * _median([r.residual_m for r in rows]),
             2,
         ),
-        told(
+        stated(
             "the same of the true shape by the true cameras: the sensor's noise, mm",
             1000 * _median([r.sensor_residual_m for r in rows]),
         ),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from figures import Figure, at_least, at_most, told
+from figures import Figure, at_least, at_most, stated
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -161,9 +161,9 @@ def guided_figures(family: str, seed: int) -> list[Figure]:
     nearest_m = float(cKDTree(vertices).query(guided.T_world_camera[:, :3, 3])[0].min())
     name = f"{family}:{seed}"
     return [
-        told(f"{name}: unknown share, guided and orbit", [round(share, 4) for share in shares]),
+        stated(f"{name}: unknown share, guided and orbit", [round(share, 4) for share in shares]),
         at_most(f"{name}: unknown share, guided", shares[0], max(SHARE * shares[1], LITTLE)),
         at_least(f"{name}: camera from the object, m", nearest_m, NEAREST_M),
         at_least(f"{name}: seconds between changes", changes_apart_s(guided.said), STAYS_S),
-        told(f"{name}: sentences, frames", dict(Counter(guided.said).most_common(6))),
+        stated(f"{name}: sentences, frames", dict(Counter(guided.said).most_common(6))),
     ]

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from builds import CORES, build_root
-from figures import Figure, arguments, at_least, at_most, run, told
+from figures import Figure, arguments, at_least, at_most, run, stated
 from guided_walk import guided_figures
 from known_observations import SPLITS
 from known_rows import NotBuilt, Row, Task, as_json, line, mean_of, measure_row, print_tables
@@ -120,10 +120,10 @@ def _simulated(task: tuple[Recording, Path]) -> Path:
 def bars(
     rows: Sequence[Row], missing: Sequence[NotBuilt], truly: bool, earlier: Sequence[Any]
 ) -> list[Figure]:
-    """What is asked of truth, on furniture and on all others; and what is only told."""
+    """The bars on truth, for furniture and for all other objects; and figures that are only stated."""
     furniture = [row for row in rows if row.is_furniture]
     others = [row for row in rows if not row.is_furniture]
-    figures = [told("objects", len(rows)), at_most("objects that were not built", len(missing), 0)]
+    figures = [stated("objects", len(rows)), at_most("objects that were not built", len(missing), 0)]
     figures += _shares(furniture, others, truly)
     figures += _estimates(rows)
     if earlier:
@@ -140,12 +140,14 @@ def _shares(furniture: Sequence[Row], others: Sequence[Row], truly: bool) -> Ite
             continue
         yield at_most(f"{name}: known_gross_share, greatest", max(row.known_gross for row in rows), gross)
         right = sum(row.known_gross <= gross for row in rows)
-        yield told(f"{name}: objects up to {gross:.1%}", f"{right} of {len(rows)}{_bounds(right, len(rows))}")
-        yield told("above it", [_with(row, row.known_gross) for row in rows if row.known_gross > gross])
+        yield stated(
+            f"{name}: objects up to {gross:.1%}", f"{right} of {len(rows)}{_bounds(right, len(rows))}"
+        )
+        yield stated("above it", [_with(row, row.known_gross) for row in rows if row.known_gross > gross])
         yield from _mean(f"{name}: IoU on known, mean", rows, lambda row: row.known_iou, at_least, known_iou)
         share = f"{name}: true volume not known, mean"
         mean = float(np.mean([row.not_known for row in rows]))
-        yield at_most(share, mean, not_known) if truly else told(share, mean)
+        yield at_most(share, mean, not_known) if truly else stated(share, mean)
     couches = [row for row in furniture if row.family == "couch"]
     if couches and truly:
         yield at_most("couches: true volume not known, greatest", max(row.not_known for row in couches), 0.12)
@@ -153,7 +155,7 @@ def _shares(furniture: Sequence[Row], others: Sequence[Row], truly: bool) -> Ite
     for name, near in (("solid", _near_solid), ("air", _near_air)) if every else ():
         yield from _mean(f"unknown_near_measured, {name}, mean", every, near, at_most, 0.06)
         worst = max(every, key=lambda row: near(row) or 0)
-        yield told(f"the same, {name}, greatest", _with(worst, near(worst)))
+        yield stated(f"the same, {name}, greatest", _with(worst, near(worst)))
 
 
 def _bounds(right: int, of: int) -> str:
@@ -178,25 +180,23 @@ def _estimates(rows: Sequence[Row]) -> Iterator[Figure]:
     held = [row.in_interval for row in rows if row.in_interval is not None]
     if held:
         yield at_least("IoU within the interval, share of objects", float(np.mean(held)), 0.95)
-        yield told("objects", f"{sum(held)} of {len(held)}{_bounds(sum(held), len(held))}")
-        closed = [row for row in rows if not row.frontier_is_told]
-        ajar = [row for row in rows if row.frontier_is_told and row.not_known <= 0.2]
+        yield stated("objects", f"{sum(held)} of {len(held)}{_bounds(sum(held), len(held))}")
+        closed = [row for row in rows if not row.has_frontier]
+        ajar = [row for row in rows if row.has_frontier and row.not_known <= 0.2]
         groups = (("no frontier", closed, 0.08), ("a frontier, at most 20 % unknown", ajar, 0.20))
         for name, some, bar in groups:
             widths = [row.high - row.low for row in some if row.high is not None and row.low is not None]
             if widths:
                 yield at_most(f"{name}: high - low, median", float(np.median(widths)), bar)
     else:
-        yield told("IoU within the interval", "quality.json has none")
+        yield stated("IoU within the interval", "quality.json has none")
     off = {row.name: row.off for row in rows if row.off is not None}
     if off:
         yield at_most("estimated_iou: median error", float(np.median(np.abs([*off.values()]))), 0.03)
-        silent = [
-            row for row in rows if abs(row.off or 0) > 0.10 and not (row.frontier_is_told and row.warnings)
-        ]
+        silent = [row for row in rows if abs(row.off or 0) > 0.10 and not (row.has_frontier and row.warnings)]
         yield at_most("estimated_iou off by over .10, and nothing says so: objects", len(silent), 0)
-        yield told("which", [_with(row, row.off) for row in silent])
-        yield told("of these with the verdict `good`", sum(not row.warnings for row in silent))
+        yield stated("which", [_with(row, row.off) for row in silent])
+        yield stated("of these with the verdict `good`", sum(not row.warnings for row in silent))
     known = [
         abs(row.estimated_known - row.known_iou) for row in rows if row.estimated_known and row.known_iou
     ]
@@ -212,7 +212,7 @@ def _estimates(rows: Sequence[Row]) -> Iterator[Figure]:
         np.repeat([each.mean_probability for each in bins], COPIES),
         np.repeat([each.inside_share for each in bins], COPIES),
     )
-    yield told("calibration error, all objects' bins together", calibration_error(pooled))
+    yield stated("calibration error, all objects' bins together", calibration_error(pooled))
 
 
 def _against(furniture: Sequence[Row], earlier: dict[str, Any]) -> Iterator[Figure]:
@@ -234,17 +234,17 @@ def _surfaces(rows: Sequence[Row]) -> Iterator[Figure]:
     for name, side in (("upper faces", "up"), ("sides", "side"), ("undersides", "down")):
         before, after = (_mean_bias(rows, side, refined) for refined in (False, True))
         if after is not None and before is not None:
-            yield told(f"bias of measured {name}, mean, mm", 1000 * before)
+            yield stated(f"bias of measured {name}, mean, mm", 1000 * before)
             met = abs(after) <= 0.0004
             yield Figure(f"the same after refinement, {name}, mm", 1000 * after, "within 0.4", met)
     before_m = mean_of(rows, lambda row: row.refined.measured_distance_m)
     refined_m = mean_of(rows, lambda row: row.refined.refined_distance_m)
     if before_m is not None and refined_m is not None:
-        yield told("measured surface: mean distance, mm", 1000 * before_m)
+        yield stated("measured surface: mean distance, mm", 1000 * before_m)
         yield at_most("measured surface: mean distance after refinement, mm", 1000 * refined_m, 0.8)
     scene_f = mean_of(rows, lambda row: row.scene_f)
     if scene_f is not None:  # only the object is searched in it
-        yield told("fused scene: F at 5 mm, what was seen, mean", scene_f)
+        yield stated("fused scene: F at 5 mm, what was seen, mean", scene_f)
     fused = {row.name: row.fused_f for row in rows if row.fused_f is not None}
     if fused:
         measured = "fused object, what was measured: F at 5 mm"

@@ -105,7 +105,7 @@ class Row:
         return None if self.estimated is None else self.estimated - self.iou
 
     @property
-    def frontier_is_told(self) -> bool:
+    def has_frontier(self) -> bool:
         """Whether quality.json reports an opening that nobody looked into."""
         return bool(self.frontiers)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-from figures import Figure, arguments, at_least, at_most, run, told
+from figures import Figure, arguments, at_least, at_most, run, stated
 
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.types import Float64
@@ -65,12 +65,12 @@ def measure(options: argparse.Namespace) -> Iterator[Figure]:
             alike.append((others[-1], f"{family}: seeds {i} and {j}, {others[-1]:.2f}"))
         print(family, np.round(same[-len(subjects) :], 2), flush=True)
     false = np.array([*others, *[0.0] * skipped])
-    yield told("objects recorded twice", len(same))
-    yield told("pairs of two objects of one family", f"{len(false)}, {skipped} of other sizes")
+    yield stated("objects recorded twice", len(same))
+    yield stated("pairs of two objects of one family", f"{len(false)}, {skipped} of other sizes")
     for least in THRESHOLDS:
         found, wrong = float(np.mean(np.array(same) >= least)), float(np.mean(false >= least))
-        yield told(f"found, and taken for one, at {least:g}", f"{found:.3f}, {wrong:.4f}")
-    yield told("most alike", [name for _, name in sorted(alike, reverse=True)[:8]])
+        yield stated(f"found, and taken for one, at {least:g}", f"{found:.3f}, {wrong:.4f}")
+    yield stated("most alike", [name for _, name in sorted(alike, reverse=True)[:8]])
     yield at_least(
         "objects recorded twice that are found",
         float(np.mean(np.array(same) >= LEAST_AGREEMENT)),

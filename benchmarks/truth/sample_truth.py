@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from builds import built, run_on_build
-from figures import Figure, arguments, at_least, told
+from figures import Figure, arguments, at_least, stated
 from numpy.typing import NDArray
 
 from kinectbench.core.voxels.pair_file import read_pair, unpack
@@ -87,7 +87,7 @@ def _image(path: Path) -> NDArray[np.uint16]:
 def figures_of(results: dict[str, list[PairAgainstTruth]]) -> list[Figure]:
     """The figures over all pairs and per object, keyed by recording."""
     pairs = [pair for row in results.values() for pair in row]
-    found = [told("recordings with truth", len(results)), told("pairs", len(pairs))]
+    found = [stated("recordings with truth", len(results)), stated("pairs", len(pairs))]
     bars = {"full": MIN_IOU, "known": MIN_IOU, "shell": None, "mask": MIN_MASK_IOU, "not_known": None}
     names = {
         "full": "IoU of `full` with the true solid, all voxels",
@@ -101,9 +101,9 @@ def figures_of(results: dict[str, list[PairAgainstTruth]]) -> list[Figure]:
         objects = {recording: _mean(row, key) for recording, row in results.items()}
         bar, worst = bars[key], (max if key == "not_known" else min)
         mean = float(values.mean())
-        found.append(told(f"{name}: mean", mean) if bar is None else at_least(f"{name}: mean", mean, bar))
-        found.append(told("    worst pair", float(worst(values))))
-        found.extend(told(f"    mean of {recording}", value) for recording, value in objects.items())
+        found.append(stated(f"{name}: mean", mean) if bar is None else at_least(f"{name}: mean", mean, bar))
+        found.append(stated("    worst pair", float(worst(values))))
+        found.extend(stated(f"    mean of {recording}", value) for recording, value in objects.items())
     return found
 
 

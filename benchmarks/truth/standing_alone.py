@@ -15,7 +15,7 @@ import numpy as np
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "support"))
 
-from figures import Figure, arguments, at_least, at_most, run, told
+from figures import Figure, arguments, at_least, at_most, run, stated
 from solid_cells import solid_cells
 
 from kinectbench.lab.simulate.objects import families, make_object
@@ -39,9 +39,9 @@ def measure(options: argparse.Namespace) -> Iterator[Figure]:
             false.append(subject.name)
         if share_standing_alone(solid_cells([subject.mesh, box], CELLS)) is None:
             missed.append(subject.name)
-    yield told("objects", len(names))
-    yield told("alone, and named", false)
-    yield told("with a box, and not named", missed)
+    yield stated("objects", len(names))
+    yield stated("alone, and named", false)
+    yield stated("with a box, and not named", missed)
     yield at_least("named, of those with a box", 1 - len(missed) / len(names), LEAST_NAMED)
     yield at_most("named, of those alone", len(false) / len(names), MOST_FALSE)
 

@@ -1,1 +1,1 @@
-"""The command line: parses options, calls the other rooms, prints results. It holds no algorithms."""
+"""The command line: parses options, calls the other packages, prints results. It holds no algorithms."""

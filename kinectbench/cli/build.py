@@ -261,7 +261,7 @@ def build_jobs(
 
 
 def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: str) -> None:
-    """Print `first` of a recording's warnings `own`, those on unused input, and how many others there are.
+    """Print `first` of a recording's warnings `own`, all on unused input, and the number of the others.
 
     Without `first`, all are printed. `kinectbench <show_all>` is the command that prints all.
     """

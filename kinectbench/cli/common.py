@@ -172,7 +172,7 @@ class Common:
 
     @cached_property
     def settings(self) -> "BenchmarkSettings":
-        """The settings of the benchmark, read once; later edits count for the next command.
+        """The settings of the benchmark, read once; the next command reads later edits.
 
         Raises:
             SettingsError: the file or an override is wrong.

@@ -86,7 +86,7 @@ def compare_truth_command(
 
 
 def _in_json(new: "ComparedMesh", whole: "ReferenceFile") -> dict[str, object]:
-    """Return as JSON the comparison with all meshes so far, and which mesh this run compared."""
+    """Return as JSON the comparison with all meshes until now, and the mesh that this run compared."""
     return {**whole.json_value(), "compared": {key: getattr(new, key) for key in COMPARED}}
 
 

@@ -55,14 +55,14 @@ TEXTS = ("recording", "status", "state", "next", "error")
 
 
 class SafeConsole(Console):
-    """A rich console for untrusted text: control characters become those of `one_line`, markup is text."""
+    """A rich console for untrusted text: `one_line` replaces control characters, and markup stays text."""
 
     def __init__(self, **options: Any) -> None:
         """Make a console without markup and emoji codes: a category may be called `[/x]`."""
         super().__init__(**options, markup=False, emoji=False)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render with rich; lines with control characters become those that `one_line` returns."""
+        """Render with rich; lines with control characters are replaced by the result of `one_line`."""
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment
@@ -142,7 +142,7 @@ def waiting(what: str, holder: str) -> None:
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """Print about each object: its estimated IoU, what widens its interval, what people stated, advice.
+    """Print about each object: its estimated IoU, causes of a wider interval, people's statements, advice.
 
     Args:
         rows: one summary for each recording.

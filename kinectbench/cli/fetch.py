@@ -1,4 +1,4 @@
-"""The commands `fetch`, which downloads what others published, and `gc`, which deletes unused files."""
+"""The commands `fetch`, which downloads published data, and `gc`, which deletes unused files."""
 
 from pathlib import Path
 from typing import Annotated

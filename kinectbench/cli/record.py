@@ -122,7 +122,7 @@ def _begun(out: Path, workers: int) -> "Iterator[BuildProcess | None]":
 
 @contextmanager
 def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess | None]":
-    """Run the guide, a page that says what to record next, during a `with` block; yield its process.
+    """Run the guide, a page with advice for recording, during a `with` block; yield its process.
 
     Yield None if the guide is not wanted, or (with a warning) if it cannot start.
     """

@@ -124,7 +124,7 @@ def _score_part(
 
 
 def in_space(tables: "Sequence[ScoreTable]") -> "list[ScoreTable]":
-    """Return those of the tables that score predictions in the camera frame."""
+    """Return the tables of predictions in the camera frame."""
     from kinectbench.core.artefacts.score_figures import any_in_space
 
     return [table for table in tables if any_in_space(table.settings.protocols)]

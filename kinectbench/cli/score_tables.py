@@ -103,7 +103,7 @@ def _name(table: ScoreTable) -> str:
 
 
 def _own_marks(table: ScoreTable) -> list[str]:
-    """Return a method's caveats in words, except that it is a baseline, which its name says already."""
+    """Return a method's caveats in words, except "baseline", which is part of its name already."""
     return [mark.words for mark in table.marks if mark.kind != BASELINE]
 
 
@@ -123,7 +123,7 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
 
 
 def _as_stated(standing: str) -> str:
-    """Return "reported" unchanged; to another standing, such as "verified", add that scores.json says so."""
+    """Return "reported" unchanged; add to another standing, such as "verified", that it is scores.json's."""
     return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 

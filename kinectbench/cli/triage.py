@@ -1,4 +1,4 @@
-"""`kinectbench triage`: tell trustworthy recordings from those that need a person's review."""
+"""`kinectbench triage`: separate trustworthy recordings from recordings that need a person's review."""
 
 from textwrap import shorten
 

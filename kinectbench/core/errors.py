@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 
 class KinectBenchError(Exception):
-    """Base of all errors with a one-line message: what, where, what to do.
+    """Base of all errors, whose one-line message states the fault, its location and the remedy.
 
     Each argument becomes a line of the message.
 

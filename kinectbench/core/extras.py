@@ -39,7 +39,7 @@ def package_version(package: str) -> str | None:
 
 
 def missing_module(error: ModuleNotFoundError) -> str | None:
-    """Advice on which extra installs a missing module; None if no extra provides it."""
+    """Advice to install the extra that provides a missing module; None if no extra provides it."""
     module = (error.name or "").partition(".")[0]
     return _advice([module], EXTRA_OF[module]) if module in EXTRA_OF else None
 
@@ -51,7 +51,7 @@ def missing_extra(extra: str) -> str | None:
 
 
 def require_extra(extra: str, needed_by: str = "") -> None:
-    """Refuse to go on if a module of an extra is not installed; the message begins with what needs it.
+    """Refuse to go on if a module of an extra is not installed; the message begins with `needed_by`.
 
     Raises:
         SettingsError: with advice on how to install it.

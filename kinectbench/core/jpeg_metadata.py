@@ -27,7 +27,7 @@ ALONE = (0x01, *range(0xD0, 0xD9))
 def without_metadata(data: bytes) -> tuple[bytes, list[str]]:
     """Remove metadata from a JPEG file: application segments, comments, and data after the picture.
 
-    The pixels and what `KEPT_SEGMENTS` keeps (of JFIF, colour profile, Adobe) are unchanged. Phones append
+    The pixels and the segments in `KEPT_SEGMENTS` (JFIF, colour profile, Adobe) are unchanged. Phones append
     a second picture or a film, which has metadata of its own.
 
     Args:

@@ -110,7 +110,7 @@ RESULTS = frozenset(
 
 
 def listed(names: Iterable[str], at_most: int = LISTED) -> str:
-    """Join names by commas; of more than `at_most`, the first ones, and the number of the others."""
+    """Join at most `at_most` names by commas, followed by the number of the remaining names."""
     all_of = list(names)
     more = f" and {len(all_of) - at_most} more" if len(all_of) > at_most else ""
     return ", ".join(all_of[:at_most]) + more

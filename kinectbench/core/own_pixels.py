@@ -1,4 +1,4 @@
-"""Masked recordings: depth inside the masks is the object's; depth well outside shows what space is free."""
+"""Masked recordings: depth inside the masks is the object's; depth well outside shows free space."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -105,7 +105,7 @@ class Sequence:
         return corrected_depth_m(depth_m, self.depth_correction_per_m)
 
     def depths_m(self, frames: Iterable[int], step_px: int = 1) -> Iterator[Float32]:
-        """Depth of frames as by `depth_m`, every `step_px`-th pixel of every such row; read ahead."""
+        """Yield the depth of frames as `depth_m` does, at every `step_px`-th row and column, read ahead."""
         return ahead(lambda index: self.depth_m(int(index))[::step_px, ::step_px], frames)
 
     def calibrated(self, calibration: DepthCalibration) -> "Sequence":

@@ -73,7 +73,7 @@ class Watched:
 
     @property
     def plain(self) -> bool:
-        """Whether the object stands in empty space, so that either it or the camera may be what moves."""
+        """Whether the object stands in empty space, so that motion may be the object's or the camera's."""
         return self.around_share < AROUND_SHARE and self.empty_share >= EMPTY_SHARE
 
     @property

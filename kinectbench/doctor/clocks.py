@@ -95,7 +95,7 @@ def _stream(probe: Probe, stream: str, stamps_ns: NDArray[np.int64]) -> Iterator
 
 
 def _regular(periods: NDArray[np.int64]) -> int:
-    """Return the number of frames between missing ones if it is always about the same, else 0.
+    """Return the number of frames between missing frames if it is nearly constant, else 0.
 
     Args:
         periods: (n,) steps between consecutive frames, in frame periods; 2 where one frame is missing.

@@ -215,7 +215,7 @@ class SolvedScale:
 
     Attributes:
         units: units per metre: a known scale if one is within 2 %, else of three digits.
-        factor: that scale / the recording's; the poses fit also with positions that many times as long.
+        factor: that scale / the recording's; positions multiplied by it fit as well.
     """
 
     units: float
@@ -259,9 +259,9 @@ def solve_scale(probe: Probe) -> SolvedScale | None:
 
 
 def _table(factors: Float64, pairs: tuple[FramePair, ...] | list[FramePair], poses: Float64) -> Float64:
-    """Return the disagreement in each pair at so many times the depth scale: (factors, pairs).
+    """Return the disagreement in each pair at each multiple of the depth scale: (factors, pairs).
 
-    Positions that many times as long are compared instead: the disagreement is relative to the depth.
+    The positions are multiplied instead of the scale, because the disagreement is relative to the depth.
     """
     paired = np.full_like(poses, np.nan)
     paired[frames_of(pairs)] = poses[frames_of(pairs)]

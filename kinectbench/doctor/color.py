@@ -121,7 +121,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
 
 
 def _match(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Return the share of pixels, of those with depth in both, whose depths agree to 15 %; 1 without any."""
+    """Return the share of the pixels with depth in both frames whose depths agree to 15 %; 1 without any."""
     both = (first > 0) & (second > 0)
     if not both.any():
         return 1.0

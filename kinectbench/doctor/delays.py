@@ -203,9 +203,10 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
-    """Return colour's delay, corrected if with it under 80 % of the colour images have a depth partner.
+    """Return colour's delay, corrected if under 80 % of the colour images then have a depth partner.
 
-    The correction: add the median time by which colour images, shifted by it, follow the nearest depth image.
+    The correction adds the median time by which colour, shifted by the delay, follows the nearest depth
+    image.
     """
     depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):

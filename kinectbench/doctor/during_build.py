@@ -74,7 +74,7 @@ class OffsetWatch:
         self._gathering = ProbeBuilder(recording, frames_to_read(len(recording)), whole=0)
 
     def wants(self, index: int) -> bool:
-        """Return whether this frame is one of those that `inspect` would read."""
+        """Return whether `inspect` would read this frame."""
         return index in self._gathering.indices
 
     def see(self, index: int, frame: RawFrame) -> None:

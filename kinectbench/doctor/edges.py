@@ -39,7 +39,7 @@ class ColorPlace:
     A score is as in `EdgeFit`, but by edges without wide structure, and at all shifts.
 
     Attributes:
-        zoom: how many times as large colour shows things.
+        zoom: size of objects in colour, relative to depth.
         shift_px: (2,) how far colour lies to the right of and below depth at the middle, depth pixels.
         score: the score there.
         here: the score without zoom, at shifts of at most one pixel of the images compared.
@@ -52,13 +52,13 @@ class ColorPlace:
 
     @property
     def clear(self) -> bool:
-        """Whether colour fits there clearly better than as it is."""
+        """Whether colour fits clearly better with this zoom and shift than unchanged."""
         return self.score > max(PLACED, PLACED_BETTER * self.here)
 
 
 @dataclass(frozen=True)
 class EdgeFit:
-    """How well edges of colour coincide with depth discontinuities.
+    """The agreement of colour edges with depth discontinuities.
 
     A score is a correlation minus the median of the correlations at all shifts up to 96 px, in images 320 px
     wide, divided by their standard deviation.
@@ -69,7 +69,7 @@ class EdgeFit:
         mirrored: the best score with colour mirrored left to right.
         shift_px: (2,) best shift: how far colour lies to the right of and below depth, depth pixels.
         pixel_px: pixels of depth per pixel of these images.
-        place: where colour fits best, if it is enlarged, too; None: not looked for.
+        place: the best fit with zoom and shift; None: not searched.
     """
 
     here: float
@@ -101,7 +101,7 @@ class EdgeFit:
 
     @property
     def registration(self) -> Registration:
-        """What the edges show of whether colour lies on depth, if the recording says that it does."""
+        """Whether edges confirm the stated registration of colour: "seen", "unclear" or "contradicted"."""
         if self.elsewhere:
             return "contradicted"
         seen = self.here > CLEAR or (self.place is not None and self.place.here > PLACED)
@@ -140,7 +140,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 
 
 def _place(probe: Probe) -> ColorPlace | None:
-    """Find where colour lies on depth, by many zooms; None without frames of colour in depth's shape."""
+    """Find the zoom and shift of colour that fit depth best; None without colour of depth's aspect ratio."""
     import cv2
 
     parts = []
@@ -169,7 +169,7 @@ def _at_zoom(parts: list[tuple[NDArray[np.complex128], NDArray[np.float32]]], zo
 
     Args:
         parts: for each frame the conjugate spectrum of its depth jumps, and its colour edges (height, width).
-        zoom: how many times as large colour shows things.
+        zoom: size of objects in colour, relative to depth.
     """
     import cv2
 
@@ -198,7 +198,7 @@ def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
-    """Report colour that is mirrored, or not registered to depth although the recording says that it is.
+    """Report colour that is mirrored, or not registered to depth although the recording states that it is.
 
     A note reports colour that is only for display, because it is neither registered nor calibrated.
     """
@@ -224,7 +224,7 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
 
 
 def _where(fit: EdgeFit) -> str:
-    """Say how large the edges of colour that is not registered are, and where."""
+    """Describe in words the size and position of the edges of unregistered colour, relative to depth."""
     (right, down), place, large = fit.shift_px.tolist(), fit.place, ""
     if place is not None and place.score > PLACED:
         if place.zoom != 1:
@@ -274,7 +274,7 @@ def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDAr
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normalise correlations; return those at shifts up to REACH_PX (r): (2 r + 1, 2 r + 1), 0 in the middle.
+    """Normalise correlations; return the scores at shifts up to r = REACH_PX: (2 r + 1, 2 r + 1), 0 central.
 
     Their median is subtracted, then they are divided by their standard deviation, both at shifts up to 4 r.
     """

@@ -54,7 +54,7 @@ HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
 def _open_anyhow(
     path: Path, settings: CameraSettings | None, *, follow_links: bool = False
 ) -> tuple[Recording | None, list[Finding]]:
-    """Open a recording; if it opens only with intrinsics given, open it with those of a Kinect.
+    """Open a recording; if only its intrinsics prevent that, open it with the intrinsics of a Kinect.
 
     Returns:
         The recording, None if it cannot be opened; and a list of the finding about that, or empty.

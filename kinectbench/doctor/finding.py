@@ -80,7 +80,7 @@ def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 
 def fact_lines(facts: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Return a diagnosis's facts as printable (name, value with unit), in order, without those that are None.
+    """Return a diagnosis's facts as printable (name, value with unit), in order, without facts that are None.
 
     `color_registration` has no line: that of `color_registered` says it.
 

@@ -1,4 +1,4 @@
-"""Pose conventions of a given trajectory, and how well the poses in a convention fit the recorded depth."""
+"""Pose conventions of a given trajectory, and the fit of the poses in a convention to the depth."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
@@ -173,7 +173,7 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Return the indices 1, 4, 12 and 40 after `first`; those not below `count` are as far before it instead.
+    """Return the frames 1, 4, 12 and 40 after `first`; from `count` on, as many before `first` instead.
 
     An index may be negative: there is no such frame.
     """

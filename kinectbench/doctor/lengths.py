@@ -45,7 +45,7 @@ class Lengths:
 
     @property
     def at_limit(self) -> bool:
-        """Whether the factors fit so much better, and that of depth is as far from 1 as was tried."""
+        """Whether the factors fit so much better, and the factor on depth is at the limit of the search."""
         return self.implausible and abs(math.log(self.depth)) > (MOST_STEPS - 0.5) * math.log(STEP)
 
 

@@ -129,7 +129,7 @@ def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | 
 def _poses(
     probe: Probe, given: GivenTrajectory, pairs: tuple[FramePair, ...], lag_ns: int
 ) -> NDArray[np.float64]:
-    """Return poses (n, 4, 4) for the probe's n frames: paired ones at their stamp plus a lag, others NaN."""
+    """Return poses (n, 4, 4) of the probe's n frames: paired frames at their stamp plus a lag, others NaN."""
     needed = frames_of(pairs)
     poses = np.full((len(probe.frames), 4, 4), np.nan)
     moved = on_clock(probe, given)

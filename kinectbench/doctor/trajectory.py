@@ -54,7 +54,7 @@ SMALL_ARC_DEG = 270.0
 
 @dataclass(frozen=True)
 class PoseFit:
-    """How well given poses fit the depth, in the best pose convention.
+    """The fit of given poses to the depth, in the best pose convention.
 
     Attributes:
         convention: the simplest convention that fits well.

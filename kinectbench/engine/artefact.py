@@ -58,7 +58,7 @@ def fingerprint(
 
 @dataclass(frozen=True)
 class Artefact:
-    """A folder that one stage makes, and what identifies its content.
+    """A folder that one stage makes, and the values that identify its content.
 
     Attributes:
         folder: path of the folder.

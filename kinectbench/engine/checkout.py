@@ -91,7 +91,7 @@ def checkout(job: Job, root: Path, upto: str = "pairs", report: Report = nobody)
 
 @dataclass(frozen=True)
 class _Listing:
-    """What the store lists of a recording.
+    """A store's listing of a recording's files.
 
     Attributes:
         store: store of the benchmark's root.
@@ -218,7 +218,7 @@ def fetch_files(
 
 
 def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
-    """List a recording's files in the store, with those that lie beside its folder but belong to it.
+    """List a recording's files in the store, with the files beside its folder that belong to it.
 
     Returns:
         The files, without hidden ones and the file with the point that a person clicked; [] if the

@@ -73,7 +73,7 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
 
 
 def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int) -> None:
-    """Wait for signals in the pipe `reading`; call `unanswered` for those not handled within 1.5 s.
+    """Wait for signals in the pipe `reading`; call `unanswered` for a signal not handled within 1.5 s.
 
     `before` is the number of signals that Python has handled so far.
     """

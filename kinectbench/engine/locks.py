@@ -1,4 +1,4 @@
-"""Lock a folder so that one run at a time works in it, and remove what killed runs left there.
+"""Lock a folder so that one run at a time works in it, and remove leftovers of killed runs.
 
 The lock is one of the operating system (flock): it disappears with the process that holds it, so no lock can
 be stale. The file `.lock` only names the holder. The package filelock would instead use lock files on a disk
@@ -69,7 +69,7 @@ def locked(
 
 @contextlib.contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Keep others that call this from the folder within the block, which is short; nothing is printed.
+    """Lock a folder against other callers of this function within the block, which is short; print nothing.
 
     The lock is on the folder itself: a file `.lock` would be one more in a folder that people share. Where
     the disk keeps no such locks, the block runs without.

@@ -1,4 +1,4 @@
-"""What a cluster's worker runs: it checks the package versions, runs a task, and reports progress."""
+"""The code that a cluster's worker runs: check package versions, run a task, report progress."""
 
 import contextlib
 import ctypes

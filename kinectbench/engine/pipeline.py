@@ -252,7 +252,7 @@ def _make(
     artefact: Artefact,
     report: Callable[[str, int, int], None],
 ) -> None:
-    """Run a stage and write its artefact. The stage gets only what is in the fingerprint, not the job."""
+    """Run a stage and write its artefact. The stage gets the inputs in its fingerprint, not the job."""
     from kinectbench.engine.steps import OVERTAKEN, STEPS
 
     started = time.monotonic()

@@ -118,6 +118,6 @@ def _status(job: Job) -> RecordingStatus:
 
 
 def in_words(rows: Sequence[RecordingStatus]) -> str:
-    """Summarise in one line how many recordings are done, failed or missing."""
+    """Summarise in one line the numbers of recordings that are done, failed or missing."""
     counts = {state: sum(row.state == state for row in rows) for state in ("done", "failed", "missing")}
     return f"{counts['done']} of {len(rows)} done, {counts['failed']} failed, {counts['missing']} missing"

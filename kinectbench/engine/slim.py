@@ -1,4 +1,4 @@
-"""Delete the frames of a built recording, and keep what releases and reports need.
+"""Delete the frames of a built recording, and keep the files that releases and reports need.
 
 The stages stay up to date. One that would need the deleted frames is refused until the scan is back.
 """

@@ -1,4 +1,4 @@
-"""The settings of each stage, one model per stage, and what else a stage gets as input.
+"""The settings of each stage, one model per stage, and the other inputs of a stage.
 
 The model's JSON is part of the stage's fingerprint, so a step cannot read a setting that is not in it.
 `stages` makes the models from a job.
@@ -180,7 +180,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Work(Generic[Needed]):
-    """What one stage gets as input; it may read nothing else.
+    """The inputs of one stage; a stage may read nothing else.
 
     Attributes:
         settings: the settings that the stage depends on.

@@ -218,7 +218,7 @@ def _masks(job: Job) -> Source:
 
 
 def _given_masks(job: Job) -> list[Path]:
-    """The files of a person's masks; none if benchmark.yaml names no folder of them."""
+    """The files of a person's masks; none if benchmark.yaml names no folder of masks."""
     if job.masks is None:
         return []
     from kinectbench.stages.ingest.sources import files_below
@@ -282,7 +282,7 @@ def _results(job: Job, files: Sequence[Path]) -> set[Path]:
 
 
 def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
-    """Those of a recording's files that are other inputs: the reference mesh, a person's masks, masks.json.
+    """A recording's files that are other inputs, too: the reference mesh, a person's masks, masks.json.
 
     Masks in a folder that `ingest` also reads stay with the recording.
     """
@@ -335,7 +335,7 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
 
 
 def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
-    """Whether an input from outside `build/` matches a hash, as `has_sizes` says; True if it is gone."""
+    """Whether an input from outside `build/` has a hash, by `has_sizes`; True if the input is gone."""
     path = {RECORDING: job.source, MASKS: job.masks, REFERENCE: job.reference}[name]
     if path is None or not os.path.exists(path):  # noqa: PTH110 - of any name
         return True

@@ -193,7 +193,7 @@ def _track_scene(
     settings: TrackingSettings,
     progress: Progress | None = None,
 ) -> Trajectory:
-    """Track a scene; warn in health.json if the camera stands still, unless given poses say that it moves."""
+    """Track a scene; warn in health.json if the camera stands still, unless given poses show motion."""
     given = None if mode == "ignore" else sequence.given_trajectory
     line = "" if given is not None and _moves(given.T_world_camera) else turntable_warning(sequence)
     try:

@@ -97,7 +97,7 @@ def build_stored(
 def _built(
     copy: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: Report
 ) -> Outcome | None:
-    """Call `build` if a stage up to `upto` is missing or forced, and upload what it made.
+    """Call `build` if a stage up to `upto` is missing or forced, and upload the stages that it made.
 
     Returns:
         The outcome; None if another run has stored different bytes of a stage: then start again.

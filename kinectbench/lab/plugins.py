@@ -10,7 +10,7 @@ Kind = TypeVar("Kind")
 
 
 def plugins(group: str, kind: type[Kind], own: Mapping[str, Kind]) -> dict[str, Kind]:
-    """Return this package's entries of a group, and those that other installed packages add.
+    """Return this package's entries of a group, and the entries of other installed packages.
 
     Each entry point of the group is a mapping from names to instances of `kind`. To add one, write in the
     `pyproject.toml` of your own package:

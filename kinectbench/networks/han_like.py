@@ -48,7 +48,7 @@ class Upward(nn.Module):
     """Transposed convolutions with skip connections up to the finest level, then one logit per voxel."""
 
     def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
-        """Make the layers, given the input's channels and those of `Downward`'s levels, the finest first."""
+        """Make the layers, given the channels of the input and of `Downward`'s levels, the finest first."""
         super().__init__()
         outputs = [*reversed(channels[:-1]), channels[0]]
         skips = [0, *reversed(channels[:-1])]

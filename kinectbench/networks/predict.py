@@ -308,7 +308,7 @@ def method_of(
 
 
 def _peak_bytes(device: str) -> float:
-    """Return the most memory used so far: of the GPU, or of this process, bytes."""
+    """Return the peak memory so far of the GPU or, without one, of this process, bytes."""
     if device.startswith("cuda"):
         return float(torch.cuda.max_memory_allocated(device))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -206,7 +206,7 @@ def _name(target: Target) -> str:
 
 
 def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run: UnfinishedFile) -> str:
-    """Return in words in which settings `run` differs from the earlier run that left the files; or "".
+    """Return, in words, the settings in which `run` differs from the earlier run that left the files; or "".
 
     The earlier run is known from its unfinished.json, or else its method.json (`done`).
     """

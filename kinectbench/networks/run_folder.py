@@ -51,7 +51,7 @@ class State:
     seconds: float = 0.0
 
     def add(self, losses: Losses) -> None:
-        """Count a finished step, and add its losses to the sums."""
+        """Increment the number of finished steps, and add the step's losses to the sums."""
         self.step += 1
         for name, value in {**losses, "steps": 1.0}.items():
             self.sums[name] = self.sums.get(name, 0.0) + value

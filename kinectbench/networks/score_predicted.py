@@ -84,7 +84,7 @@ def score_predicted(
 
 
 def _with_reason(failure: Failure, errors: Mapping[str, KinectBenchError]) -> Failure:
-    """Return a failure with the error of its pair in place of the line about a missing file."""
+    """Return a failure with its pair's error instead of the line about a missing file."""
     name = f"{failure.recording}/{failure.view}"
     return failure.model_copy(update={"reason": f"{name}: {errors[name]}"}) if name in errors else failure
 

@@ -76,7 +76,7 @@ class Learner:
         return {"loss": loss.item()}
 
     def _rate_factor(self, epoch: int, share: float) -> float:
-        """Return the factor by which all learning rates are reduced at this point of the training."""
+        """Return the factor on all learning rates at this point of the training."""
         training = self._config.training
         halved = 0.5 ** (epoch // training.halve_every_epochs) if training.halve_every_epochs else 1.0
         return halved * ((1 + math.cos(math.pi * share)) / 2 if training.schedule == "cosine" else 1.0)
@@ -173,7 +173,7 @@ def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tens
 
 
 def _mean(losses: Tensor, weight: Tensor) -> Tensor:
-    """Return the weighted mean; a sum of weights below 1 counts as 1, so the mean is 0 if all are 0."""
+    """Return the weighted mean; a sum of weights below 1 is taken as 1, so weights of 0 give 0."""
     if weight.stride() == (0,) * weight.dim() or not weight.numel():  # an expanded scalar 1
         return losses.mean()
     return (losses * weight).sum() / weight.sum().clamp(min=1.0)

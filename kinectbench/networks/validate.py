@@ -1,4 +1,4 @@
-"""Measure a network's IoU on validation pairs, by the rules by which predictions are scored."""
+"""Measure a network's IoU on validation pairs, by the rules of scoring."""
 
 from collections.abc import Sequence
 

@@ -176,7 +176,7 @@ def set_weights(network: "Module", path: Path) -> None:
 
 
 def bytes_of(shapes: Shapes) -> int:
-    """Return the maximum unpacked size in bytes of a file with values of these {name: shape}."""
+    """Return the maximum unpacked size, bytes, of a file with values of the given {name: shape}."""
     return sum(WIDEST_BYTES * math.prod(shape) + HEADER_BYTES for shape in shapes.values())
 
 

@@ -84,7 +84,7 @@ class BuildProcess(Executor):
         return self._process.pid
 
     def ended(self) -> None:
-        """Tell the process that the folder is complete, so that it takes the last frames, too."""
+        """Notify the process that the folder is complete, so that it takes the last frames, too."""
         with suppress(OSError):
             self._mine.send(None)
 
@@ -127,7 +127,7 @@ class BuildProcess(Executor):
             return function(task, listener.heard)
 
     def close(self) -> None:
-        """End the process, and delete what it stored."""
+        """End the process, and delete the frames and results that it stored."""
         self._mine.close()
         try:
             self._process.join(ENDS_WITHIN_S)
@@ -189,7 +189,7 @@ class GrowingBuild:
         return True
 
     def _follow(self, recording: Recording, frames: FolderFrames) -> None:
-        """Register the newest stored frame, the last of `frames`, to earlier ones."""
+        """Register the newest stored frame, the last of `frames`, to earlier frames."""
         registered = recording.color_registered or recording.color_calibration is not None
         stamps_ns = np.array([row.stamp_ns for row in frames.rows], np.int64)
         sequence = Sequence(recording.camera, recording.depth_scale, stamps_ns, registered, None, frames)
@@ -257,7 +257,7 @@ class _Taking:
 
 
 def _prepare() -> None:
-    """Be nice to others (Linux counts niceness by thread), and load the libraries of a build."""
+    """Lower this thread's priority (Linux counts niceness by thread), and load the libraries of a build."""
     with suppress(OSError):
         os.nice(NICER)
     import kinectbench.engine.steps  # noqa: F401
@@ -276,7 +276,7 @@ def _end_with_recorder(stored: Path) -> None:
 
 
 def _run(connection: Connection, folder: Path, threads: int) -> None:
-    """The process: take frames until the other end gives a task, or closes."""
+    """The process: take frames until the other end of the connection sends a task, or closes."""
     for each in IGNORED:
         signal.signal(each, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the recorder owns the terminal

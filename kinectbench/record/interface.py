@@ -61,7 +61,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a device states once it is open.
+    """The properties that a device states once it is open.
 
     Attributes:
         camera: intrinsics of the depth images (pinhole images), pixels.

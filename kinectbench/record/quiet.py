@@ -11,7 +11,7 @@ STDOUT = 1
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Silence, within the block, Python's output and what native libraries write to standard output.
+    """Silence, within the block, Python's output and the standard output of native libraries.
 
     Orbbec's SDK prints a line on standard output when imported, in the middle of `--json`. NumPy prints a
     page on standard error if a library was compiled for another version of NumPy.

@@ -150,7 +150,7 @@ class _Run:
         self.started_s = self.seconds = 0.0
 
     def until_the_end(self, seconds: float | None, progress: Progress) -> str:
-        """Take frames; return one line on what ended the recording too early, or "".
+        """Take frames; return one line on the failure that ended the recording too early, or "".
 
         A KinectBenchError before the first frame is written is raised.
         """

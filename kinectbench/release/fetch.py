@@ -153,7 +153,7 @@ def fetch_release(
 
 
 def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Callable[[int], None]) -> int:
-    """Download the missing files of `names`; return how many.
+    """Download the missing files of `names`; return the number of downloaded files.
 
     `text` is the content of SHA256SUMS; `done` is called with the number of files done.
     """
@@ -222,7 +222,7 @@ def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Targ
 
 
 def wanted_names(names: Collection[str], targets: Collection[Target], part: ReleasePart | None) -> list[str]:
-    """Return those of the release's file names that a part needs; all if `part` is None.
+    """Return the release's file names that a part needs; all names if `part` is None.
 
     A part has the files of the targets' recordings and views, and all files that belong to no recording.
     """

@@ -27,7 +27,7 @@ def is_ours(name: str) -> bool:
 
 
 def is_ignored(name: str) -> bool:
-    """Return whether a file of this name is no person's: `is_ours`, or left by a file manager."""
+    """Return whether a file of this name is no user's file: `is_ours`, or left by a file manager."""
     return is_ours(name) or name in OF_FILE_MANAGERS
 
 

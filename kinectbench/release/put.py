@@ -61,7 +61,7 @@ class _Place:
 
     @property
     def is_known(self) -> bool:
-        """Whether the files there are those of SHA256SUMS: a release, or the remains of a stopped upload.
+        """Whether the stored files are those in SHA256SUMS: a release, or the remains of a stopped upload.
 
         It is False if benchmark.json does not match SHA256SUMS: then another program wrote one of them.
         """
@@ -160,7 +160,8 @@ def _look(store: Store) -> _Place:
 def _refuse_other(store: Store, place: _Place, sums: Mapping[str, str]) -> None:
     """Raise an error if a store has a file that belongs to no release.
 
-    Files of its SHA256SUMS belong to one; with a valid benchmark.json, also those of `sums`, the new release.
+    Files listed in the store's SHA256SUMS belong to a release; if its benchmark.json is valid, so do the
+    files in `sums`.
     """
     known = {BENCHMARK_JSON, SHA256SUMS, *place.sums} if place.text else set(place.sums)
     if place.info is not None:  # whose list may be damaged

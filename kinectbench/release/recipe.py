@@ -255,7 +255,7 @@ class Recipe:
             raise SettingsError(f"{config}: does not include the scans; add `include: [{RECORDINGS}]` to it")
 
     def other_attribution(self, scans: Sequence[Scan]) -> list[str]:
-        """Return a line if entries of these scans state another licence or source than sources.yaml.
+        """Return a line if entries of the scans state another licence or source than sources.yaml.
 
         Raises:
             SettingsError: benchmark.yaml is wrong.

@@ -111,7 +111,7 @@ def loaded_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress = no_progress,
 ) -> dict[str, Packed]:
-    """Do as `gallery_cells` for predictions that `load` returns; None gives an empty grid."""
+    """Return the cells as `gallery_cells` does, of predictions from `load`; None gives an empty grid."""
     chosen = chosen_pairs(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):
@@ -192,7 +192,7 @@ def _drawn(grid: Prediction | None, threshold: float, upsampling: str) -> Packed
 
 @dataclass(frozen=True)
 class PairTruth:
-    """What the gallery shows of one pair, apart from predictions; grids have 64 cells a side.
+    """The gallery's data of one pair, apart from predictions; grids have 64 cells a side.
 
     Attributes:
         category: such as "chair".

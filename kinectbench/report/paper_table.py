@@ -136,7 +136,7 @@ def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
 
 
 def _present(of: PublishedTable, figures: Sequence[float], categories: Sequence[str]) -> dict[str, float]:
-    """Return {category: figure} for those of `categories` in the table `of`; `figures` are one row of it."""
+    """Return {category: figure} of one row of figures of the table `of`, for the wanted categories."""
     return {name: value for name, value in zip(of.categories, figures, strict=True) if name in categories}
 
 

@@ -55,7 +55,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class RecordingPart:
-    """What the page shows of one recording; pictures are `data:` URLs.
+    """The page's contents about one recording; pictures are `data:` URLs.
 
     Attributes:
         settings: the recording's own settings.

@@ -290,7 +290,7 @@ def _scores(
 
 
 def _compared_under(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the protocols to compare methods under: those for voxels with scores, then camera-frame ones."""
+    """Return the protocols to compare methods under: scored voxel protocols, then camera-frame protocols."""
     scored = {row.heading for table in tables for row in table.rows}
     in_space = [table.rows[0].heading for table in tables if table.rows and table.rows[0].in_space]
     return [name for name in (*COMPARED, *NOT_EVERYWHERE) if name in scored] + [*dict.fromkeys(in_space)]

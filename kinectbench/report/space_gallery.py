@@ -60,7 +60,7 @@ def space_cells(
 
 
 def _prediction_cells(truth: SpaceTruth, shape: CameraShape, kind: str | None) -> Packed:
-    """Return the cells of a predicted solid, packed (64, 64, 8), or those with points of its open surface."""
+    """Return the cells of a predicted solid, or the cells that its open surface meets: packed (64, 64, 8)."""
     surface, T = surface_of(shape), truth.T_grid_camera
     if kind is not None:
         T = register_surface(truth, surface.transformed(T), kind).T @ T

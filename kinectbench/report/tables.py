@@ -231,7 +231,7 @@ def _table(
 
 
 def _best(choose: Callable[[list[float]], float], values: list[float | None], decimals: int) -> float | None:
-    """Return the best value of a column, rounded as it is shown: all figures that look the same are best."""
+    """Return the best value of a column after rounding as shown, so that all figures shown equal are best."""
     rounded = [round(value, decimals) for value in values if value is not None]
     return choose(rounded) if rounded else None
 

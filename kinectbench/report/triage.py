@@ -20,7 +20,7 @@ KNOWN_IOU = "IoU on known voxels"
 
 @dataclass(frozen=True)
 class Card:
-    """What the page shows of one recording.
+    """The page's contents about one recording.
 
     Attributes:
         row: its row of the triage.

@@ -142,9 +142,10 @@ class Scorer:
         )
 
     def _left(self, split: str) -> list[Target]:
-        """Return a split's pairs that have no prediction.
+        """Return the pairs of a split without a prediction.
 
-        None of validation if the thresholds are from a file, or if no validation pair was predicted.
+        The list is empty for the validation split if the thresholds are from a file or if no validation pair
+        was predicted.
         """
         if split == "validation" and not (
             self._searched and any(target.split == split for target in self._results)
@@ -164,7 +165,7 @@ class Scorer:
         return grids
 
     def _fixed(self) -> Thresholds:
-        """Return the thresholds; choose them on the validation pairs counted so far unless already fixed."""
+        """Return the thresholds; unless fixed before, choose them on the validation pairs counted so far."""
         if self._thresholds is None:
             self._empty = self._as_empty("validation", None)
             tallies = {target: result.tally for target, result in (self._results | self._empty).items()}

@@ -42,7 +42,7 @@ def make_table(
     settings: ScoreSettings,
     empty: Collection[Target] = (),
 ) -> ScoreTable:
-    """Make a method's table; without averages if a pair failed, as a mean over the others could be too high.
+    """Make a method's table; if a pair failed, without averages, as a mean over the rest could be too high.
 
     Args:
         release: the release that was predicted.

@@ -143,7 +143,7 @@ def category_averages(
 def _category(
     here: ObjectMeans | None, rate: BaseRate | None, quality: Sequence[ObjectQuality]
 ) -> CategoryAverages:
-    """Return the averages of one category; without a counted pair, only the figures of its truth."""
+    """Return a category's averages; without counted pairs, only the quality figures of its truth."""
     of_truth: dict[str, Any] = {
         "truth_estimated_iou": _known_mean([of.estimated_iou for of in quality]),
         "truth_estimated_iou_low": _known_mean([of.estimated_iou_low for of in quality]),
@@ -207,7 +207,7 @@ def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
 
 
 def _known_mean(values: Sequence[float | None]) -> float | None:
-    """Return the mean of the values; None if one of them is None, or if there are none."""
+    """Return the mean of the values; None if the list is empty or a value is None."""
     known = [value for value in values if value is not None]
     return fmean(known) if known and len(known) == len(values) else None
 
@@ -220,7 +220,7 @@ def _known(values: Float64) -> dict[str, float | None]:
 
 
 def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
-    """Return {metric: interval} of `ends` (m, 2), a row per metric, clipped to what the metric can be."""
+    """Return {metric: interval}, clipped to the metric's range; `ends` (m, 2) has a row per metric."""
     named: dict[str, list[float] | None] = dict.fromkeys(METRICS)
     if ends is not None:
         for name, (low, high) in zip(AVERAGED, ends.tolist(), strict=True):

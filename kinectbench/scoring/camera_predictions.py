@@ -1,4 +1,4 @@
-"""A folder of predictions in the camera frame: the files of each view, and how well they fit its depth."""
+"""A folder of predictions in the camera frame: the files of each view, and their fit to its depth."""
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -58,7 +58,7 @@ def find_files(
 ) -> Iterator[tuple[Target, str, CameraPredictionFile | str | None]]:
     """Yield the view, the name and the file of each expected prediction.
 
-    Instead of the file there is the reason if it cannot be used, and None if there is no file.
+    The third value is the reason if the file cannot be used, and None if there is no file.
     """
     root = folder.resolve()
     for target in targets:
@@ -83,7 +83,7 @@ def find_files(
 
 
 def load_camera_shape(file: CameraPredictionFile, method: MethodFile) -> CameraShape:
-    """Read a prediction in its view's camera frame, metres, or in any unit if method.json says scale "free".
+    """Read a prediction in its view's camera frame, metres; with scale "free" in method.json, in any unit.
 
     Raises:
         PredictionError: the file is unacceptable, or not of the declared form; one line.
@@ -124,7 +124,7 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
 
 
 def _shape_content(shape: CameraShape) -> Held:
-    """Return a digest of a predicted shape, by which equal predictions are found."""
+    """Return a digest of a predicted shape, equal for equal shapes."""
     return content_of(shape.points_m, shape.faces)
 
 
@@ -245,7 +245,7 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
 
 
 def missing_in_camera(name: str) -> str:
-    """Return the line that says that a prediction is missing, and which file is expected."""
+    """Return a line: a prediction is missing, and which file is expected."""
     return f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}"
 
 

@@ -1,4 +1,4 @@
-"""Closed meshes among predicted shapes, and the refusal of those that cannot be made solid."""
+"""Closed meshes among predicted shapes, and the refusal of meshes that cannot be made solid."""
 
 from dataclasses import dataclass
 from functools import cached_property

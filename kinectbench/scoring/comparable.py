@@ -1,4 +1,4 @@
-"""Checks that score tables can be compared by a metric under a protocol; errors say what to do."""
+"""Checks that score tables can be compared by a metric under a protocol; errors state the remedy."""
 
 from collections.abc import Mapping, Sequence
 

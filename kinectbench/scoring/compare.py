@@ -195,7 +195,7 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
 
 
 def find_methods(paths: Sequence[Path]) -> list[Path]:
-    """Return what `find_scores` does, for a comparison.
+    """Return the scores.json files of paths, as `find_scores` does, for a comparison.
 
     Raises:
         SettingsError: as `find_scores`; or a folder has one method's scores.json and further methods' below
@@ -310,7 +310,7 @@ def _groups(means: Mapping[str, float], differences: Sequence[Difference], metri
 
 
 def too_small(count: int, pairs: int) -> str:
-    """Return the sentence that says that no two methods can be distinguished.
+    """Return the sentence that the objects are too few to distinguish any two methods.
 
     Args:
         count: number of objects, or of other compared units.

@@ -117,7 +117,7 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
 
 
 def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
-    """Whether `row` counts more of the voxels or of the shape than `known`, its pair's row under `known`."""
+    """Return whether a row covers more voxels, or more of the shape, than its pair's row under `known`."""
     return (row.coverage_voxels or 0.0) > (known.coverage_voxels or 0.0) + ROUNDING or (
         (row.coverage_shape or 0.0) > (known.coverage_shape or 0.0) + ROUNDING
     )
@@ -161,7 +161,7 @@ def _ratios(row: ScoreRow) -> Iterator[str]:
 
 
 def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
-    """Report a row whose IoU contradicts its curve at its threshold."""
+    """Report a row whose IoU differs from its IoU curve at the row's threshold."""
     if len(curve) != len(THRESHOLDS) or row.threshold not in THRESHOLDS:
         yield f"has no IoU at each of the {len(THRESHOLDS)} thresholds"
     elif not _near(of := curve[THRESHOLDS.index(row.threshold)], row.iou or 0.0):

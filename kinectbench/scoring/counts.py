@@ -1,8 +1,8 @@
-"""Count a prediction against its truth in one pass: enough for every metric, threshold and protocol.
+"""Count a prediction against its truth in one pass, for every metric, threshold and protocol.
 
 Binarised predictions, the truth at a coarser resolution, and the paper's metrics are computed here, too.
-Ratios have no unit; cross-entropy is in nats a voxel. The paper leaves empty predictions and empty truths
-open; each function says what it returns for them.
+Ratios have no unit; cross-entropy is in nats a voxel. The paper does not define its metrics for empty
+predictions and empty truths; each function states its value for them.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -81,7 +81,7 @@ def tallies(
 
 
 def _from_histogram(values: Float64, counts: Int64) -> Tally:
-    """Return the tally of a histogram: `counts` of voxels (m, 8) by `values`, ascending, and code 0 to 7."""
+    """Return a histogram's tally: `counts` (m, 8) of voxels by value (`values`, ascending) and by code."""
     not_above = np.searchsorted(values, THRESHOLDS, side="right")
     tail = np.vstack([counts[::-1].cumsum(axis=0)[::-1], np.zeros((1, 8), np.int64)])
     clipped = np.clip(values, CE_CLIP, 1 - CE_CLIP)
@@ -90,7 +90,7 @@ def _from_histogram(values: Float64, counts: Int64) -> Tally:
 
 
 def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable[Packed]]) -> Tally:
-    """Tally a prediction that comes in parts, in float64; `grids`: full, known and seen, in such parts."""
+    """Tally a prediction in float64, part by part; `grids`: full, known and seen, cut into the same parts."""
     from kinectbench.scoring.kernels import count_reals
 
     bins, ce_sum = np.zeros((STEPS + 1, 8), np.int64), np.zeros(8)
@@ -121,7 +121,7 @@ def tally_unknown_share(tally: Tally) -> float:
 
 
 def is_all_unknown(tally: Tally, protocol: str) -> bool:
-    """Return whether a pair says nothing about a prediction under a protocol, so that means leave it out.
+    """Return whether a pair has no information on a prediction under a protocol; means leave such pairs out.
 
     There are two cases. The protocol counts no voxel: every prediction has an IoU of 1. Or the part of the
     shape in the protocol's region is all unknown: a prediction has an IoU of 1 if it is empty among the known
@@ -262,7 +262,7 @@ def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float
 
 
 def _share(hit: int, total: int, *, other: int) -> float:
-    """Return `hit / total`; for an empty total, 1 if the other set is empty too, else 0."""
+    """Return `hit / total`; if `total` is 0, return 1 if `other` is 0 too, else 0."""
     if total:
         return hit / total
     return 0.0 if other else 1.0

@@ -138,7 +138,7 @@ def _value(key: str, stored: FileArray, packed: bool) -> object:
 
 
 def wanted_parts(keys: Sequence[str], hidden: bool) -> list[str]:
-    """Return the arrays of a pair file that some keys need; those of the truth only if it is not `hidden`."""
+    """Return the arrays of a pair file that some keys need, without the truth's arrays if it is `hidden`."""
     wanted = dict.fromkeys(key for key in keys if key in OF_PAIR)
     if META in keys:
         wanted |= dict.fromkeys((*META_PARTS, "full", "known"))

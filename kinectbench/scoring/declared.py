@@ -1,4 +1,4 @@
-"""method.json of a folder of predictions, checked against what can be scored."""
+"""method.json of a folder of predictions, and the check that its predictions can be scored."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -54,7 +54,7 @@ def read_method(folder: Path) -> MethodFile | None:
 
 
 def _not_supported(method: MethodFile) -> Iterator[str]:
-    """Yield a few words for each key whose value is not supported yet."""
+    """Yield a short text for each key whose value is not supported yet."""
     for key, supported in SUPPORTED.items():
         if (value := getattr(method, key)) not in supported:
             words = "leave it out" if supported == (None,) else ", ".join(map(str, supported))
@@ -128,7 +128,7 @@ def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list
 
 
 def changed_line(names: list[str], count: int) -> str:
-    """Return a line: how many of `count` files (the first is named) are not what `predict` wrote."""
+    """Return a line with the number of changed files, of `count` files, and the name of the first."""
     verb = "is" if len(names) == 1 else "are"
     return (
         f"{MethodFile.FILE}: {len(names)} of {count} files {verb} not what its run of `predict` wrote, such "

@@ -66,7 +66,7 @@ AXES: Mapping[tuple[int, int, int], str] = {
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well a predicted shape fits its view's depth image.
+    """The fit of a predicted shape to its view's depth image.
 
     Attributes:
         distance_m: median distance of the object's measured points from the shape, metres.
@@ -112,7 +112,7 @@ def agreement(
     T_world_camera: Float64,
     T_world_grid: Float64,
 ) -> Agreement:
-    """Compare a shape with its view's depth, and look for errors of unit or axes.
+    """Compare a shape with its view's depth, and search for errors of unit or axes.
 
     Args:
         shape: in the camera frame, placed as method.json declares it.
@@ -136,7 +136,7 @@ def agreement(
     gap = _gap(tree, rng)
 
     def beyond(distance_m: float, scale: float) -> float:
-        """Return a distance less what gaps between a cloud's points, times `scale`, add to it."""
+        """Return a distance without the part that is due to gaps between a cloud's points, times `scale`."""
         return float(np.sqrt(max(distance_m**2 - (gap * scale) ** 2, 0)))
 
     own = distance(np.eye(4))
@@ -155,7 +155,7 @@ def agreement(
 
 
 def remedy(slip: str, method: MethodFile) -> str:
-    """Return what to set in method.json against an error: unit and axes with values, or T_camera_prediction.
+    """Return the keys and values of method.json that correct an error: unit and axes, or T_camera_prediction.
 
     Args:
         slip: the error, in words that `mends` yields.
@@ -187,7 +187,7 @@ def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> f
 
 
 def likeliest(agreements: Sequence[Agreement]) -> list[str]:
-    """Return the likeliest error of each prediction of a method, in words; "" if it has none.
+    """Return the likeliest error of each prediction of a method, in words; "" for a prediction without.
 
     Several errors may explain one prediction, for example if the object is symmetric. The error that explains
     most of the method's predictions is taken: they usually share one error.
@@ -218,7 +218,7 @@ def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
 def mends(
     T_camera_prediction: Float64, T_world_camera: Float64, T_world_grid: Float64
 ) -> Iterator[tuple[str, Float64]]:
-    """Yield each typical error in words, the simplest first, and the (4, 4) transform that corrects it.
+    """Yield each typical error in words, the simplest first, and the transform (4, 4) that corrects it.
 
     The transform maps the camera frame to itself.
     """

@@ -70,7 +70,7 @@ def _remedy(order: tuple[int, ...], turned: tuple[bool, ...]) -> str:
 
 
 def _fits(prediction: Prediction, partial: Bools) -> Float64:
-    """Return how well a prediction fits a view with axes swapped and flipped in 48 ways: (48,), from -1 to 1.
+    """Return the fit of a prediction to a view, -1 to 1, under 48 swaps and flips of its axes: (48,).
 
     The fit is the mean prediction in measured cells, minus the mean in the empty cells in front of them,
     divided by the largest predicted value.

@@ -66,7 +66,7 @@ def _ones(word: np.uint64) -> np.uint64:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64:
-    """Histogram a packed boolean prediction: (2, 8), how many voxels have each value and code.
+    """Histogram a packed boolean prediction: (2, 8), the number of voxels of each value and code.
 
     A code is 1 if the truth is occupied, + 2 if it is known, + 4 if the input view saw the voxel.
 
@@ -158,7 +158,7 @@ def count_reals(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _bins_of(values: NDArray[np.floating], steps: int, rows: NDArray[np.uint8]) -> None:
-    """Write into `rows` (v,) 8 times the row of `bins` (see `count_reals`) that counts each value."""
+    """Write into `rows` (v,) 8 times the index of each value's row in `bins` of `count_reals`."""
     for i in range(len(values)):
         y = np.float64(values[i])
         k = np.int32(np.ceil(y * steps)) - np.int32(

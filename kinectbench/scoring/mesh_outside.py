@@ -53,7 +53,7 @@ def _areas(triangles: Float64) -> Float64:
 
 
 def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
-    """Yield what of triangles is in 0 <= x, y <= side, in pieces that cross neither z = 0 nor z = side."""
+    """Clip triangles to 0 <= x, y <= side; yield pieces that cross neither z = 0 nor z = side."""
     for axis in (0, 1):
         triangles = _cut(_cut(triangles, axis, 0)[1], axis, side)[0]
     below, above = _cut(triangles, 2, 0)
@@ -62,7 +62,7 @@ def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
 
 
 def _cut(triangles: Float64, axis: int, at: float) -> tuple[Float64, Float64]:
-    """Cut triangles (k, 3, 3) where coordinate `axis` is `at`; return the pieces below, and those above."""
+    """Cut triangles (k, 3, 3) where coordinate `axis` is `at`; return the pieces below and above."""
     height = triangles[:, :, axis] - at
     up, down = height > 0, height < 0
     count = np.add(np.add(up[:, 0], up[:, 1], dtype=np.int8), up[:, 2])

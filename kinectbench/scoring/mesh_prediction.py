@@ -85,7 +85,7 @@ def _refuse_far(vertices: Float64, grid: Grid) -> None:
 
 
 def _outside(vertices: Float64, grid: Grid) -> PredictionError:
-    """Return the error for a mesh with nothing inside the grid; it says where the mesh lies."""
+    """Return the error for a mesh without any part inside the grid; it states where the mesh lies."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return PredictionError(

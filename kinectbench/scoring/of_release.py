@@ -50,9 +50,10 @@ def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
 
 
 def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
-    """Report a row whose unknown share of the true shape is not `share`, or that lacks scores in spite of it.
+    """Report a row with another unknown share of the true shape than `share`, or wrongly without scores.
 
-    The latter is checked under `known` and protocols that count every voxel; others would need the pair file.
+    Missing scores are checked under `known` and protocols that count every voxel; others would need the pair
+    file.
     """
     if row.unknown_share is not None and abs(row.unknown_share - share) > 10**-SHARE_DECIMALS:
         yield f"has {row.unknown_share:g} of its true shape unknown; the release says {share:g}"

@@ -142,7 +142,7 @@ def count_job(job: PairJob) -> PairResult | str:
 def count(
     prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
 ) -> PairResult:
-    """Count a prediction in memory; without `threshold` there are no surface metrics, `ceilings` are 1."""
+    """Count a prediction in memory; without `threshold`, no surface metrics, and `ceilings` of 1."""
     side = len(prediction)
     reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
     surface = surfaces(prediction, truth, counting, threshold)
@@ -161,7 +161,7 @@ def surfaces(
 
 
 def ceilings(truth: PackedTruth, side: int, counting: Counting) -> Mapping[str, float]:
-    """Return {protocol: the best IoU of the truth itself, reduced to side^3 cells}; 1 for sides from 256."""
+    """Return {protocol: best IoU of the truth when averaged to side^3 cells}; 1 for sides from 256."""
     if side >= FULL_CELLS:
         return dict.fromkeys(counting.protocols, 1.0)
     best, others = ceiling_tallies(truth, side, counting.protocols, counting.upsampling)

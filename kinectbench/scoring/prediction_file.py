@@ -256,7 +256,7 @@ def _native(array: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def _refuse_first(array: NDArray[np.generic], bad: NDArray[np.bool_]) -> None:
-    """Refuse an array if a value of it is marked in `bad`; the error states the first one."""
+    """Refuse an array that has a value marked in `bad`; the error states the first such value."""
     if bad.any():
         index = _first(bad)
         raise PredictionError(f"{array[index]} at {index}: every value must be in [0, 1]", what="bad-values")

@@ -34,7 +34,7 @@ class Protocol:
 
     @cached_property
     def looked_at(self) -> tuple[int, ...]:
-        """The codes (1 occupied + 2 known + 4 seen) of voxels that would count if all were known."""
+        """The codes of voxels that the protocol counts if all are known: 1 occupied + 2 known + 4 seen."""
         return tuple(code for code in CODES if not (self.hidden and code & SEEN))
 
     @cached_property
@@ -65,7 +65,7 @@ def further_grids(protocols: Sequence[str]) -> tuple[str, ...]:
 
 
 def check_protocols(protocols: Sequence[str] | None) -> None:
-    """Refuse unknown protocols; an empty list stands for the usual ones that the pairs allow.
+    """Refuse unknown protocols; an empty list is valid, and means the usual protocols.
 
     Raises:
         SettingsError: a protocol is not known.

@@ -75,7 +75,7 @@ def check_request(request: Request, predictions: Path | None) -> Missing:
 
 
 def check_declared(request: Request, folder: Path, *, of_several: bool = False) -> None:
-    """Refuse options that contradict what one method declares.
+    """Refuse options that contradict the declarations of one method.
 
     Args:
         request: the options.
@@ -112,7 +112,7 @@ def _refuse_elsewhere(request: Request, what: str) -> None:
 
 
 def check_words(protocols: Sequence[str] | None, upsampling: str, close: str | None = None) -> None:
-    """Refuse unknown names of protocols, of upsampling and of ways to close meshes.
+    """Refuse unknown names of protocols, upsamplings and ways to close meshes.
 
     Raises:
         SettingsError: a name is not known, or a package that it needs is not installed.

@@ -1,4 +1,4 @@
-"""Find predictions that do not depend on their view: constant ones, and equal ones for different views."""
+"""Find predictions that do not depend on their view: constant ones, and equal ones of different views."""
 
 import hashlib
 from collections import Counter
@@ -38,7 +38,7 @@ def content_of(*arrays: NDArray[np.generic]) -> Held:
 
 
 def same_lines(contents: Mapping[str, Held]) -> Iterator[str]:
-    """Yield a line per value that predictions have everywhere, and one if at least half of all equal another.
+    """Yield a line for each value of constant predictions, and one if at least half of all equal another one.
 
     Args:
         contents: {name of a prediction: its content}.

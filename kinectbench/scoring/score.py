@@ -81,7 +81,7 @@ def score(
     asked = plan(release, predictions, thresholds_file, missing)
     if space := space_alone(protocols, upsampling, close):
         table = score_grid_in_space(release, asked, method, space, missing, here, progress)
-        return _with_what_is_said(table, predictions, asked, release)
+        return _with_warnings(table, predictions, asked, release)
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
     _refuse_many_rows(len(release.split("test")), counting.protocols)
     rounds = Rounds(release, counting, journal, jobs, progress)
@@ -93,10 +93,10 @@ def score(
     table = make_table(release, method, results, thresholds, rates, failures, how, empty)
     if table.complete:
         journal.remove()
-    return _with_what_is_said(table, predictions, asked, release)
+    return _with_warnings(table, predictions, asked, release)
 
 
-def _with_what_is_said(
+def _with_warnings(
     table: ScoreTable,
     predictions: Path,
     asked: Plan,

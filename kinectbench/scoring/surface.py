@@ -57,7 +57,7 @@ class Distances:
         return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
     def dice(self, tolerance_mm: float) -> float:
-        """Return the share of all cells, of both surfaces together, within a tolerance of the other one."""
+        """Return the share of all cells of both surfaces that lie within a tolerance of the other surface."""
         cells = self.to_truth + self.to_prediction
         return int(cells[self.mm <= tolerance_mm].sum()) / int(cells.sum())
 

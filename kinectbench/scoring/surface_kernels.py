@@ -58,7 +58,7 @@ class SolidSurface:
     moments: NDArray[np.int16]
 
     def within(self, mask: Packed) -> "SolidSurface":
-        """Return the part of the surface within a packed mask; the surface itself if all of it is."""
+        """Return the surface within a packed mask; the surface itself if all its cells are in the mask."""
         packed = self.packed & mask
         if np.array_equal(packed, self.packed):
             return self

@@ -18,7 +18,7 @@ LEAST_OUTSIDE = 0.001
 def suspicious_lines(
     method: str, results: Mapping[Target, PairResult], thresholds: Thresholds
 ) -> Iterator[str]:
-    """Yield lines that count meshes cut off at the cube, predictions that are empty, and full ones.
+    """Yield lines with the numbers of meshes cut off at the cube, empty predictions and full predictions.
 
     Args:
         method: the method's name; for a baseline, empty and full predictions are not reported.

@@ -91,7 +91,7 @@ def searched_thresholds(
     return Thresholds(
         {category: of[category] for category in categories},
         next((word for word in SOURCES if word in sources.values()), FIXED_SOURCE),
-        (_said_of(left, value, source, targets, tallies),) if left else (),
+        (_fallback_warning(left, value, source, targets, tallies),) if left else (),
         {category: sources[category] for category in categories},
         None if METHOD_SOURCE in sources.values() else tuple(sorted(found_on)),
     )
@@ -106,14 +106,14 @@ def _without_validation(tallies: Mapping[Target, Tally], own: float | None) -> t
     return FIXED, FIXED_SOURCE
 
 
-def _said_of(
+def _fallback_warning(
     categories: Sequence[str],
     value: float,
     source: str,
     targets: Sequence[Target],
     tallies: Mapping[Target, Tally],
 ) -> str:
-    """Return a warning: the threshold of `categories`, unpredicted in validation, is `value` (`source`)."""
+    """Return the warning that categories without predicted validation pairs get the threshold `value`."""
     how = {
         METHOD_SOURCE: f"is the method's own, {value:g}",
         POOLED_SOURCE: f"is {value:g}, which all validation predictions give together",
@@ -177,7 +177,7 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
 
 
 def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:
-    """Read a threshold file (`read_thresholds`) for the pairs of a test split; the same errors."""
+    """Read a threshold file for the pairs of a test split; errors as in `read_thresholds`."""
     categories = sorted({target.category for target in test})
     return read_thresholds(path, categories, frozenset(target.object for target in test))
 

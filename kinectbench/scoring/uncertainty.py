@@ -173,7 +173,7 @@ def _sampled(differences: Float64, observed: Float64) -> list[float]:
 
 
 def samples(count: int) -> int:
-    """Return how many sign assignments are drawn for `count` differences: a million, fewer beyond 500."""
+    """Return the number of sign assignments drawn for `count` differences: a million, fewer beyond 500."""
     return max(LEAST_SAMPLES, min(SAMPLES, MOST_SIGNS // count))
 
 

@@ -1,4 +1,4 @@
-"""Run independent tasks in one process or several; results are in the order of the tasks either way."""
+"""Run independent tasks in one process or several; results are always in the order of the tasks."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool

@@ -22,7 +22,7 @@ MISSING = "correct the name under `include:`, or make the file"
 
 @dataclass
 class _Left:
-    """What remains of the limits that all included files share, and the files read so far.
+    """The remaining limits that all included files share, and the files read until now.
 
     Attributes:
         allowance: number of YAML keys and values that may still be read.

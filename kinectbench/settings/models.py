@@ -386,7 +386,7 @@ class BenchmarkSettings(Settings):
         return {recording.id: recording for recording in self.recordings}
 
     def underside_of(self, recording: RecordingSettings) -> Underside:
-        """What a person stated about a recording's underside: its own setting, or else its category's."""
+        """The underside that a person stated for a recording: its own setting, or else its category's."""
         of_category = self.categories.get(recording.category, CategorySettings())
         return recording.underside or of_category.underside
 

@@ -60,7 +60,7 @@ def _nested(override: str) -> dict[str, object]:
 
 
 def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], what: str) -> str:
-    """Describe a pydantic error in a line that starts with the wrong option; without one, with `what`."""
+    """Describe a pydantic error in a line that starts with the wrong option, or else with `what`."""
     location = tuple(error["loc"])
     annotation, constraints, _ = field_at(location, model)
     where = _option([str(part) for part in location], overrides) if location else what

@@ -216,7 +216,7 @@ def _mapping(entry: Mapping[str, object], mark: yaml.Mark) -> yaml.Node:
 
 
 def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
-    """Make a node at `mark` from a cell: a text if `is_text`, else what YAML would read from it."""
+    """Make a node at `mark` from a cell: a text if `is_text`, else the value that YAML reads from it."""
     if is_text:
         return yaml.ScalarNode(yaml_nodes.STR_TAG, cell, mark, mark)
     if cell.startswith("[") and cell.endswith("]"):

@@ -1,4 +1,4 @@
-"""Settings of a recipe, sources.yaml: where public scans are, what they contain, and who owns them."""
+"""Settings of a recipe, sources.yaml: location, content and owners of public scans."""
 
 import hashlib
 import re
@@ -43,7 +43,7 @@ File = Annotated[str, AfterValidator(_file)]
 
 
 class SplitSettings(Settings):
-    """How objects are divided into splits; what is neither train nor validation is test."""
+    """How objects are divided into splits; objects in neither train nor validation are test."""
 
     seed: int = Field(0, ge=0, description="seed of the draw; also of the scans that --limit takes")
     train: float = Field(0.0, ge=0, le=1, description="share of the objects in train")

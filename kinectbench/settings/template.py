@@ -209,7 +209,7 @@ def yaml_text(value: object) -> str:
 
 
 def _safe(text: str, otherwise: str) -> str:
-    """Turn a text into a valid id that resembles it; `otherwise` if nothing of it is left."""
+    """Turn a text into a valid id that resembles it; `otherwise` if none of its characters is valid."""
     ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9._-]+", "_", ascii_text).strip("._-")[:60].rstrip("._-") or otherwise
     return f"{name}_" if name_problem(name) else name

@@ -53,7 +53,7 @@ class _TooManyError(yaml.composer.ComposerError):
 
 @dataclass
 class Allowance:
-    """How many keys and values one or several files may still have; each node takes a kilobyte."""
+    """The number of keys and values that one or several files may still have; each node takes a kilobyte."""
 
     values: int = MOST_VALUES
 

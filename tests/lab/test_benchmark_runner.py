@@ -9,13 +9,13 @@ import run as runner
 DOCUMENT = Path(runner.ROOT).parent / "docs" / "evidence" / "benchmarks.md"
 SCRIPT = '''"""A benchmark of two figures."""
 
-from figures import arguments, at_least, run, told
+from figures import arguments, at_least, run, stated
 
 if __name__ == "__main__":
     parser = arguments(__doc__)
     parser.add_argument("--speed", type=float, default=5.0)
     options = parser.parse_args()
-    run(options, lambda: [at_least("times as fast", options.speed, 2), told("IoU", 0.9)])
+    run(options, lambda: [at_least("times as fast", options.speed, 2), stated("IoU", 0.9)])
 '''
 STORED = {"times as fast": {"value": 5.0, "tolerance": 1.0}, "IoU": {"value": 0.9, "tolerance": 0.001}}
 

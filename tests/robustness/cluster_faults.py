@@ -31,7 +31,7 @@ from fault_rows import (
     make_bench,
     variables_set,
 )
-from figures import Figure, arguments, run, told
+from figures import Figure, arguments, run, stated
 from full_disk import DISKS, PAGE, ROOMY, mounted, pages_of, remount
 from small_runs import OBJECTS, copied, start
 from store_faults import STORE_FAULTS, requests
@@ -256,7 +256,7 @@ def measure(chosen: Namespace) -> list[Figure]:
     with TemporaryDirectory(prefix="kinectbench-cluster-") as folder:
         bench = make_bench(Path(folder))
         return [
-            told("benchmark_sha256 of one process", bench.sha256),
+            stated("benchmark_sha256 of one process", bench.sha256),
             *figures_of(ROWS, [name for name in chosen.only if name != REQUESTS], bench),
             *(requests(bench) if REQUESTS in chosen.only else ()),
         ]

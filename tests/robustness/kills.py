@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from figures import Figure, arguments, equals, run, told
+from figures import Figure, arguments, equals, run, stated
 from small_runs import OBJECTS, copied, leftovers, make_small, published, start
 
 from kinectbench.core.errors import KinectBenchError
@@ -64,16 +64,16 @@ def measure(chosen: Namespace) -> Iterator[Figure]:
         rounds = list(
             kill_rounds(undisturbed, Path(folder) / "killed", chosen.rounds, random.Random(chosen.seed))
         )
-    yield told("benchmark_sha256, undisturbed", wanted)
+    yield stated("benchmark_sha256, undisturbed", wanted)
     for command in FIRST_FILE:
         mine = [each for each in rounds if each.command == command]
-        yield told(f"{command}: killed while it wrote", counted(each.where for each in mine))
+        yield stated(f"{command}: killed while it wrote", counted(each.where for each in mine))
     yield equals("kills", len(rounds), chosen.rounds)
     yield equals(
         "same benchmark_sha256 after the restart", sum(r.sha256 == wanted for r in rounds), chosen.rounds
     )
     yield equals("temporary files left over", sum(each.left for each in rounds), 0)
-    yield told("a round, s (mean)", round(sum(each.seconds for each in rounds) / max(len(rounds), 1), 1))
+    yield stated("a round, s (mean)", round(sum(each.seconds for each in rounds) / max(len(rounds), 1), 1))
 
 
 def kill_rounds(undisturbed: Path, root: Path, count: int, moments: random.Random) -> Iterator[Round]:

@@ -21,7 +21,7 @@ from typing import Any
 sys.path.append(str(Path(__file__).resolve().parents[1] / "support"))
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from figures import Figure, arguments, at_least, at_most, equals, run, told
+from figures import Figure, arguments, at_least, at_most, equals, run, stated
 from replica_scans import BENCHMARK, Scan, forty, four, make, served, sources_yaml, state_undersides
 from scan_server import Fault, ScanServer
 
@@ -153,9 +153,9 @@ def of_triage(commands: Commands, scans: Sequence[Scan], made: Path) -> Iterator
               *row.reasons[:1], sep=" | ", flush=True)  # fmt: skip
     for decision in ("accept", "look", "reject"):
         kind = Counter(kinds[name] for name, row in rows.items() if row.decision == decision)
-        yield told(decision, ", ".join(f"{count} {name}" for name, count in kind.most_common()))
-    yield told("not fetched", [scan.name for scan in scans if scan.name not in rows])
-    yield told("named as one object", [pair.recordings for pair in triage.same_object])
+        yield stated(decision, ", ".join(f"{count} {name}" for name, count in kind.most_common()))
+    yield stated("not fetched", [scan.name for scan in scans if scan.name not in rows])
+    yield stated("named as one object", [pair.recordings for pair in triage.same_object])
     yield from bars(rows, found)
 
 
@@ -167,8 +167,8 @@ def bars(rows: Mapping[str, TriageRow], found: Mapping[str, Mapping[str, Any]]) 
     below = [n for n in accepted if found[n]["fine"]["iou"] < (rows[n].estimated_iou_low or 0.0)]
     good = [name for name, of in found.items() if of["fine"]["known_iou"] >= GOOD_KNOWN]
     wrong = [name for name in accepted if (found[name]["known_gross_share"] or 0.0) > WRONG]
-    yield told("accepted, and known and wrong", wrong)
-    yield told(
+    yield stated("accepted, and known and wrong", wrong)
+    yield stated(
         f"IoU on known >= {GOOD_KNOWN}, and not accepted", [name for name in good if name not in accepted]
     )
     yield equals("accepted, and below the low end of the estimate", below, [])
@@ -200,14 +200,14 @@ def measure(options: argparse.Namespace, folder: Path) -> Iterator[Figure]:
     commands = Commands(root, options.jobs)
     bytes_ = the_whole_way(commands, scans, served(scans, made))
     for name, seconds in commands.seconds.items():
-        yield told(f"{name}, seconds", round(seconds, 1))
+        yield stated(f"{name}, seconds", round(seconds, 1))
     for name, count in bytes_.items():
-        yield told(f"{name}, MB a scan", round(count / 1e6 / len(scans), 2))
+        yield stated(f"{name}, MB a scan", round(count / 1e6 / len(scans), 2))
     yield from of_triage(commands, scans, made)
     build_s = commands.seconds["build"] * options.jobs / len(scans)
     for count in (FURNITURE, ALL):
         hours = count * build_s / 3600
-        yield told(
+        yield stated(
             f"{count} scans of this size: core hours, dollars, TB of scans, GB of release",
             f"{hours:.0f}, {hours * CORE_HOUR_USD:.0f}, {count * SCAN_GB / 1000:.1f}, "
             f"{count * bytes_['release'] / len(scans) / 1e9:.0f}",

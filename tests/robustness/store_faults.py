@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from cluster_ways import held_against_there, store_variables
 from fault_proxy import Choose, Fault, FaultProxy, for_a_while
 from fault_rows import Became, Bench, Row, Run, check, ended, told_by, variables_set
-from figures import Figure, at_most, told
+from figures import Figure, at_most, stated
 from full_disk import mounted
 from s3_server import S3Server, start_s3
 from small_runs import OBJECTS, start
@@ -222,6 +222,6 @@ def requests(bench: Bench) -> Iterator[Figure]:
             if name in ("fetch", "verify"):
                 of_none = 0  # nearly all are files of the release
             beyond = (len(asked) - moved - of_none) / len(RECORDINGS)
-            yield told(f"{name}: requests", len(asked))
-            yield told(f"{name}: requests for no recording's sake", of_none)
+            yield stated(f"{name}: requests", len(asked))
+            yield stated(f"{name}: requests for no recording's sake", of_none)
             yield at_most(f"{name}: requests beyond one a file, a recording", beyond, 30)

@@ -1,1 +1,1 @@
-"""Typed models of all files of `build/`, releases and scores; nothing else reads or writes these files."""
+"""Typed models of all files of `build/`, releases and scores; no other code reads or writes these files."""

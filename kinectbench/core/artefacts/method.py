@@ -143,7 +143,7 @@ class MethodFile(Stored):
         return self
 
     def meant(self, key: str) -> str | None:
-        """The known key of which an unknown one is a misspelling; None if there is none."""
+        """The known key that an unknown key misspells; None if it resembles none."""
         return next((known for known in type(self).model_fields if is_misspelt(key, known)), None)
 
 

@@ -258,10 +258,10 @@ class QualityFile(Stored):
 
     @property
     def trusted_iou(self) -> tuple[float | None, float | None, str]:
-        """Estimated IoU to the unknown truth, lower end of its interval, and words on what it counts.
+        """Estimated IoU with the unknown truth, lower end of its interval, and a text that names its voxels.
 
-        It counts known voxels, as scores do, and the words are " on known voxels". In files without that
-        estimate it counts all voxels of the solid, and the words are "".
+        The estimate is over known voxels, as in scores; its text is " on known voxels". Files without that
+        estimate give the one over all voxels of the solid, with the text "".
         """
         if self.estimated_known_iou is None:
             return self.estimated_iou, self.estimated_iou_low, ""
@@ -327,14 +327,14 @@ class SynthesisedQualityFile(Stored):
 
 
 class MadeGroup(StoredPart):
-    """Views of a model that were synthesised together: those with a pair, and why the others have none."""
+    """Views of a model that were synthesised together: views with a pair, and views without, with reasons."""
 
     views: tuple[str, ...] = Field(description="names of those that have a pair")
     refused: tuple[str, ...] = Field(description="why each of the others has none")
 
 
 class MadeModel(Stored):
-    """made.json, written for each model during synthesis: what the model contributes to the final report."""
+    """made.json, written for each model during synthesis: the model's data for the final report."""
 
     FILE = "made.json"
     ADVICE = "run the command again"

@@ -20,7 +20,7 @@ NEAR_VOXELS = 1.5
 
 
 class Label(IntEnum):
-    """What is known about a voxel, stored as uint8; all but UNKNOWN count as known."""
+    """Whether and how a voxel is known, stored as uint8; all labels but UNKNOWN mean known."""
 
     FREE = 0
     """Seen through: empty."""

@@ -30,7 +30,7 @@ FINITE = ConfigDict(allow_inf_nan=False)
 
 
 def _share(heading: str | None, meaning: str) -> Any:
-    """Declare a metric in [0, 1] of which more is better; without a heading it stays off the page."""
+    """Declare a metric in [0, 1] where higher is better; without a heading, the page does not show it."""
     return Field(None, title=heading, description=meaning, json_schema_extra=SHARE)
 
 

@@ -82,7 +82,7 @@ class OverallAverages(Averages):
 
 
 class ScoreSettings(StoredPart):
-    """Every choice that the numbers depend on, in words and numbers."""
+    """Every setting that the scores depend on, in words and numbers."""
 
     score_version: int | None = Field(
         None,
@@ -148,7 +148,7 @@ class ExtremePair(StoredPart):
 
 
 class Extremes(StoredPart):
-    """Three pairs each at most, the most extreme first."""
+    """The pairs of the highest and of the lowest IoU, at most three each, the most extreme first."""
 
     best: tuple[ExtremePair, ...] = Field(description="pairs with highest IoU")
     worst: tuple[ExtremePair, ...] = Field(description="pairs with lowest IoU")
@@ -255,11 +255,11 @@ class ScoreTable(Stored):
 
     @property
     def standing(self) -> str:
-        """How far the scores were checked: `verified DATE, kinectbench VERSION`, or `reported`."""
+        """Whether the scores were verified: `verified DATE, kinectbench VERSION`, or `reported`."""
         return REPORTED if self.verified is None else self.verified.words
 
     def facts_sha256(self) -> str:
-        """SHA-256 of what a recheck must reproduce: all keys but derived ones and `verified`."""
+        """SHA-256 of the keys that a recheck must reproduce: all but derived ones and `verified`."""
         content = self.model_copy(update={"rows": ()}).json_value()
         digest, sign = hashlib.sha256(), "{"
         for key in sorted(set(content) - NO_FACTS):

@@ -28,7 +28,7 @@ class SourcesLock(Stored):
 
 
 class ScanIndex(Bare):
-    """index.json: the ids of a source's scans by category, in the source's own words."""
+    """index.json: the ids of a source's scans by the source's own categories."""
 
     FILE: ClassVar[str] = "index.json"
     ADVICE: ClassVar[str] = 'wanted {"category": ["id", …]}; correct `index` in sources.yaml'

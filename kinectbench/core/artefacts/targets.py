@@ -118,7 +118,7 @@ def _target(row: list[str]) -> Target:
 
 
 def _row_problem(row: list[str], columns: int) -> str | None:
-    """What is wrong with a line of targets.csv that must have `columns` columns; None if nothing is."""
+    """Why a line of targets.csv that must have `columns` columns is invalid; None if it is valid."""
     if len(row) != columns:
         return f"{len(row)} columns instead of {columns}"
     share = row[len(EARLIER_COLUMNS)] if len(row) > len(EARLIER_COLUMNS) else ""
@@ -232,7 +232,7 @@ def list_of_files(sums: str) -> str:
 
 
 def benchmark_sha256(sums: str, stated: str) -> str:
-    """Compute the hash that identifies a release, in the way that `benchmark_sha256_version` states.
+    """Compute the hash that identifies a release, by the rule of its `benchmark_sha256_version`.
 
     Args:
         sums: the text of SHA256SUMS.

@@ -81,7 +81,7 @@ class LoopClosure(ScaledPart):
 
 
 class GivenFigures(ScaledPart):
-    """How well a given trajectory agrees with the depth."""
+    """The agreement of a given trajectory with the depth."""
 
     disagreeing: tuple[int, ...] = Field((), description="frames whose depth disagrees with it")
     median_shift_m: Millimetres = Field(None, description="median disagreement with near frames, mm")
@@ -209,7 +209,7 @@ class TrajectoryHealth(ScaledPart, Stored):
 
 
 class StoredDepthCalibration(Stored):
-    """depth_calibration.json: the depth correction with which the poses were estimated."""
+    """depth_calibration.json: the depth correction that was used to estimate the poses."""
 
     FILE: ClassVar[str] = "depth_calibration.json"
 

@@ -28,7 +28,7 @@ class NormalEquations:
 
     @classmethod
     def of_prior(cls, information: Float64, state: Float64) -> "NormalEquations":
-        """Equations of the prior that the unknowns, now `state` (n,), are 0; `information` is (n, n)."""
+        """Equations of a prior that pulls the unknowns, now `state` (n,), to 0; `information` is (n, n)."""
         return cls(information, -information @ state)
 
     @classmethod

@@ -178,7 +178,7 @@ def poisson_surface(points: Float64, normals: Float64, depth: int, cube: float) 
 
 @cache
 def _open3d() -> ModuleType:
-    """Import Open3D, but import its functions for plotly only if one of them is called.
+    """Import Open3D; its functions for plotly are imported only when one of them is called.
 
     These import dash and plotly: 0.42 of the 0.68 CPU s that `import open3d` takes (version 0.20), in every
     process that builds or scores. This package never calls them.
@@ -222,7 +222,7 @@ def write_ply(mesh: TriangleMesh, path: Path) -> None:
 
 
 def _ply_types(extra_bytes: int) -> tuple[np.dtype[np.void], np.dtype[np.void]]:
-    """A vertex, with so many bytes after its position, and a triangle as they lie in a PLY file."""
+    """The dtypes of a PLY file's vertex, with `extra_bytes` bytes after its position, and of its triangle."""
     vertex = np.dtype([("xyz", "<f4", 3), ("rest", "u1", extra_bytes)])
     return vertex, np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 

@@ -139,7 +139,7 @@ def _ascending(stamps_s: Float64) -> Float64:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
-    """A point (x, y, 1) / over_z at mid-readout, in the axes of the camera `since_s` later, times over_z."""
+    """Map (x, y, 1) / over_z at mid-readout to the camera's axes `since_s` later; return it times over_z."""
     half_s = 0.5 * since_s
     ax = since_s * (motion[0] + half_s * motion[6])
     ay = since_s * (motion[1] + half_s * motion[7])

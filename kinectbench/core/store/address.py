@@ -48,7 +48,7 @@ def other_scheme(path: str | Path) -> str | None:
 
 
 def unusable(text: str) -> str | None:
-    """What is wrong with a URL as the user typed it; None if it is valid or the text is no URL.
+    """Why a URL that the user typed is invalid; None if it is valid or the text is no URL.
 
     Call this before the text becomes a Path, which merges slashes, so that `s3:///x` would name the bucket x.
     """

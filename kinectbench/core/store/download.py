@@ -214,7 +214,7 @@ class _Download:
                     since, then = time.monotonic(), at
 
     def _taken(self, part: Path, size: int) -> Content:
-        """Move a download to its place if its content is as expected; else delete it.
+        """Move a complete download to its final path if its content is as expected; else delete it.
 
         Raises:
             _RefusedError: the content is not as expected.

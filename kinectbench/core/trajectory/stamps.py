@@ -114,7 +114,7 @@ def format_stamp(stamp_ns: int) -> str:
 
 
 def first_by_stamp(stamps_ns: Sequence[int], where: str, what: str) -> tuple[list[int], list[str]]:
-    """Sort stamps and drop repeated ones.
+    """Sort stamps and drop repeated stamps.
 
     Args:
         stamps_ns: nanoseconds, in any order.

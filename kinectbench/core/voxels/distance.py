@@ -80,7 +80,7 @@ def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _looked_up(squared, roots_m):  # type: ignore[no-untyped-def]
-    """Look up squared distances, in voxels, in a table of metres; all larger ones give its last entry."""
+    """Look up squared distances, in voxels, in a table of metres; distances beyond it get its last entry."""
     distance_m = np.empty(squared.shape, np.float32)
     flat, into = squared.reshape(-1), distance_m.reshape(-1)
     last = len(roots_m) - 1

@@ -34,22 +34,23 @@ LEAST_ASKED_SHARE = 5e-5
 def seen_closely(
     space: Space, wide: Space, to_camera: Float64, spacing_rad: float, already: NDArray[np.uint8]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Find the voxels seen along narrow lines, and, behind gaps, along wide ones of further directions.
+    """Find voxels seen along narrow lines, and voxels behind gaps seen along wide lines of more directions.
 
-    Deep behind a gap a voxel is seen along few directions, and its neighbour perhaps along none of those
-    given, but along one between them. So those of a finer lattice near the directions that see such voxels
-    are tried, too. The further lines are wide: noise leaves narrow holes in a measured surface, and some
-    line passes each.
+    Deep behind a gap, a voxel is seen along few directions. Its neighbour may be seen along none of
+    `to_camera`, but along a direction between them. So directions of a finer lattice are added, near those
+    that see such voxels. Their lines are wide, because noise leaves holes in a measured surface that narrow
+    lines pass.
 
     Args:
         space: the voxels for narrow lines.
         wide: the same for wide lines.
         to_camera: (n, 3) unit vectors, from a point to a camera; all level or up, or all down.
         spacing_rad: angle between neighbours among them, radians.
-        already: (nx, ny, nz), other than 0: seen before, not searched for.
+        already: (nx, ny, nz), not 0 where a voxel was seen before; these are not searched for.
 
     Returns:
-        What `to_camera` see in `space`, as `seen_along` has it, and what further directions see in `wide`.
+        The voxels of `space` seen along `to_camera`, and those of `wide` seen along the added directions,
+        both as from `seen_along`.
     """
     marks = ways_along(space, to_camera)
     seen = marks & np.uint8(SEEN)
@@ -86,7 +87,7 @@ def _rarely_seen_beside_unseen(marks, seen, state):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _some_see(state, cells, ways, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Return for each of `ways` (n, 3) whether a camera sees one of the cells (flat indices) along it."""
+    """Return for each direction in `ways` (n, 3) whether a camera sees one of the cells (flat indices)."""
     _, ny, nz = state.shape
     seeing = np.zeros(len(ways), np.bool_)
     for n in range(len(ways)):
@@ -99,7 +100,7 @@ def _some_see(state, cells, ways, heights_m, voxel_m, near_m, least_m):  # type:
 
 
 def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
-    """Find further visible voxels along more directions, only from the edge of the visible region on.
+    """Find more visible voxels along additional directions, outwards from the edge of the visible region.
 
     Few directions pass a narrow gap. If a voxel is seen, so are all points between it and the camera; newly
     seen voxels are therefore next to seen ones.

@@ -82,15 +82,15 @@ def directions(count: int) -> Float64:
 
 
 def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
-    """Do as `ways_along`, without the number of directions: FROM_ABOVE, FROM_BELOW, both, or 0."""
+    """Return the marks of `ways_along` without the number of directions: FROM_ABOVE, FROM_BELOW, both, 0."""
     return ways_along(space, to_camera) & np.uint8(SEEN)
 
 
 def ways_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
     """Find the voxels that cameras see along some directions, from a PLACE or from outside the grid.
 
-    Outside the grid nothing blocks a line, and a camera can be anywhere from `least_height_m` on. Lines are
-    followed slice by slice along the axis of their largest component.
+    Outside the grid nothing blocks a line, and a camera can be anywhere at or above `least_height_m`. Lines
+    are followed slice by slice along the axis of their largest component.
 
     Args:
         space: the voxels.
@@ -160,7 +160,7 @@ class _Turned:
     ways: NDArray[np.int64]
 
     def ways_along(self, to_camera: Float64) -> NDArray[np.uint8]:
-        """Do as `ways_along` for directions (n, 3) among `ways`; the result has the axes of `state`."""
+        """Return the marks of `ways_along` for directions (n, 3) among `ways`, in the axes of `state`."""
         seen = np.zeros(self.state.shape, np.uint8)
         flat, up_axis = (self.state.reshape(-1), seen.reshape(-1), seen.shape), self.order.index(2)
         n0, n1, n2 = self.state.shape

@@ -137,7 +137,7 @@ def opened(mask: Bools, size: Sequence[int]) -> Bools:
 
 
 def broad(mask: Bools, cells: int) -> Bools:
-    """Return the parts of a mask at least `cells` thick: its opening by a cube, and corners cut off by it.
+    """Return the parts of a mask at least `cells` thick: its opening by a cube, with the corners restored.
 
     Args:
         mask: bool, of any shape.

@@ -1,4 +1,4 @@
-"""Read an untrusted npy stream: nothing that it claims is believed or allocated before it is checked.
+"""Read an untrusted npy stream: its header is checked before memory is allocated.
 
 Written against NumPy's format page (NEP 1). NumPy's own reader would accept object arrays, structured types
 and any shape, allocates what a header claims, and raises half a dozen kinds of error.

@@ -200,7 +200,7 @@ _MADE_BY, _ATTRIBUTES = struct.pack("<H", 3 << 8 | 20), struct.pack("<3HI", 0, 0
 
 
 def packed_npz_bytes(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
-    """Do as `npz_bytes`, for packed grids: deflate looks for runs of equal bytes only (zlib's Z_RLE).
+    """Serialise packed grids as `npz_bytes` does, faster: deflate codes only runs of equal bytes (Z_RLE).
 
     On packed solids it takes two thirds of the time of deflate's level 3 for the same size. The layout is of
     PKWARE's APPNOTE, sections 4.3.7 (local header), 4.3.12 (directory) and 4.3.16 (its end).

@@ -1,4 +1,4 @@
-"""What frames measured at the voxels of a grid, and how far to trust it."""
+"""Measurements of frames at the voxels of a grid, and how far to trust them."""
 
 from dataclasses import dataclass
 
@@ -30,7 +30,7 @@ HALF_DIAGONAL, FADING_VOXELS, HIDDEN_SHARE = 0.87, 0.5, 0.001
 
 @dataclass(frozen=True)
 class Observation:
-    """What frames measured at every voxel of a dense grid; arrays have the grid's shape.
+    """Measurements of frames at every voxel of a dense grid; arrays have the grid's shape.
 
     Attributes:
         grid: the voxels.
@@ -70,7 +70,7 @@ def _sum(first: NDArray[np.uint16], second: NDArray[np.uint16]) -> NDArray[np.ui
 
 
 def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float32:
-    """Return weights without the factor by which fusion lowers them behind a surface, 1/mm^2.
+    """Return the weights before fusion lowered them behind surfaces, 1/mm^2.
 
     Args:
         tsdf: fused signed distances, metres.
@@ -81,7 +81,7 @@ def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float
 
 
 def _heard_share(tsdf: Float32, voxel_size_m: float) -> Float32:
-    """Return the factor, at most 1, by which fusion lowers a weight at these distances (behind: < 0)."""
+    """Return the factor, at most 1, of fusion on a weight at these distances (< 0: behind the surface)."""
     behind_voxels = -tsdf / np.float32(voxel_size_m) - np.float32(HALF_DIAGONAL)
     faded = np.float32(1) - np.maximum(behind_voxels, np.float32(0)) / np.float32(FADING_VOXELS)
     return np.asarray(np.maximum(faded, np.float32(HIDDEN_SHARE)), np.float32)
@@ -119,7 +119,7 @@ def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: f
 
 
 def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:
-    """Return how far to trust `Observation.free`, 0 to 1: less, the more voxels wide the rays are."""
+    """Return the trust in `Observation.free`, 0 to 1; it falls with the rays' width in voxels."""
     return float(np.interp(ray_width_m / voxel_size_m, RAY_WIDTHS_VOXELS, TRUST_IN_VOTES))
 
 

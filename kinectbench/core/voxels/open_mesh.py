@@ -69,7 +69,7 @@ def _mark_edges(fixed, faces, axes, shape, packed):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
-    """Find in each row of cells along w those with their centre between two crossings of the mesh.
+    """Find in each row of cells along w the cells with their centre between two crossings of the mesh.
 
     Arguments as in `crossings`.
 

@@ -299,7 +299,7 @@ def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
 
 
 def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
-    """Return what is wrong with a pair file's format version, in words; None if nothing is."""
+    """Return the fault of a pair file's format version, in words; None without a fault."""
     version = values.get(VERSION_KEY, np.asarray(0))
     if version.shape != () or version.dtype.kind not in "iu" or version.item() != FORMAT_VERSION:
         return f"written in another format version; this package reads {FORMAT_VERSION}"
@@ -307,7 +307,7 @@ def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
 
 
 def _fault_in(values: Mapping[str, NDArray[np.generic]], names: Collection[str]) -> str | None:
-    """Return what is wrong with the first bad array among `names`, in words; None if all are right."""
+    """Return the fault of the first bad array among `names`, in words; None if all are right."""
     for name, shape in PACKED_SHAPES.items():
         if name in names and (values[name].shape != shape or values[name].dtype != np.uint8):
             return f"'{name}' is {values[name].dtype}{values[name].shape}, not uint8{shape}"

@@ -14,7 +14,7 @@ UNSEEN, OUTSIDE, INSIDE, NEUTRAL = range(4)
 
 @dataclass(frozen=True)
 class RayHits:
-    """Counts of what rays in 26 directions from each UNSEEN voxel hit first; uint8, 0 at other voxels.
+    """Counts of the first hits of rays in 26 directions from each UNSEEN voxel; uint8, 0 at other voxels.
 
     Attributes:
         inside: number of rays that hit INSIDE.
@@ -96,7 +96,7 @@ def _count_hits(own, hits, code, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _walk_column(own, hits, dz):  # type: ignore[no-untyped-def]
-    """Set in `hits` what each voxel of a column hits first upwards (dz = 1) or downwards (dz = -1)."""
+    """Write into `hits` the first hit of each voxel of a column upwards (dz = 1) or downwards (dz = -1)."""
     n = len(own)
     for c in range(1, n - 1):
         k = n - 1 - c if dz > 0 else c

@@ -1,10 +1,8 @@
 """Air is the space around an object that some camera could see; the rest is the object.
 
-    Air is what some camera could see: a point is air if a straight line of the sensor's width reaches it,
-    without crossing the object, from a place that a camera can be brought to.
-
-No ray can distinguish a hollow shell that stands on its rim from a solid dome. Where no camera could see,
-space is object by this definition, in recordings, simulations and CAD models.
+A point is air if a straight line of the sensor's width reaches it, without crossing the object, from a
+possible camera position. No ray can distinguish a hollow shell that stands on its rim from a solid dome.
+Where no camera could see, space is object by this definition, in recordings, simulations and CAD models.
 """
 
 from dataclasses import dataclass, replace
@@ -55,23 +53,20 @@ def seen_from_outside(
 ) -> NDArray[np.uint8]:
     """Find the voxels that a camera outside an obstacle could see, and whether from above or from below.
 
-    A line of sight has a width: its axis keeps half of it from the obstacle and from the plane, and the space
-    that axes reach is then dilated by half, but not into the obstacle. A camera can be where a ball of its
-    size can be moved to from outside the grid.
+    Axes of lines of sight keep half a width from the obstacle and the plane; the space that they reach is
+    dilated by that, not into the obstacle. Cameras can be where balls of their size reach from outside.
 
     Args:
         obstacle: bool (nx, ny, nz), what lines and cameras do not cross; its last axis points up.
-        heights_m: (nz,) float32, heights of the layers' middles above the plane that the obstacle stands on,
-            metres; None: no plane.
+        heights_m: (nz,) float32, heights of the layers' middles above the obstacle's plane, metres; or None.
         voxel_size_m: edge of a voxel, metres.
         limits: width of lines of sight, and size, least height and least distance of cameras.
         seen: the result for wider lines, if known: narrower lines reach those voxels, too.
 
-    The result is exact to a voxel: a gap up to one voxel wider than a line may count as closed.
-
     Returns:
         uint8 of the same shape: FROM_ABOVE (by a camera as high or higher), FROM_BELOW, both, or 0 if not
-        seen; 0 in the obstacle. A voxel seen FROM_ABOVE may lack the bit FROM_BELOW.
+        seen; 0 in the obstacle. A voxel seen FROM_ABOVE may lack the bit FROM_BELOW. The result is exact to
+        a voxel: a gap up to one voxel wider than a line may count as closed.
     """
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     if seen is None:
@@ -115,7 +110,7 @@ def swept_from_outside(
     count: int,
     closer: SensorLimits | None = None,
 ) -> Sight:
-    """Do as `seen_from_outside`, but only along some directions: fast, but may miss narrow gaps.
+    """Find visible voxels as `seen_from_outside` does, along some directions only: fast, but may miss gaps.
 
     Args:
         obstacle: bool (nx, ny, nz), as for `seen_from_outside`.
@@ -232,8 +227,8 @@ def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
 def _open_below(state, ways):  # type: ignore[no-untyped-def]
     """Return a mask of voxels that are open below.
 
-    Such a voxel has at or straight below it, with no BLOCKED voxel between, one with at least `OPEN_WAYS` in
-    `ways`, which is the result of `_level_ways_out`.
+    A voxel is open below if it, or a voxel straight below it with no BLOCKED voxel between, has at least
+    `OPEN_WAYS` in `ways`, the result of `_level_ways_out`.
     """
     nx, ny, nz = state.shape
     below = np.zeros(state.shape, np.bool_)

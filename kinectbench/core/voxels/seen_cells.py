@@ -57,7 +57,7 @@ def _pixels(exact: Float64, count: int) -> NDArray[np.uint32]:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
-    """Return for each pixel how many layers of cells along z it sees, from the first layer on.
+    """Return for each pixel the number of layers of cells along z that it sees, from the first layer on.
 
     `z` has the layers' middles; `depth`, `sigma`, `voxel` and `z` are in metres. An extra row and column of 0
     stand for pixels outside the image.

@@ -163,7 +163,7 @@ def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]
 
 @numba.njit(cache=True, nogil=True)
 def _crossable(vertices, faces, shape):  # type: ignore[no-untyped-def]
-    """Return how many pairs of a face and a line may cross, and at most how many faces one line."""
+    """Return upper bounds of the crossings of faces and lines, and of the faces that cross one line."""
     nu, nv = shape
     # How many more rectangles cover a column than the one before, along both sides.
     steps = np.zeros((nu + 3, nv + 3), np.int64)

@@ -65,7 +65,7 @@ def trajectory_figures(
     stamps_ns: NDArray[np.int64],
     given: GivenTrajectory | None = None,
 ) -> TrajectoryFigures:
-    """Compare the built poses with the true ones, and list the frames that were lost, rejected or foreign.
+    """Compare the built poses with the true poses; list the frames that were lost, rejected or foreign.
 
     ATE aligns the positions by least squares, independently of `registration`.
 

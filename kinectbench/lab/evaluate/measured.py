@@ -48,7 +48,7 @@ class MeasuredSurface:
 
     @property
     def surface(self) -> SurfaceTruth:
-        """The samples as a `SurfaceTruth` in which exactly the measured ones count as seen."""
+        """The samples as a `SurfaceTruth` in which exactly the measured samples are marked as seen."""
         return SurfaceTruth(self.points_world, self.normals_world, self.measured.astype(np.uint16))
 
 
@@ -81,7 +81,7 @@ def measured_surface(build: Build, truth: Truth, registration: BuildRegistration
 
 
 def _spread(frames: Int64) -> Int64:
-    """Reorder frames (n,) so that any first few of them are spread evenly over the recording."""
+    """Reorder frames (n,) so that the first k, for any k, are spread evenly over the recording."""
     return frames[np.argsort((np.arange(len(frames)) * GOLDEN) % 1)]
 
 
@@ -116,8 +116,8 @@ def returned(
 class FaceBias:
     """Mean signed distance of the built surface from measured true surface, metres, by face direction.
 
-    Positive means that the built surface is too far out. A value is None if it has fewer than 50 samples
-    (8 cm^2), which are measured, away from sharp edges and within 15 mm of the built surface.
+    Positive means that the built surface is too far out. The samples are measured, away from sharp edges and
+    within 15 mm of the built surface. A value of fewer than 50 samples (8 cm^2) is None.
 
     Attributes:
         up: on faces that look up: the normal's z in the object's frame is over 0.7.

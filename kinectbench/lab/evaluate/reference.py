@@ -118,7 +118,7 @@ def _named_mesh(path: Path) -> str:
 
 
 def _truths(folder: Path) -> Iterator[str]:
-    """Yield the SHA-256 of the built mesh file, and of the reference that quality.json says it came from."""
+    """Yield the SHA-256 of the built mesh file, and of the reference mesh that quality.json names."""
     yield sha256_file(folder / MESH)
     if (truth := QualityFile.read(folder).truth) is not None:
         yield truth.sha256

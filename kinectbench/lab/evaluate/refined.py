@@ -98,7 +98,7 @@ def refined_figures(
 
 
 def measured_distance_m(mesh_world: TriangleMesh, surface: MeasuredSurface) -> float | None:
-    """Return the mean distance to a mesh over the measured samples within 15 mm of it; None without any."""
+    """Return the mean distance to a mesh of the measured samples within 15 mm; None without such samples."""
     distance_m = ReferenceSurface(mesh_world).distance_m(surface.points_world[surface.measured])
     near = distance_m <= REACH_M
     return float(distance_m[near].mean()) if near.any() else None

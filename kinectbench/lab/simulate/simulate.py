@@ -351,7 +351,7 @@ class _Recorder:
             self._progress(index + 1, len(simulation.frames))
 
     def truth(self) -> Truth:
-        """Return the truth, with which samples were seen in the frames rendered so far."""
+        """Return the truth, with the samples that were seen in the frames rendered until now."""
         simulation = self._simulation
         spec, R_world_room = simulation.spec, simulation.T_world_room[:3, :3]
         points, normals = self._samples

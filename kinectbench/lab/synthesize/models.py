@@ -1,4 +1,4 @@
-"""Settings of `synthesize`; find the models, draw those to use, and assign them to splits."""
+"""Settings of `synthesize`; find the models, draw some of them, and assign these to splits."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -118,7 +118,7 @@ def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
 
 
 def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model, ...], tuple[LeftOut, ...]]:
-    """Return the models in a folder, sorted, and those left out, by their names or for want of a mesh file.
+    """Return the models in a folder, sorted, and the models left out for their name or a missing mesh file.
 
     Layouts: `<synset>/<model>/models/model_normalized.obj` (ShapeNet v2), `<synset>/<model>/model.obj` (v1),
     `<category>/<name>.obj` (or .ply, .stl, .off, .glb). In each, the first folder may be a synset or a
@@ -156,7 +156,7 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
 
 
 def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
-    """Yield the models in one category's folder, and those left out for their name or a missing mesh file."""
+    """Yield the models in one category's folder, and models left out for their name or a missing mesh."""
     if problem := category_problem(category):
         yield LeftOut(folder.name, f"a category's name: {problem}")
         return

@@ -61,7 +61,7 @@ FEW = 40
 
 
 class SynthesisFile(Stored):
-    """What is read of synthesis.json before an earlier result is replaced."""
+    """The keys of synthesis.json that are read before an earlier result is replaced."""
 
     FILE: ClassVar[str] = SYNTHESIS_JSON
     ERROR: ClassVar[type[KinectBenchError]] = SettingsError

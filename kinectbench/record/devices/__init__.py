@@ -21,7 +21,7 @@ DEVICES: dict[str, str] = {
 
 
 class ListedDevice(NamedTuple):
-    """What is known about a device without opening it.
+    """The facts about a device that are known without opening it.
 
     Attributes:
         name: the device's name for `--device`.
@@ -50,7 +50,7 @@ def device_of(name: str) -> Device:
 
 
 def listed_devices() -> Iterator[ListedDevice]:
-    """Yield what is known about each device: the cameras that are plugged in, or what is not installed."""
+    """Yield an entry for each device: its plugged-in cameras, or the packages that are not installed."""
     for name in DEVICES:
         device = device_of(name)
         absent, found = missing_extra(device.extra) or "", tuple[str, ...]()

@@ -1,1 +1,1 @@
-"""The guide: shows the person who records, on a web page, what is still unseen."""
+"""The guide: a web page that shows the person who records which parts are still unseen."""

@@ -1,4 +1,4 @@
-"""The guide: tracks each frame, reconstructs what was seen of the object, and chooses the advice."""
+"""The guide: tracks each frame, reconstructs the seen part of the object, and chooses the advice."""
 
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -48,7 +48,7 @@ PATH_POINTS = 400
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What the page shows after a frame.
+    """The state that the page shows after a frame.
 
     Attributes:
         number: the frame's number in the recording.
@@ -99,7 +99,7 @@ class Guide:
         self._shift_mps = self._turn_radps = 0.0
 
     def take(self, number: int, frame: Frame) -> Snapshot:
-        """Track a frame, and return what the page shows after it."""
+        """Track a frame, and return the state that the page shows after it."""
         self._look_again(frame.stamp_ns / NS_PER_S)
         T_world_camera = self.tracker.take(frame)
         T_floor_camera: Float64 | None = None
@@ -160,7 +160,7 @@ class Guide:
         }
 
     def close(self) -> None:
-        """Wait until the last `look` has ended."""
+        """Wait until the last call of `look` has ended."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
@@ -194,7 +194,7 @@ class Guide:
         self._count(self.seen.T_floor_world @ self.tracker.poses()[1])
 
     def _count(self, T_floor_camera: Float64) -> None:
-        """Count in the ring those of the poses (n, 4, 4), camera to floor frame, that look at the object."""
+        """Add to the ring the directions of the poses (n, 4, 4), camera to floor, that face the object."""
         assert self.seen is not None
         center = np.array(self.seen.box.center_m)
         ways = center - T_floor_camera[:, :3, 3]
@@ -244,7 +244,7 @@ class Guide:
 
 
 def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph, ObjectLook | None]:
-    """Build the keyframe graph and `look` with it; return the graph, and the result or None if it fails."""
+    """Build the keyframe graph and reconstruct with it; return the graph, and the result or None."""
     graph = known.graph()
     T_world_camera = None if picked is None else known.placed(graph, picked[0])
     at = None if picked is None or T_world_camera is None else transform_points(T_world_camera, picked[1])

@@ -1,4 +1,4 @@
-"""Reconstruct coarsely what was seen of the object so far, from the guide's keyframes.
+"""Reconstruct coarsely, from the guide's keyframes, the part of the object that was seen until now.
 
 It uses the functions of a build: `fuse`, `find_floor_and_object`, `classify_voxels`, `make_solid` and
 `find_frontiers`. Here they get fewer and smaller frames, and larger voxels.
@@ -43,7 +43,7 @@ FUSION, CUTS = FusionSettings(scene_voxel_size_m=0.015), FloorCuts()
 
 @dataclass(frozen=True)
 class ObjectLook:
-    """What was seen of the object so far.
+    """A coarse reconstruction of the object from the keyframes until now.
 
     Attributes:
         T_floor_world: (4, 4), world to frame `floor`: z up, floor at z = 0.
@@ -60,7 +60,7 @@ class ObjectLook:
     floor_cut_m: float
 
     def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
-        """Return this look in a new world; `T_world_before` (4, 4) is old to new world; None gives None."""
+        """Return this reconstruction in a new world; `T_world_before` (4, 4): old to new; None gives None."""
         if T_world_before is None:
             return None
         return replace(self, T_floor_world=on_so3(self.T_floor_world @ invert_rigid(T_world_before)))
@@ -80,7 +80,7 @@ class _Depths:
 
 
 def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = None) -> ObjectLook:
-    """Reconstruct the object from the keyframes, and find the openings that they did not look into.
+    """Reconstruct the object from the keyframes, and find the openings that no keyframe saw into.
 
     Args:
         maps: calibrated depth maps of the keyframes.

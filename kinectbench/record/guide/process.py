@@ -42,7 +42,7 @@ KEPT_FIGURES = 20_000
 
 
 class Said(NamedTuple):
-    """What the guide said after a frame.
+    """The guide's answer to a frame.
 
     Attributes:
         number: number of the frame.
@@ -162,7 +162,7 @@ class _Shown:
         self._picked: tuple[PickSettings, Frame] | None = None
 
     def take(self, number: int, frame: Frame, setup: Setup) -> Snapshot:
-        """Give a frame to the guide, and return what the page shows after it."""
+        """Give a frame to the guide, and return the state that the page shows after it."""
         if self._guide is None:
             self._guide = Guide(setup)
         self._last = self._guide.take(number, frame)
@@ -172,7 +172,7 @@ class _Shown:
         return self._last
 
     def state(self, query: str) -> tuple[str, bytes] | None:
-        """Return what the page shows after the last frame: JSON, no mesh or picture; None without frames."""
+        """Return the state that the page shows: JSON, no mesh or picture; None without frames."""
         last, guide, picture = self._last, self._guide, self._picture
         if last is None or guide is None or picture is None:
             return None

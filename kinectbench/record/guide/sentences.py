@@ -1,4 +1,4 @@
-"""The guide's sentences: one at a time, chosen by a fixed rule from what was seen so far.
+"""The guide's sentences: one at a time, chosen by a fixed rule from the observations until now.
 
 The first condition that holds decides: the camera is lost; it moves too fast; the object is not known yet;
 the camera is too near, or too far away; a sector of the ring around the object is unseen from every height;
@@ -83,7 +83,7 @@ class Ring:
         self.frames: Int64 = np.zeros((SECTORS, len(HEIGHTS)), np.int64)
 
     def add(self, towards_rad: float, rise_rad: float) -> None:
-        """Count a frame from a direction: azimuth and elevation around the object, radians."""
+        """Add a frame seen from a direction: azimuth and elevation around the object, radians."""
         self.frames[sector_of(towards_rad), height_of(rise_rad)] += 1
 
     @property
@@ -94,7 +94,7 @@ class Ring:
 
 @dataclass(frozen=True)
 class Situation:
-    """Where the camera is, and what was seen; lengths in metres, floor frame.
+    """The camera's state and the observations until now; lengths in metres, floor frame.
 
     Attributes:
         lost: whether the camera has no pose.
@@ -231,7 +231,7 @@ def _rise_rad(each: Frontier, fits_m: float) -> float | None:
 
 
 def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> bool:
-    """Return whether two or more keyframes lie about where to look into an opening, elevation `rise_rad`."""
+    """Return whether two or more keyframes lie near the viewpoint into an opening (`rise_rad` up)."""
     if not len(positions):
         return False
     towards_rad, at_rad = directions_of(positions, np.array(each.center_m))

@@ -63,7 +63,7 @@ class KeyframesSoFar(NamedTuple):
     odometry: Odometry
 
     def placed(self, graph: KeyframeGraph, index: int) -> Float64 | None:
-        """Return a frame's pose (4, 4) in the graph's world, by that of its keyframe; None if it has none."""
+        """Return a frame's pose (4, 4) in the graph's world, by its keyframe's pose; None if unknown."""
         frame = self.odometry.frames[index]
         if frame is None:
             return None

@@ -69,7 +69,7 @@ CARD_BYTES = 1 << 10
 
 @dataclass(frozen=True)
 class Stated:
-    """Facts from three files of a release, with which its other files must agree.
+    """Facts from three files of a release, for comparison with its other files.
 
     Attributes:
         targets: the lines of targets.csv.
@@ -168,7 +168,7 @@ def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
 
 
 def _limits(metadata: ReleaseInfo) -> dict[str, int]:
-    """Return {file: most bytes that are read of it} for CITATION.cff, LICENSE and README.md."""
+    """Return {file: maximum number of bytes to read} for CITATION.cff, LICENSE and README.md."""
     license_words = license_text(metadata.name, metadata.license, metadata.recordings)
     of_license = CITATION_BYTES + len(license_words.encode("utf-8", "replace"))
     of_card = of_license + CARD_BYTES * len(metadata.recordings)
@@ -248,7 +248,7 @@ def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
-    """Yield a message, `subject` with the line in place of {}, for each line of `wanted` not in `text`."""
+    """Yield a message for each line of `wanted` not in `text`: `subject`, with {} replaced by the line."""
     rows = dict.fromkeys(wanted.splitlines())
     present = {line for _, line in _lines(text) if line in rows}
     for row in rows:

@@ -1,4 +1,4 @@
-"""Check what a release states twice: benchmark.json, quality.json, views.json, lineage.json and floors.
+"""Check facts that a release states twice: benchmark.json, quality.json, views.json, lineage.json, floors.
 
 Early releases, without `benchmark_sha256_version` in benchmark.json, are not checked: their words differ.
 """
@@ -177,7 +177,7 @@ def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _given(value: object) -> object:
-    """Return a setting without keys that are null, the default of newer keys that lineage.json may lack."""
+    """Return a setting without its null keys: lineage.json may lack newer keys, whose default is null."""
     return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value
 
 

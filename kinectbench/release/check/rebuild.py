@@ -48,7 +48,7 @@ class LocalRecording:
 
 @dataclass(frozen=True)
 class RebuildPlan:
-    """What to rebuild and compare.
+    """The plan of a rebuild and of its comparison with the release.
 
     Attributes:
         settings: the release's settings for the recordings to rebuild, with this machine's paths.
@@ -303,7 +303,7 @@ def _unreadable(made: Path, error: OSError) -> str:
 
 
 def _key_difference(key: str, old: FileArray | None, new: FileArray | None) -> str | None:
-    """Return a few words on how a key's published and rebuilt values differ, or None if they are equal."""
+    """Return a short text on how a key's published and rebuilt values differ; None if they are equal."""
     if old is None or new is None:
         return f"{key} only in {'the release' if new is None else 'the new one'}"
     # Texts of different lengths have different dtypes.

@@ -249,7 +249,7 @@ class TruthCheck:
     _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
 
     def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
-        """Return messages on a pair's truth; for a recording's first pair, also those on its object."""
+        """Return messages on a pair's truth; for a recording's first pair, also messages on its object."""
         lines = list[str]()
         self.visible_shares.setdefault(recording, []).append(pair.visible_share)
         if self._last[0] != recording:

@@ -127,7 +127,7 @@ def verify_checksums(url: str, folder: Path, progress: Progress = no_progress) -
 
 
 def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
-    """Return a message for each check that `verify` had to skip on a faultless release; arguments as there.
+    """Return a message for each check that `verify` skipped on a faultless release; arguments as in `verify`.
 
     Raises:
         ReleaseError: benchmark.json or SHA256SUMS cannot be read.
@@ -197,7 +197,7 @@ def _object_lines(
 
 @dataclass
 class _OfPair:
-    """What targets.csv and views.json state about a pair.
+    """The facts about a pair in targets.csv and views.json.
 
     Attributes:
         unknown_shares: {file: unknown share of the true shape}, for the files that state it.
@@ -211,7 +211,7 @@ class _OfPair:
 def _stated(
     contents: Contents, metadata: ReleaseInfo | None, targets: Sequence[Target]
 ) -> dict[str, _OfPair]:
-    """Return {pair file: what targets.csv and views.json state about the pair}."""
+    """Return {pair file: the facts about the pair in targets.csv and views.json}."""
     stated = {target.file: _OfPair() for target in targets}
     for target in targets:
         if target.unknown_share is not None:

@@ -48,7 +48,7 @@ def image_names(pair_name: str) -> tuple[str, str]:
 
 @dataclass(frozen=True)
 class StatedView:
-    """What views.json states about a view.
+    """The facts about a view in views.json.
 
     Attributes:
         row: the view's row in views.json; None if it has none.
@@ -124,7 +124,7 @@ def _size(image: NDArray[np.generic]) -> str:
 def _partial_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], mask: Bools, corner: NDArray[np.float64]
 ) -> Iterator[str]:
-    """Yield a message if `partial_256` has cells without masked depth, or masked depth lies in none of them.
+    """Yield a message if `partial_256` has cells without masked depth, or misses cells of masked depth.
 
     `corner` is the grid's corner, (3,) in the camera frame, metres.
     """
@@ -195,7 +195,7 @@ def _cell(exact):  # type: ignore[no-untyped-def]
 def _seen_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], camera: Camera, *, has_too_far: bool
 ) -> Iterator[str]:
-    """Yield a message if no depths that round to the published ones give this `seen`, with tolerance."""
+    """Yield a message if `seen` fits no depths that round to the published ones, within a tolerance."""
     depth_m = depth.astype(np.float32) / np.float32(MM_PER_M)
     measured = depth_m > 0
 
@@ -211,7 +211,7 @@ def _seen_problems(
 
 
 def _cube_problems(pair: Pair | PairInput, object_mm: NDArray[np.uint16], camera: Camera) -> Iterator[str]:
-    """Yield a message if the pair's cube is not that of `view_cube` for the object's depth `object_mm`."""
+    """Yield a message if the pair's cube differs from `view_cube` for the object's depth `object_mm`."""
     v, u = np.nonzero(object_mm)
     if not len(v):
         return  # all cells of the partial are reported

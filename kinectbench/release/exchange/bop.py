@@ -136,8 +136,8 @@ def _write_scene(
 ) -> Camera:
     """Write one scene: depth, masks, its JSON files, and colour if it is registered to the depth.
 
-    The name of a view is the number of its image. Without `model`, whose truth is held back, there is no
-    ground truth. `before` counts the views of earlier scenes. The last view's camera is returned.
+    The name of a view is the number of its image. If `model` is None, because the truth is held back, no
+    ground truth is written. `before` counts the views of earlier scenes. The last view's camera is returned.
     """
     renderer = None if model is None else DepthRenderer(model.mesh)
     colored = color_registered(release, targets[0].recording)

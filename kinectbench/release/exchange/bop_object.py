@@ -188,7 +188,7 @@ def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) ->
 
 
 def _margins(pixels: Float64, size: int) -> tuple[int, int]:
-    """Return how many pixels must be added before and after one image axis of `size`, each at most `size`."""
+    """Return the numbers of pixels to add before and after an image axis of `size`, each at most `size`."""
     before, after = np.ceil([-pixels.min(), pixels.max() - (size - 1)])
     return int(np.clip(before, 0, size)), int(np.clip(after, 0, size))
 

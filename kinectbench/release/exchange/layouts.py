@@ -45,7 +45,7 @@ SPLIT_NAMES = {"train": "train", "validation": "val", "test": "test"}
 
 
 class ExportFile(Stored):
-    """What is read of export.json before an earlier export is replaced."""
+    """The keys of export.json that are read before an earlier export is replaced."""
 
     FILE: ClassVar[str] = EXPORT_JSON
     ERROR: ClassVar[type[KinectBenchError]] = PairError
@@ -57,7 +57,7 @@ class ExportFile(Stored):
 def names_sha256(folder: Path, but: str = EXPORT_JSON) -> str:
     """Return the SHA-256 over the names of a folder's files, sorted, a line each.
 
-    The file `but` is left out, and what file managers, locks and unfinished downloads leave.
+    The file `but`, locks, unfinished downloads and the files of file managers are left out.
     """
     files = (path for path in release_files(folder) if not is_ignored(path.name))
     names = {path.relative_to(folder).as_posix() for path in files}

@@ -159,7 +159,7 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
 
 
 def _chosen(kept: FileArray, count: int, path: Path) -> Bools:
-    """Return (count,) bool, the mesh vertices of the object; `kept` is such a mask or a list of indices."""
+    """Return a mask (count,) of the mesh's vertices on the object; `kept` is a mask or a list of indices."""
     if kept.dtype == bool and kept.shape == (count,):
         return kept
     is_list = kept.ndim == 1 and kept.dtype.kind in "iu" and len(kept) > 0

@@ -229,7 +229,7 @@ def write_color(view: RgbdView, folder: Path, name: str = "rgb.png") -> None:
 
 
 def _color_lines(without: Sequence[str], count: int) -> list[str]:
-    """Return a line on the views `without` colour, of `count` views; an empty list if all have it."""
+    """Return a line with the number of views `without` colour, of `count` views; [] if all have colour."""
     if not without:
         return []
     return [

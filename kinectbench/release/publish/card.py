@@ -264,7 +264,7 @@ def _category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
 
 
 def category_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: text} of one recording's known figures, those that `_category_table` summarises."""
+    """Return {label: text} of one recording's known figures, which `_category_table` summarises."""
     of = info.quality
     size = _ranges(np.array([of.box.size_m])) if of.box else ""
     rest = _words((info.visible_share, of.unknown_share, *(getattr(of, key) for key in ESTIMATES)))

@@ -87,7 +87,7 @@ class Gate:
 
     @property
     def flow(self) -> Flow:
-        """The number of recordings tried, and of those with each outcome."""
+        """The number of recordings tried, and the number with each outcome."""
         in_release = set(self.published) - set(self.left_out)
         return Flow(
             tried=len(in_release) + len(self.left_out) + self.not_built,
@@ -117,20 +117,20 @@ class Gate:
         return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
 
     def said(self, say: Callable[[str], str]) -> "Gate":
-        """Return a copy in which `say` rewrites each line of `failed` and `look`."""
+        """Return a copy in which the function `say` has rewritten each line of `failed` and `look`."""
         failed = {name: say(why) for name, why in self.failed.items()}
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)
 
     def with_pairs(self, made: Collection[str]) -> "Gate":
-        """Return a copy that leaves out all recordings but `made`, those that have a pair."""
+        """Return a copy without the recordings that have no pair; `made` has the others."""
         without = tuple(name for name in self.published if name not in made)
         poor = {name: lines for name, lines in self.poor.items() if name in made}
         look = {name: lines for name, lines in self.look.items() if name in made}
         return replace(self, without_pair=without, poor=poor, look=look)
 
     def first_reasons(self) -> str:
-        """Return in one line the first reasons why recordings are left out, and how many more there are."""
+        """Return in one line the first reasons why recordings are left out, and the number of others."""
         lines = [left_out_line(name, why) for name, why in self.left_out.items()]
         return first_lines(lines) + (ADVICE if self.refused else "")
 

@@ -1,4 +1,4 @@
-"""`publish --isolate`: one view of each object with held-back truth, and nothing else that reveals it.
+"""`publish --isolate`: one view of each object with held-back truth, without any data that reveal it.
 
 Several views of an object can be registered with each other, and so reveal its shape. So everything that
 depends on other views or on the camera's pose is left out, too: the floor, the pose, the background, the mask

@@ -28,7 +28,7 @@ MATRIX_DECIMALS, MM_DECIMALS = 12, 3
 
 
 def write_glbs(folder: Path, recordings: Iterable[str], scenes: Path | None = None) -> None:
-    """Write a GLB for each of the recordings that has a mesh.ply in the release; held-back ones have none.
+    """Write a GLB for each recording with a mesh.ply in the release; held-back recordings have none.
 
     Args:
         folder: the release's folder.
@@ -107,7 +107,8 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
     """Return {"mean", "max"} of the distances of the vertices of `of` from the surface of `to`, millimetres.
 
-    `MEASURED` to twice as many vertices are used, evenly spaced by index; all, if there are fewer.
+    Between `MEASURED` and 2 x `MEASURED` vertices are used, evenly spaced by index, or all if there are
+    fewer.
     """
     if of is to:
         return {"mean": 0.0, "max": 0.0}

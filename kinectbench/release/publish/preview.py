@@ -100,7 +100,7 @@ def write_preview(
 
 
 def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing:
-    """Return the list of all recordings; those shown with pictures on the page are links to them."""
+    """Return the list of all recordings, with links to the recordings that the page shows with pictures."""
     rows = [
         (
             name,

@@ -251,7 +251,7 @@ def _pairs(
     isolated: Isolated,
     removals: list[Removed],
 ) -> dict[str, Published]:
-    """Write the files of each recording that passed; return {id: published part} of those with a pair."""
+    """Write the files of each recording that passed; return {id: published part}, if it has a pair."""
     made = dict[str, Published]()
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))

@@ -1,4 +1,4 @@
-"""Estimate how well an attacker could rebuild a held-back truth from the public views of an object.
+"""Estimate the IoU that an attacker reaches who rebuilds a held-back truth from an object's public views.
 
 Anybody can register the views with each other. No registration finds better poses than the true ones, so a
 solid carved from the views at their true poses shows about what an attack can reach.
@@ -85,15 +85,15 @@ def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Flo
 
 
 def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> tuple[float, float]:
-    """Return how well one object can be rebuilt from its public views, by the best method of `solids`.
+    """Return the IoU of an object rebuilt from its public views, by the best method of `solids`.
 
     Args:
         views: {name: public view} of the object.
         pair_of: function that returns the complete pair of a view by its name.
 
     Returns:
-        IoU on known cells with the truth, means over the cubes of some views: of the solid rebuilt from all
-        views, and of that from one view, the one that the cube belongs to.
+        Two IoUs with the truth on known cells, each a mean over the cubes of some views: of the solid rebuilt
+        from all views, and of the solid rebuilt from the cube's own view alone.
     """
     pairs = {name: pair_of(name) for name in spread(sorted(views), CUBES)}
     every = [_ious(pair, list(views.values())) for pair in pairs.values()]

@@ -78,7 +78,7 @@ def _files(folder: Path) -> Mapping[str, SourceFile]:
 
 
 def _looked_for(files: Mapping[str, SourceFile]) -> list[str]:
-    """Return hashes to look for in other recordings: the smallest `LOOKED_FOR` among those of large files.
+    """Return the hashes to search for in other recordings: of the smallest `LOOKED_FOR` large files.
 
     Large means at least the mean size, so that the files are images or the bag.
     """

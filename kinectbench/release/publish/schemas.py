@@ -47,7 +47,7 @@ PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha25
 
 
 def write_schemas(folder: Path, columns: Sequence[str]) -> None:
-    """Write the schemas of all files that the release folder has so far, and that of benchmark.json.
+    """Write the schemas of all files in the release folder, and the schema of benchmark.json.
 
     Args:
         folder: the release's folder; benchmark.json is written later.

@@ -86,7 +86,7 @@ def _fetch_state(store: Store, root: Path) -> None:
 
 
 def _fetch_failures(store: Store, root: Path, names: Sequence[str]) -> None:
-    """Download the files that say why some recordings are not built."""
+    """Download each named recording's failed.json, which states why it is not built, if there is one."""
     for name, content in zip(
         names,
         in_parallel(partial(store.read_if_there, f"build/{name}/{Failed.FILE}") for name in names),

@@ -181,7 +181,7 @@ def _incomplete(quality: QualityFile) -> Iterator[str]:
 
 
 def _of_parts(folder: Path) -> Iterator[str]:
-    """Yield a reason to review the solid if another thing may be merged with the object."""
+    """Yield a reason to review the solid if another object may be merged with it."""
     if (share := part_that_stands_alone(folder)) is not None:
         yield (
             f"a part of it, {share:.0%} of the solid, stands alone, and the rest does without it: does "

@@ -50,7 +50,7 @@ class Shape:
 
     @classmethod
     def of(cls, measured_floor: Float64, surface_floor: Float64) -> Self:
-        """Make a shape from points (n, 3) in the floor frame; more than about `KEPT` of them are thinned."""
+        """Make a shape from points (n, 3) in the floor frame; more than about `KEPT` points are thinned."""
         middle = np.array([*surface_floor[:, :2].mean(axis=0), 0.0])
         few = (points[:: max(1, len(points) // KEPT)] - middle for points in (measured_floor, surface_floor))
         return cls(*few)
@@ -95,7 +95,7 @@ def shape_agreement(a: Shape, b: Shape) -> float:
 
 
 def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tuple[Float64, Float64]:
-    """Register points (n, 3) to those of a k-d tree by ICP, starting from the rotation R and no shift.
+    """Register points (n, 3) to the points of a k-d tree by ICP, starting from rotation R without shift.
 
     `near_m` is the distance, metres, at which points count as near each other. Return R (3, 3), a rotation
     about z, and t (3,), metres: R p + t of a point p lies near the tree's points.

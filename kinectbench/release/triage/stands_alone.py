@@ -1,4 +1,4 @@
-"""Find a part of a solid that could stand by itself, probably another thing merged with the object.
+"""Find a part of a solid that could stand by itself, probably another object merged with the object.
 
 If a box touches a chair, the depth shows no gap, and both are built as one solid. Such a box is thick, and
 wider than its joint with the chair. Box and chair both reach the floor.
@@ -50,7 +50,7 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the volume share of the smallest part that could stand alone, as could the other cells; or None.
+    """Return the volume share of the smallest part that could stand alone, like the other cells; or None.
 
     Args:
         solid: (nx, ny, nz) bool, z up, with at least one cell set.
@@ -83,7 +83,7 @@ def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
 
 
 def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
-    """Return whether a part stands on the floor, and both it and the other cells would stand alone.
+    """Return whether a part stands on the floor, and both it and the remaining cells would stand alone.
 
     Args:
         cells: (nx, ny, nz) mask of the solid, with an empty layer below.
@@ -115,7 +115,7 @@ def _tops(cells: Bools) -> NDArray[np.int64]:
 
 
 def _balances(cells: Bools, low: int) -> bool:
-    """Return whether the cells' centroid lies above the convex hull of those in the `low` lowest layers."""
+    """Return whether the cells' centroid lies above the convex hull of their `low` lowest layers."""
     feet = np.argwhere(cells[:, :, :low].any(axis=2)).astype(np.float64)
     try:
         hull = ConvexHull(feet)

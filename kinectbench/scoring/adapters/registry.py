@@ -123,7 +123,7 @@ def adapt(
 def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
-    """Convert one view's output; return its camera.json, or None if the method wrote nothing for the view."""
+    """Convert one view's output; return its camera.json, or None if the view has no output."""
     view_folder = output / target.recording / target.view
     try:
         path = find_output(view_folder, adapter.output)
@@ -162,7 +162,7 @@ def _placed(camera: ViewCamera, name: str) -> Float64:
 
 
 def _nothing(output: Path, adapter: Adapter, problems: list[str]) -> str:
-    """Return why nothing in the folder `output` can be converted: the first of `problems`, or no files."""
+    """Return why no file in the folder `output` can be converted: the first of `problems`, or no files."""
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return f"{output}: nothing there can be used: {problems[0]}{more}"

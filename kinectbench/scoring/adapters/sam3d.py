@@ -45,7 +45,7 @@ def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
 
 
 def read_sam3d(path: Path) -> CameraShape:
-    """Read mesh.glb and place the mesh by pose.npz; the result is in PyTorch3D's camera frame.
+    """Read mesh.glb and transform the mesh by pose.npz to PyTorch3D's camera frame.
 
     Raises:
         PredictionError: one of the two files is missing or damaged.

@@ -1,1 +1,1 @@
-"""Baselines: simple methods, beginning with trivial ones, to which other methods are compared."""
+"""Baselines: simple methods, some of them trivial, for comparison with other methods."""

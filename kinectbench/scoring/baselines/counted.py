@@ -1,4 +1,4 @@
-"""Score baselines in memory, pair by pair: the tables are those that their prediction files would get."""
+"""Score baselines in memory, pair by pair; the tables equal the tables of their prediction files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -170,8 +170,8 @@ def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
     """Return {baseline: its counts of one pair}.
 
-    Of a test pair also surface metrics, if requested, at the threshold of baseline and category, and the best
-    IoU that a grid of the prediction's side can reach.
+    For a test pair, the counts include surface metrics, if requested, at the baseline's threshold of the
+    category, and the best IoU that a grid of the prediction's side can reach.
     """
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256, counting.further_grids)
     reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side

@@ -30,7 +30,7 @@ def carved_hull(inputs: Inputs) -> Bools:
 
 
 def silhouette(inputs: Inputs) -> Bools:
-    """Return the cells of the partial, and those behind it as seen by the camera: (256, 256, 256) bool.
+    """Return the partial's cells and all cells behind them, as the camera sees it: (256, 256, 256) bool.
 
     Rays go from the camera's centre to 512 x 512 points on the grid's far side. A cell takes the ray that
     passes nearest to its centre.

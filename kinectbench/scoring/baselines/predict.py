@@ -1,4 +1,4 @@
-"""Which baselines a release allows, their predictions for each pair, and files of these predictions."""
+"""Which baselines a release allows, their predictions for each pair, and their prediction files."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence

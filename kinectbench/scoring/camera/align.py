@@ -78,7 +78,7 @@ class _Pair:
         return NearestOfMoving(theirs.samples, len(ours)), NearestOfMoving(ours.samples, len(theirs))
 
     def thinned(self, most: int) -> "_Pair":
-        """Return the pair with at most `most` samples per surface, the true ones smoothed."""
+        """Return the pair with at most `most` samples per surface; the true samples are smoothed."""
         made = self.truth.smoothed
         if most not in made:
             few = replace(self, theirs=self.theirs.thinned(most))

@@ -24,11 +24,11 @@ SEARCHING = Counting(("paper",), surface=False)
 def space_alone(
     protocols: Sequence[str] | None, upsampling: str, close: str | None = None
 ) -> tuple[str, ...]:
-    """Return those of the requested protocols that are of space (camera, aligned); () if none is.
+    """Return the requested protocols that are camera or aligned; () if neither is requested.
 
     Raises:
-        SettingsError: protocols of space are mixed with others or with another upsampling than half-pixel; or
-            a way to close meshes is requested by `close`, which predictions in grids do not need.
+        SettingsError: camera or aligned is mixed with other protocols, or with another upsampling than
+            half-pixel; or `close` is given, which does not apply to predictions in grids.
     """
     if close is not None:
         raise SettingsError(

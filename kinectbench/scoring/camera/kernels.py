@@ -277,7 +277,7 @@ def _place(affine, i, j):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def inside_distances(cells, affine, side):  # type: ignore[no-untyped-def]
-    """Do as `inside_cells`, for float32 signed distances: a centre is inside where they are negative.
+    """Return the cells as `inside_cells` does, from float32 signed distances: negative means inside.
 
     Distances are interpolated trilinearly between cell centres, and constant from the outermost centres to
     the grid's border. Space outside the grid is free.

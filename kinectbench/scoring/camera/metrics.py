@@ -59,7 +59,7 @@ class PartFigures:
 
 @dataclass(frozen=True)
 class Way:
-    """Distances from the measured samples of one surface to the other surface: one direction of a comparison.
+    """One direction of a comparison: the distances from one surface's samples to the other surface.
 
     Attributes:
         distances_m: (n,) distance of each sample to the other surface.
@@ -98,7 +98,7 @@ class Way:
         return worse(by_area, by_sample) if self.is_mesh else by_area
 
     def near(self, tolerance_m: float) -> float:
-        """Return the share of the area within a tolerance of the other surface; for a mesh see `mean`."""
+        """Return the share of the area within a tolerance of the other surface; of a mesh as in `mean`."""
         return self.mean((self.distances_m <= tolerance_m).astype(np.float64))
 
 

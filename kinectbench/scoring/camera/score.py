@@ -119,7 +119,7 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
 
 
 def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tuple[str, ...]:
-    """Return the protocols for predictions in the camera frame: those asked for, else all that apply.
+    """Return the protocols for predictions in the camera frame: the requested ones, else all that apply.
 
     Raises:
         SettingsError: they do not fit these predictions (`unfit`).
@@ -192,7 +192,7 @@ def _files(
 
 
 def _fixed_thresholds(categories: Iterable[str]) -> Thresholds:
-    """Return placeholder thresholds for predictions without probabilities: every row states a threshold."""
+    """Return placeholder thresholds for predictions without probabilities, as each row needs a threshold."""
     of = dict.fromkeys(sorted(categories), FIXED)
     return Thresholds(of, FIXED_SOURCE, (), dict.fromkeys(of, FIXED_SOURCE))
 
@@ -300,7 +300,7 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
 
 
 def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> list[str]:
-    """Return a line on open meshes and points that stay without inside, and one on those that were closed."""
+    """Return a line on open meshes and points without a solid, and a line on those that were closed."""
     open_ones = {t.name: of.rows[0].closed for t, of in sorted(results.items()) if of.rows[0].solid is False}
     without = [name for name, closed in open_ones.items() if closed is None]
     closed = [name for name in open_ones if name not in without]
@@ -324,7 +324,7 @@ def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> 
 
 
 def _open_truth(release: Release, test: Sequence[Target]) -> list[str]:
-    """Return a line with the number of views whose truth is an open mesh, without inside; none if it is 0."""
+    """Return a line with the number of views whose truth is an open mesh; [] if there are none."""
     count = sum(target.split in release.metadata.surface_truth for target in test)
     what = f"the truth of {count} of {len(test)} views is an open mesh, which has no inside: "
     return [what + "metrics of voxels stay empty"] if count else []

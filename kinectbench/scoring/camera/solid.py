@@ -1,4 +1,4 @@
-"""Convert a predicted shape to a solid in the truth's cells; measure how much of it lies outside the grid."""
+"""Convert a predicted shape to a solid in the truth's cells; measure its volume outside the grid."""
 
 from dataclasses import dataclass
 

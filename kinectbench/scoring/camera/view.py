@@ -209,7 +209,7 @@ def asked_rows(protocols: Sequence[str], scale: str) -> list[Asked]:
 
 
 def _alignment(surface: Surface, kind: str, found: SurfaceRegistration) -> Alignment:
-    """Return what a row reports about a registration: kind, scale, angle, shift of the centroid, success."""
+    """Return a row's report on a registration: kind, scale, angle, shift of the centroid, success."""
     middle, scale = surface.center_m, similarity_scale(found.T)
     shift_m = transform_points(found.T, middle) - middle
     return Alignment(
@@ -290,6 +290,6 @@ def _means(rows: Sequence[Mapping[str, float | None]]) -> dict[str, float | None
 
 
 def _mean_of(values: Sequence[float | None]) -> float | None:
-    """Return the mean of the values; None if one of them is None."""
+    """Return the mean of the values; None if a value is None."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if len(known) == len(values) else None

@@ -1,4 +1,4 @@
-"""Calibration of several predictions: how often a cell is truly solid where k of n predictions say so."""
+"""Calibration of several predictions: how often a cell is truly solid if k of n predictions are."""
 
 from dataclasses import dataclass, field
 
@@ -27,7 +27,7 @@ class Votes:
     def calibration(
         self, truth: SpaceTruth, asked: tuple[str, str | None], part: ShapePart, k: int
     ) -> Calibration | None:
-        """Return how often a part's known cells are truly solid, by the share of predictions that say so.
+        """Return how often a part's known cells are truly solid, by the share of predictions solid there.
 
         Args:
             truth: the truth of the view.
@@ -52,7 +52,7 @@ class Votes:
 
 
 def calibration_of(cells: Int64, solid: Int64) -> Calibration | None:
-    """Return how often cells are truly solid, in ten bins of the share of predictions that call them solid.
+    """Return how often cells are truly solid, in ten bins of the share of predictions that are solid there.
 
     Cells that no prediction calls solid are left out.
 

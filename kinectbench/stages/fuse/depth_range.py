@@ -1,4 +1,4 @@
-"""Choose the largest depth to fuse: enough for what the cameras look at, unless the settings give it.
+"""Choose the largest depth to fuse, enough for the cameras' target, unless the settings give it.
 
 The distance to what the cameras look at is taken as the larger of two: the distance to where the optical axes
 meet, and the 10th percentile of the depth in the middle of the images. The latter alone is meaningful where
@@ -114,7 +114,7 @@ def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
 
 
 def grid_range_m(T_world_camera: Float64, grid: Grid, settings: FusionSettings) -> float:
-    """The largest depth to fuse into a grid, metres: that of its farthest point, within 3 to 8 m.
+    """The largest depth to fuse into a grid, metres: the depth of its farthest point, within 3 to 8 m.
 
     All depth inside the grid is useful: depth measured on the far wall of a cavity carves the cavity. The
     size of the grid limits the cost. If the settings give `fusion.max_depth_m`, that is returned instead.
@@ -139,7 +139,7 @@ def _range_m(reach_m: float) -> float:
 
 
 def _looked_at_m(T_world_camera: Float64, sampled: SampledDepth) -> float | None:
-    """Typical distance along the optical axis to what the cameras look at, metres; None without data."""
+    """Typical distance along the optical axis to the cameras' target, metres; None without data."""
     distances_m = []
     if len(T_world_camera):
         towards = convergence_point(T_world_camera) - T_world_camera[:, :3, 3]

@@ -183,9 +183,9 @@ def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
 def _clear_m(
     frame: DepthFrame, voxel_size_m: float, truncation_m: float, farthest_m: float
 ) -> Callable[[Float32], Float32]:
-    """Make a function of measured depth: how far in front of it, metres, `_add_clear` equals `_add`.
+    """Make a function of measured depth: how far in front of that depth `_add_clear` equals `_add`.
 
-    This holds for any slant of the surface.
+    The function's argument and result are in metres. It holds for any slant of the surface.
     """
     least_m = max(truncation_m, HALF_DIAGONAL * voxel_size_m)
     sigmas = MAX_SLANT * CLEAR_SIGMAS if frame.closely else SURFACE_SIGMAS
@@ -283,7 +283,7 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add(new_total, new_weight, new_votes, depths, weights, z, truncation, noise):  # type: ignore[no-untyped-def]
-    """Add a frame's weighted distances, weights and votes to a block's sums; return whether it has any.
+    """Add a frame's weighted distances, weights and votes to a block's sums; return whether any was added.
 
     The sums (512,) are of weight * distance, of weights, and of votes. `depths` and `weights` (512,) are of
     each voxel's pixel, `z` (512,) is each voxel's depth, metres, `noise` (9,) is as from `_noise_m`.
@@ -318,7 +318,7 @@ def _add(new_total, new_weight, new_votes, depths, weights, z, truncation, noise
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _add_clear(new_total, new_weight, new_votes, weights, truncation):  # type: ignore[no-untyped-def]
-    """Do what `_add` does, for a block that lies far in front of all measured depth.
+    """Add a frame to a block's sums as `_add` does, for a block far in front of all measured depth.
 
     There, each distance is the truncation and each vote is `free`.
     """

@@ -81,7 +81,7 @@ def _edge_keys(vertices: Float64, first: Int64) -> Int64:
 
 
 def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajectory) -> TriangleMesh:
-    """Give each vertex its mean colour in those of some 24 frames whose depth agrees within 30 mm.
+    """Give each vertex its mean colour in those of some 24 frames whose depth agrees with it within 30 mm.
 
     Without colour registered to depth the mesh is returned unchanged; vertices that no frame sees are grey.
     """

@@ -193,7 +193,7 @@ def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: F
 
 
 def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far: bool = False) -> Float32:
-    """Depth of a frame, metres, 0 outside the fused range; `far` keeps it to twice the range, at most 8 m."""
+    """Depth of a frame, metres, 0 outside the fused range; with `far`, up to twice the range, at most 8 m."""
     depth_m, farthest_m = sequence.depth_m(index), _max_depth_m(settings)
     if far:
         farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))

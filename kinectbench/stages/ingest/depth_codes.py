@@ -65,7 +65,7 @@ def ray_lengths(camera: Camera) -> NDArray[np.float64]:
 
 
 class Pattern(NamedTuple):
-    """Whether the values of depth images look as if their bits were rotated.
+    """Whether the values of depth images appear to have rotated bits.
 
     Attributes:
         possible: nearly all values are multiples of eight; sufficient in a layout that usually has rotated

@@ -234,7 +234,7 @@ def _tiff_size_px(data: bytes, name: str) -> tuple[int, int]:
 def hdf5_arrays(
     data: bytes, name: str, keys: Iterable[str], most_values: int
 ) -> dict[str, NDArray[np.generic]]:
-    """Read those of the given arrays that an HDF5 file has: {key: array}.
+    """Read the arrays of `keys` that an HDF5 file has: {key: array}.
 
     Args:
         data: bytes of the file.

@@ -97,7 +97,7 @@ def _number_or_text(word: str) -> float | str:
 
 
 def _units_a_metre(stated: float, meaning: str, *, of_bop: bool) -> tuple[float, str]:
-    """A stated unit in units per metre; and, if converted, for what it is taken."""
+    """Convert a stated unit to units per metre; return also the assumed unit if it was converted, else ""."""
     if meaning == BY_SIZE and of_bop and stated < MOST_MM_A_UNIT:
         return MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
     if meaning == METRES_A_UNIT or (meaning == BY_SIZE and stated < 1):

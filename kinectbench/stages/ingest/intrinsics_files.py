@@ -123,7 +123,7 @@ def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[s
 
 
 def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
-    """What `find_intrinsics` returns, by the file with the intrinsics alone."""
+    """Do as `find_intrinsics`, but without a unit of depth from a second file."""
     file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
     if file is not None:
         by_json = file.name in JSON_FILES
@@ -166,7 +166,7 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_fold
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
-    """A warning that files of these names beside `read` were not read; empty if there are no such files."""
+    """A warning that files with these `names` beside `read` were not read; empty without such files."""
     others = [name for name in names if name != read.name and (read.parent / name).is_file()]
     if not others:
         return ()

@@ -108,7 +108,7 @@ def _is_of(partial: PartialSequence, recording: Recording) -> bool:
 
 
 def stored_by(recording: Recording) -> tuple[object, ...]:
-    """What determines how frames are stored, besides their files: path, camera, scales, depth code and so on.
+    """The values, besides its files, that determine how a frame is stored, such as camera, scales and path.
 
     Settings that only one format has are not included, such as the lowest confidence of a phone's depth.
     """

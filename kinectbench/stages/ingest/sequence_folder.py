@@ -86,7 +86,7 @@ def write_sequence(
 
 
 def _show_stored(writer: SequenceWriter, watch: Watch) -> None:
-    """Show the watch the frames that it wants of those stored; they are read faster than recorded ones."""
+    """Pass to `watch` the stored frames that it wants; they are read faster than recorded frames."""
     recording, frames = writer.checks.recording, FolderFrames(writer.folder, tuple(writer.rows))
     wanted = {row.recorded: row for row in writer.rows if row.recorded is not None}
     wanted = {index: row for index, row in wanted.items() if watch.wants(index)}

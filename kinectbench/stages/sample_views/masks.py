@@ -131,7 +131,7 @@ def inner_silhouette(rendered_m: Float32) -> Bools:
 
 
 class MaskName(NamedTuple):
-    """What the file name of a person's mask says.
+    """The parsed file name of a person's mask.
 
     Attributes:
         number: index of the frame in the sequence, or number of the view.
@@ -252,6 +252,6 @@ def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
 
 
 def first_of(names: Sequence[str]) -> str:
-    """A line with the first `MOST_NAMED` names, and how many more there are."""
+    """A line with the first `MOST_NAMED` names, and the number of further names."""
     more = len(names) - MOST_NAMED
     return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

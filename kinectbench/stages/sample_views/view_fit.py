@@ -1,4 +1,4 @@
-"""How well a view's depth fits the object, and whether the frame is usable as a view."""
+"""The fit of a view's depth to the object, and whether the frame is usable as a view."""
 
 from dataclasses import dataclass, replace
 
@@ -22,7 +22,7 @@ AROUND, OUTLINE_STRIDE_PX = 1, 8
 
 @dataclass(frozen=True)
 class ViewFit:
-    """How well a view's depth fits the object. Shares are in [0, 1].
+    """The fit of a view's depth to the object. Shares are in [0, 1].
 
     Attributes:
         pixels: valid depth pixels on the object.
@@ -54,7 +54,7 @@ def fit_of_view(
     model: ObjectModel,
     renderer: DepthRenderer,
 ) -> ViewFit:
-    """Measure how well a view's depth fits the object; without depth on it, the residual is infinite.
+    """Measure the fit of a view's depth to the object; without depth on it, the residual is infinite.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.

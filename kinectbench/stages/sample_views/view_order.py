@@ -32,7 +32,7 @@ def frame_order(
     settings: ViewSettings,
     segmentation: MaskCuts,
 ) -> list[tuple[int, str]]:
-    """Order all good frames for trying them as views; return each frame with the reason for its place.
+    """Order all good frames for trying them as views; return each frame with the reason for its rank.
 
     `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: frames are grouped by sectors of 30 degrees
     around the object, within a sector by heights of 15 degrees, and within a height by three classes of the

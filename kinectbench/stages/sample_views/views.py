@@ -157,7 +157,7 @@ def _look(
     segmentation: MaskCuts,
     chosen: tuple[int, str],
 ) -> View:
-    """Make a view from a frame and the reason for its place in the order; without name and person's mask."""
+    """Make a view from a frame and the reason for its rank, without name and person's mask."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
@@ -356,8 +356,8 @@ def _read_mask(path: Path) -> Bools | None:
 def _jpeg(suffix: str, data: bytes) -> bytes:
     """Colour as a JPEG: a recorded JPEG without its metadata, its pixels as they are; else encoded here.
 
-    A JPEG whose metadata cannot be separated from its pixels is encoded here, too. What EXIF says of the
-    orientation goes, because depth and mask are not turned by it.
+    A JPEG whose metadata cannot be separated from its pixels is encoded here, too. EXIF's orientation is
+    dropped, because depth and mask are not rotated by it.
 
     Raises:
         StorageError: the image is damaged.

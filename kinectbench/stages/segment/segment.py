@@ -43,7 +43,7 @@ from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape
 
 @dataclass(frozen=True)
 class GivenObject:
-    """What a person states about the object; nothing by default.
+    """A person's statements about the object; none by default.
 
     Attributes:
         box: around it, floor frame; None: it is the piece that the cameras look at.

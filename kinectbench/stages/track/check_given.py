@@ -35,7 +35,7 @@ IMPLAUSIBLE_DRIFT_M = 0.1
 
 @dataclass(frozen=True)
 class GivenCheck:
-    """A given trajectory, and how well the depth agrees with it.
+    """A given trajectory, and its agreement with the depth.
 
     Attributes:
         T_given: (n, 4, 4), NaN where a frame has no given pose.

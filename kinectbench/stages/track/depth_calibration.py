@@ -102,7 +102,7 @@ def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _accepted(sums: Sequence[Float64]) -> DepthCalibration:
-    """The correction by all pairs; none for fewer than six, or if one half's does not improve the other half.
+    """The correction fitted to all pairs; none for under six, or if one half's does not improve the other.
 
     `sums` has a normal matrix for each pair, with the residual in the last row and column.
     """

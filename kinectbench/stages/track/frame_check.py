@@ -43,7 +43,7 @@ CLEARLY_BETTER = 0.05
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """How well a recording's frames agree under given poses; NaN if unknown.
+    """The agreement of a recording's frames under given poses; NaN if unknown.
 
     Attributes:
         compared: (k,) indices of the reference frames; each frame was compared with the most similar of them.
@@ -194,7 +194,7 @@ class _Checker:
         return [side.tolist() for side in sides if len(side)]
 
     def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """Register a frame to the nearest of the frames `sound` before it, and to those after it."""
+        """Register a frame to the nearest of the frames `sound` before it, and to the nearest after it."""
         checks = [self._check(frame, side, coarsest=2) for side in self._sides(frame, sound)]
         return [each for each in checks if each is not None]
 

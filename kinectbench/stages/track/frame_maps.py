@@ -257,7 +257,7 @@ def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
 
 
 def _reduction(camera: Camera) -> int:
-    """The reduction factor: how many pixels, in each direction, form a working pixel."""
+    """The reduction factor: the number of pixels, in each direction, that form a working pixel."""
     return max(1, round(camera.width / WORKING_WIDTH_PX))
 
 

@@ -160,7 +160,7 @@ class _Case:
 
     @property
     def trusted(self) -> GivenCheck | None:
-        """The check of the given poses, if the trajectory consists of these; else None."""
+        """The check of the given poses, if they are the trajectory; else None."""
         return self.given if self.source == "trust" else None
 
     @cached_property

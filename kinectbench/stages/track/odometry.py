@@ -74,7 +74,7 @@ class Odometry:
     """The odometry of all frames.
 
     Attributes:
-        frames: for each frame; None: its depth cannot be registered.
+        frames: the odometry of each frame; None if its depth cannot be registered.
         reasons: why a frame has no odometry, by frame.
         keyframes: frame indices of the keyframes, ascending.
         constraints: constraints between consecutive keyframes of a segment.

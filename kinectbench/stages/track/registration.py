@@ -239,7 +239,7 @@ def _figures(
 
 @dataclass(frozen=True)
 class Observability:
-    """How well the normals constrain six directions of motion, the weakest first.
+    """The strength with which the normals constrain six directions of motion, the weakest first.
 
     Attributes:
         signal_to_noise: (6,) information of the normals along a direction, divided by that of their noise.
@@ -253,7 +253,7 @@ class Observability:
     metric: Float64
 
     def without_noise(self, information: Float64) -> Float64:
-        """Subtract from the information (6, 6) what noise of the normals adds along each direction."""
+        """Subtract from the information (6, 6) the part due to noise of the normals along each direction."""
         left = np.sqrt(np.maximum(0.0, 1 - NOISE_FACTOR / np.maximum(self.signal_to_noise, NOISE_FACTOR)))
         # The inverse of the motions is motions.T @ metric.
         back = self.metric @ self.motions * left

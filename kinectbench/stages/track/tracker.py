@@ -119,7 +119,7 @@ def _place(
 
 @dataclass(frozen=True)
 class _Placed:
-    """A frame's pose and its registration to nearby keyframes; or the reason why its pose does not count."""
+    """A frame's pose and registration to nearby keyframes; or the reason why its pose is not used."""
 
     state: State
     reason: str | None = None
@@ -138,7 +138,7 @@ class _FirstTry:
 
 
 def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed:
-    """The placed frame `index`; its pose does not count if its keyframe could not be placed."""
+    """The placed frame `index`; its pose is not used if its keyframe could not be placed."""
     frame, each = odometry.frames[index], placed[index]
     if frame is None or each.reason is not None or placed[frame.keyframe].reason is None:
         return each
@@ -146,7 +146,7 @@ def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed
 
 
 class _Placer:
-    """Places frames relative to the optimised keyframes."""
+    """Registers frames to the optimised keyframes."""
 
     def __init__(self, maps: MapCache, odometry: Odometry, graph: KeyframeGraph) -> None:
         self.maps, self.odometry, self.graph = maps, odometry, graph
@@ -176,7 +176,7 @@ class _Placer:
         return _FirstTry(state, T_world, tuple(around), self._registered(index, around, T_world))
 
     def place(self, index: int, first: _Placed | _FirstTry) -> _Placed:
-        """Place the next frame, from its first try or by a search around it."""
+        """Register the next frame to optimised keyframes, from its first try or by a search around it."""
         if isinstance(first, _Placed):
             return first
         around, T_world, state = first.around, first.T_world_camera, first.state

@@ -61,7 +61,7 @@ def verdicts(figures: list[Figure]) -> dict[str, bool | None]:
 
 
 def short(rows: list[Row]) -> list[str]:
-    """The bars that are missed, without what is only told."""
+    """The bars that are missed, without figures that are only stated."""
     return [name for name, met in verdicts(bars(rows, [], True, [])).items() if met is False]
 
 

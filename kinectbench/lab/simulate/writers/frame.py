@@ -1,4 +1,4 @@
-"""Input of the writers, the camera rig and its frames; and what writers share, such as number formats."""
+"""Input of the writers (camera rig and frames), and code that they share, such as number formats."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -85,7 +85,7 @@ class RecordedFrame:
 
     @property
     def given_ns(self) -> int:
-        """Recorded time of the given pose, nanoseconds; that of depth if it has none of its own."""
+        """Recorded time of the given pose, nanoseconds; the time of depth if the pose has no time."""
         return self.stamp_ns if self.pose_stamp_ns is None else self.pose_stamp_ns
 
     def color_jpegs(self) -> list[tuple[int, bytes]]:

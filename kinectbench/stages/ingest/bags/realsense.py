@@ -89,7 +89,7 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
-        """Pairs (topic's name, CameraInfo message); for version 1 also those inside stream_info messages."""
+        """Pairs (topic's name, CameraInfo message); in version 1 also from stream_info messages."""
         return super().camera_infos(bag) + [
             (
                 f"/camera/{message.stream_type}/camera_info/{topic.name.rpartition('/')[2]}",

@@ -286,7 +286,7 @@ def _differ(first: NamedInfo, second: NamedInfo, image: ImageTopic) -> bool:
 
 
 def _contradicted(taken: NamedInfo, other: NamedInfo, image: ImageTopic, advice: str) -> str:
-    """A warning that two CameraInfo differ, with their values, and what to do if `other` is the right one."""
+    """A warning that two CameraInfo differ, with their values, and the remedy if `other` is the right one."""
     first, second = (_in_words(info, image) for _, info in (taken, other))
     return (
         f"{image.name}: {taken[0]} ({first}) and {other[0]} ({second}) contradict each other; the first is "

@@ -73,7 +73,7 @@ class Rosbag1Recording(RosRecording):
 
 @dataclass
 class _Walk:
-    """The state of a walk through a bag: what was found, and how many chunks are damaged.
+    """The state of a walk through a bag: the messages found, and the number of damaged chunks.
 
     Attributes:
         found: the messages.
@@ -196,7 +196,7 @@ def _records_of(file: BinaryIO, end: int) -> Iterator[tuple[dict[bytes, bytes], 
 
 
 def _decompress(fields: dict[bytes, bytes], data: bytes) -> bytes:
-    """Unpack the bytes of a chunk, as its header fields say."""
+    """Unpack the bytes of a chunk, by the compression in its header fields."""
     kind = fields.get(b"compression", b"").decode(errors="replace")
     return data if kind == "none" else unpacked_chunk(kind, data, _number(fields, b"size", "<I"))
 
@@ -241,7 +241,7 @@ def _parse_fields(data: bytes) -> dict[bytes, bytes]:
 
 
 def _values(fields: dict[bytes, bytes], name: bytes, layout: str) -> tuple[int, ...]:
-    """Unpack the numbers in the header field `name`; `layout` is that of `struct`."""
+    """Unpack the numbers in the header field `name`; `layout` is a format of `struct`."""
     try:
         return struct.unpack(layout, fields[name])
     except (KeyError, struct.error) as error:

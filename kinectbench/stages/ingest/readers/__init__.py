@@ -196,7 +196,7 @@ def recordings_inside(recording: Path, read: Collection[Path]) -> list[tuple[Pat
 
 
 def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Path, str]]:
-    """Search like `find_recordings`, but end when `numbers` does: each visited path takes an item of it."""
+    """Search like `find_recordings`, but end when `numbers` ends: each visited path takes one item."""
     if next(numbers, None) is None:
         return
     try:
@@ -215,7 +215,7 @@ def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Pa
 
 
 def _is_built(folder: Path) -> bool:
-    """Whether a stage made the folder; a manifest.json of another program does not count."""
+    """Whether a stage made the folder; a manifest.json of another program is no sign of that."""
     try:
         return Manifest.read_if_there(folder) is not None
     except StorageError:

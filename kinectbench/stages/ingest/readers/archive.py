@@ -84,7 +84,7 @@ class Archive:
 
 
 def _check_members(archive: zipfile.ZipFile, size: int) -> None:
-    """Refuse an archive if a member's name leads out of it, or all its compressed data exceeds its `size`."""
+    """Refuse an archive if a member's name leads outside, or if its compressed data exceeds its `size`."""
     for name in archive.namelist():
         if name.startswith("/") or ".." in name.split("/") or "\\" in name:
             raise ValueError(f"'{printable(name)}' leads out of it")

@@ -318,7 +318,7 @@ def _start(file: BinaryIO, position: int, data: bytes, path: Path) -> int:
 
 
 def _in_order(places: list[Place], path: Path) -> tuple[list[Place], list[str]]:
-    """Sort images by stamp, and drop those that repeat a stamp; return them, and warnings."""
+    """Sort images by stamp, and drop images that repeat a stamp; return the images, and warnings."""
     order, warnings = first_by_stamp([place.stamp_ns for place in places], str(path), "images")
     return [places[i] for i in order], warnings
 

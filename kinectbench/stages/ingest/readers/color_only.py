@@ -74,7 +74,7 @@ def without_depth(path: Path) -> str | None:
 
 
 def _one_of_each_kind(files: list[Path]) -> list[Path]:
-    """One file of each way to name files, whatever the numbers in the names; at most `MOST_KINDS`."""
+    """One file for each pattern of names that differ in numbers only; at most `MOST_KINDS` files."""
     by_kind = {NUMBER.sub("#", file.name): file for file in reversed(files)}
     return sorted(by_kind.values())[:MOST_KINDS]
 

@@ -103,7 +103,7 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder directly contains 16-bit depth and colour images, named as such by a word."""
+    """Whether a folder directly contains 16-bit depth and colour images, with words for these in names."""
     if not path.is_dir():
         return False
     depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))
@@ -140,9 +140,9 @@ def _word(name: str, word: re.Pattern[str], suffixes: frozenset[str]) -> bool:
 
 
 def _is_of(word: re.Pattern[str], file: Path) -> bool:
-    """Whether an image is of the stream of this word, and not of the other one, of which its name has both.
+    """Whether an image belongs to the stream of this word; its name may contain the other stream's word, too.
 
-    Depth in aligned_depth_to_color_000000.png has 16 bits per pixel; colour has not.
+    If the name has both words, as aligned_depth_to_color_000000.png, 16 bits per pixel mean depth.
     """
     if file.suffix.lower() not in COLOR_SUFFIXES:
         return True

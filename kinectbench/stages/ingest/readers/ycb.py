@@ -164,7 +164,7 @@ def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]
 
 
 def _arrays(file: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Float64]:
-    """Read those of the arrays named in `shapes` that an HDF5 file has, as float64.
+    """Read the arrays in `shapes` that an HDF5 file has, as float64.
 
     Raises:
         RecordingError: an array is not finite or has another shape.
@@ -184,7 +184,7 @@ def _arrays(file: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Floa
 
 
 def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
-    """Intrinsics of the depth images (pinhole, as in YCB's script), by `said`, calibration.h5's arrays."""
+    """Intrinsics of the depth images (pinhole, as in YCB's script) from calibration.h5's arrays, `said`."""
     if DEPTH_K not in said:
         return Intrinsics()
     scale = float(said[SCALE][0]) if SCALE in said else 1.0
@@ -197,7 +197,7 @@ def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
 
 
 def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-    """Calibration of colour relative to depth, by calibration.h5 (`said`); None if missing or not rigid."""
+    """Calibration of colour relative to depth from calibration.h5 (`said`); None if missing or not rigid."""
     places = [rigid_or_none(said[key]) for key in (COLOR_FROM_NP5, DEPTH_FROM_NP5) if key in said]
     color, *depth = places or [None]
     if COLOR_K not in said or color is None or not depth or depth[0] is None:

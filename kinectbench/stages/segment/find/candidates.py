@@ -37,7 +37,7 @@ LARGE_M = 2.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """A possible object: a piece of surface on the floor, or one part of it where objects touch.
+    """A possible object: a piece of surface on the floor, or a part of a piece where objects touch.
 
     Attributes:
         box: upright box around it, floor frame.

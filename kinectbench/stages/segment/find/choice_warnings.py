@@ -1,4 +1,4 @@
-"""Warn if the chosen object may not be a single free-standing thing."""
+"""Warn if the chosen object may not be a single free-standing object."""
 
 from dataclasses import dataclass, replace
 
@@ -143,7 +143,7 @@ def stands_on_a_board(selection: Selection) -> bool:
 
 
 def large_neighbours(selection: Selection) -> Float64:
-    """The points (k, 3) of other standing things that have at least a fifth of the object's surface."""
+    """The points (k, 3) of other standing objects with at least a fifth of the object's surface."""
     others = selection.other_points
     if not len(others):
         return others

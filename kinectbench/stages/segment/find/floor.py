@@ -196,7 +196,7 @@ def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_wo
 
 
 def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
-    """Whether a plane is clearly the floor although it was found only if cameras were held upside down.
+    """Whether a plane is clearly the floor, although it can be the floor only if cameras were upside down.
 
     The cameras (n, 4, 4) are already turned upright. The plane must have enough surface, and enough cameras
     above it, which must not look down steeply: a wall seen from above looks like a floor seen steeply and

@@ -221,7 +221,7 @@ def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Floa
 
 
 def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
-    """Noise of points (n,), by the distance from the nearest camera, divided by that at the focus; >= 1."""
+    """Depth noise of points (n,) by their distance from the nearest camera, relative to the focus; >= 1."""
     from scipy.spatial import cKDTree
 
     cameras = T_world_camera[:: max(1, len(T_world_camera) // SOME_CAMERAS), :3, 3]
@@ -298,7 +298,7 @@ def _with_reason(
     floor: PlaneCandidate | None,
     surface: SceneSurface,
 ) -> PlaneCandidate:
-    """A candidate with the reason why not it but `chosen`, which may stand on `floor`, was chosen."""
+    """A candidate with the reason why `chosen`, which may stand on `floor`, was chosen in its place."""
     if candidate is chosen:
         return replace(candidate, reason="")
     if candidate.reason or chosen is None:

@@ -37,7 +37,7 @@ Facing = Callable[[Float64], Bools]
 
 @dataclass(frozen=True)
 class FloorHint:
-    """What is known about the floor before the search.
+    """Prior knowledge about the floor.
 
     Attributes:
         up_world: (3,) unit, up by gravity, or None.
@@ -54,7 +54,7 @@ class FloorHint:
     picked_world: Float64 | None = None
 
     def focus_world(self, T_world_camera: Float64) -> Float64:
-        """The point (3,) at which to look for the object: the picked point, else where the cameras look."""
+        """The point (3,) near which to search for the object: the picked point, else the cameras' target."""
         if self.picked_world is not None:
             return self.picked_world
         return looked_at(T_world_camera, self.middle_depth_m)
@@ -64,7 +64,7 @@ NOTHING_KNOWN = FloorHint()
 
 
 class KnowsUp(Protocol):
-    """A recording or sequence that may know which way is up."""
+    """A recording or sequence that may state the up direction."""
 
     @property
     def given_trajectory(self) -> GivenTrajectory | None:
@@ -131,7 +131,7 @@ def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
 
 
 def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
-    """Tests of which unit normals may be a floor's, one for each way of holding cameras, the likeliest first.
+    """Tests whether a normal may be a floor's, one test per way of holding cameras, the likeliest first.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.

@@ -300,7 +300,7 @@ def _find_on_floor(
     given_box: OrientedBox | None,
     settings: FloorCuts,
 ) -> Segmentation:
-    """Find the object on the known floor of a scene: the piece in view, or what a given box holds."""
+    """Find the object on the known floor of a scene: the piece in view, or the content of a given box."""
     if given_box is not None:
         check_anchor(given_box, scene.floor, trajectory, scene.scale)
     cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale
@@ -333,7 +333,7 @@ def _find_on_floor(
 
 
 def _object_in_box(scene: Scene, above: Bools, box: OrientedBox) -> ObjectOnFloor:
-    """The object in a given box; `above` (n,) says which points of the scene are above the floor."""
+    """The object in a given box; `above` (n,) marks the points of the scene above the floor."""
     points_floor = scene.points_floor[above]
     in_box = box.contains(points_floor)
     if not len(in_box):

@@ -142,7 +142,7 @@ def carries_what_is_looked_at(plane: Float64, surface: SceneSurface) -> bool:
 
 
 def _surrounds(patch: Float64, thing: Float64) -> bool:
-    """Whether the points `patch` (k, 2) reach farther than `thing` (n, 2) on most sides of its middle."""
+    """Whether the points `patch` (k, 2) extend beyond `thing` (n, 2) on most sides of its middle."""
     middle = (thing.min(axis=0) + thing.max(axis=0)) / 2
     reach_m = np.zeros((2, SIDES))
     for row, points in enumerate((patch - middle, thing - middle)):

@@ -81,7 +81,7 @@ def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
 
 
 def nearest_within(tree: "cKDTree", points: Float64, most_m: float) -> tuple[float, int | None]:
-    """The least distance of points (n, k) from the points of a tree, and the index of the nearest of these.
+    """The least distance of points (n, k) from the points of a tree, and the index of the nearest tree point.
 
     inf and None if no point is within `most_m`. A search without a bound would visit most of the tree.
     """

@@ -1,4 +1,4 @@
-"""Report how well the recording shows the object: unseen sides, few frames, motion in the scene."""
+"""Report faults of the recording: unseen sides, few frames, motion in the scene."""
 
 from dataclasses import dataclass
 

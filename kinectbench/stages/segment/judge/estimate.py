@@ -1,4 +1,4 @@
-"""Estimate the IoU of the solid to the unknown truth, with an interval and what widens it."""
+"""Estimate the IoU of the solid with the unknown truth, with an interval and the causes of its width."""
 
 from dataclasses import dataclass
 

@@ -83,7 +83,7 @@ class Frontier:
         )
 
     def advice(self, first_rad: float) -> str:
-        """One line of advice: what no frame saw, and where to stand; `first_rad` as in `turn_in_words`."""
+        """One line of advice: the unseen part, and where to stand; `first_rad` as in `turn_in_words`."""
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
         where = f"record {where_to_stand(self.look_from, self.center_m[2], first_rad)}"
         where = f"{MOVE_AWAY} {where}" if self.obstructed else where
@@ -218,7 +218,7 @@ def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], i
 
 
 def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:
-    """Of the directions (n, 3) that show much of a piece, the one most like that of hand-held cameras."""
+    """Of the directions (n, 3) that show much of a piece, the most usual one for hand-held cameras."""
     enough = np.flatnonzero(shown >= ENOUGH * shown.max())
     off_rad = np.abs(np.arcsin(np.clip(ways[enough, 2], -1, 1)) - CAMERA_ELEVATION_RAD)
     return np.asarray(ways[enough[np.argmin(off_rad)]])

@@ -166,7 +166,7 @@ def solid_box(shape: SolidBody, floor: Floor, yaw_rad: float | None = None) -> O
 
 
 def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, ...]:
-    """A line that asks about the underside, if nobody stated it and it matters much."""
+    """A question about the underside, if nobody stated it and much of the solid depends on it."""
     share = shape.underside_share
     if underside != "unseen" or share <= LEAST_UNDERSIDE_SHARE:
         return ()

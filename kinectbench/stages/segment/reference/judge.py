@@ -1,4 +1,4 @@
-"""Judge whether a reference mesh is that of the built object, by rules that refuse another object's.
+"""Judge whether a reference mesh is the built object's, by rules that refuse another object's.
 
 docs/second-truth.md has the rules, docs/evidence/ground-truth.md the figures of right and wrong meshes by
 which they were chosen.

@@ -103,25 +103,25 @@ class Sampled:
         return np.asarray(scene.compute_distance(near).numpy(), dtype=np.float64)
 
     def few(self, most: int) -> NDArray[np.int64]:
-        """Indices (n,) of at most `most` of the samples that count, evenly chosen."""
+        """Indices (n,) of at most `most` of the samples that may be matched, evenly chosen."""
         places = np.flatnonzero(self.counted)
         return places[:: max(1, -(-len(places) // most))]
 
     def faced(self, points: Float64, normals: Float64) -> tuple[NDArray[np.int64], Bools]:
-        """Indices (n,) of the samples nearest to points (n, 3), and which count and face the same way."""
+        """Indices (n,) of the samples nearest to points (n, 3), and which of them may be matched."""
         nearest = self.tree.query(points)[1]
         return nearest, self.counted[nearest] & ((self.normals[nearest] * normals).sum(axis=1) > 0)
 
 
 def sampled(mesh: TriangleMesh) -> Sampled:
-    """The samples of a reference mesh, all of which count."""
+    """The samples of a reference mesh, all of which may be matched."""
     rng = np.random.default_rng(REFERENCE_SEED)
     points, normals = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
     return Sampled(mesh, points, normals, np.ones(len(points), bool), np.ones(len(points)))
 
 
 def sampled_object(model: ObjectModel) -> Sampled:
-    """The samples of a built object, in its world; those that were measured count.
+    """The samples of a built object, in its world; only measured samples may be matched.
 
     A measured sample has a SURFACE voxel below it, and none above it that is UNKNOWN or OTHER: if one side of
     a thin wall was measured, its other side does not count. If the object is itself a reference mesh, the

@@ -113,7 +113,7 @@ def _costs_too_much(mesh: TriangleMesh, grid: Grid) -> bool:
 
 
 def _quality(model: ObjectModel, reference: Reference, fit: RegisteredReference, name: str) -> QualityFile:
-    """The quality.json of a reference as truth: without an estimated IoU, as nothing of it is fused.
+    """The quality.json of a reference as truth, without an estimated IoU, because no part of it is fused.
 
     `fit` is the reference's registration to the fused object, `name` that of its file.
     """

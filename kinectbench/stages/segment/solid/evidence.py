@@ -1,4 +1,4 @@
-"""Classify voxels as free, near a surface or unseen, and find those that a camera could see."""
+"""Classify voxels as free, near a surface or unseen, and find the voxels that a camera could see."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -134,7 +134,7 @@ def classify_voxels(
     beyond: Bools | None = None,
     roughly: bool = False,
 ) -> VoxelEvidence:
-    """Classify the voxels, and find which of the unseen ones a camera could see.
+    """Classify the voxels, and find the unseen voxels that a camera could see.
 
     Args:
         observation: TSDF and votes on an upright grid.
@@ -245,7 +245,7 @@ def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
 
 
 def _least_free_votes(observation: Observation) -> int:
-    """How many frames must see through a voxel to make it free, if it was not observed near a surface."""
+    """The number of frames that must see through a voxel, not observed near a surface, to make it free."""
     looking = int((observation.free.astype(np.uint32) + observation.surface).max())
     return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
 

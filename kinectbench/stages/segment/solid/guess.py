@@ -1,4 +1,4 @@
-"""The probability that a voxel is inside the object, counted on simulated objects."""
+"""The probability that a voxel is inside the object, as measured on simulated objects."""
 
 import numpy as np
 from numpy.typing import NDArray

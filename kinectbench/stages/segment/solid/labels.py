@@ -18,7 +18,7 @@ def voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: i
     empty.
 
     Args:
-        evidence: what is known of each voxel.
+        evidence: the class of each voxel.
         solid: (i, j, k) bool, the voxels of the object.
         voxel_m: edge of a voxel, metres.
         below: number of layers below the floor.

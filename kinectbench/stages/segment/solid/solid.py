@@ -35,7 +35,7 @@ LEG_SHARE = 0.5
 
 @dataclass(frozen=True)
 class SolidBody:
-    """The object as a solid and nothing else: enough to compare solids.
+    """The object as a solid, without labels: enough to compare solids.
 
     Attributes:
         grid: upright; a cell boundary lies at z = 0 of the floor.
