@@ -13,10 +13,17 @@ from pathlib import Path
 from pydantic import JsonValue
 
 from kinectbench._version import __version__
+from kinectbench.core import (
+    RecordingError,
+    StorageError,
+    canonical_json,
+    replaced_file,
+    replaced_folder,
+    sha256_file,
+    sha256_text,
+)
 from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources, Timing
-from kinectbench.core.errors import RecordingError, StorageError
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.storage import canonical_json, replaced_file, replaced_folder, sha256_file, sha256_text
 
 FORMAT_VERSION = 1
 # A file from this size on whose disk usage is less than its size by this factor is mostly a hole. Compressing

@@ -10,12 +10,21 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePosixPath
 
+from kinectbench.core import (
+    UNTOUCHED,
+    KinectBenchError,
+    RecordingError,
+    SettingsError,
+    below,
+    canonical_json,
+    printable,
+    sha256_text,
+    storage_errors,
+    write_below,
+)
 from kinectbench.core.artefacts.manifest import Failed, SourceFile, Sources
-from kinectbench.core.errors import KinectBenchError, RecordingError, SettingsError
-from kinectbench.core.storage import UNTOUCHED, canonical_json, sha256_text, storage_errors, write_below
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import Store, StoredObject, fetch_all, in_parallel
-from kinectbench.core.untrusted import below, printable
 from kinectbench.engine.artefact import VERSIONS, Artefact, whole_hash
 from kinectbench.engine.pipeline import artefacts_upto
 from kinectbench.engine.scratch import SCRATCH_VARIABLE, scratch_folder

@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.request import ProxyHandler, build_opener
 
-from kinectbench.core.errors import ClusterError, SettingsError
-from kinectbench.core.untrusted import printable, read_plain_text
-from kinectbench.core.untrusted_text import strict_json
+from kinectbench.core import ClusterError, SettingsError, printable, read_plain_text, strict_json
 from kinectbench.engine.cluster_run import Run, dask_line
 from kinectbench.engine.executor import Listener, Outcomes, Result, SendMessage, Task
 from kinectbench.engine.interrupts import interrupts_held

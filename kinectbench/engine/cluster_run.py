@@ -9,7 +9,7 @@ from queue import Empty, SimpleQueue
 from statistics import median
 from typing import TYPE_CHECKING, Any, Generic
 
-from kinectbench.core.errors import ClusterError, KinectBenchError
+from kinectbench.core import ClusterError, KinectBenchError
 from kinectbench.engine.executor import Listener, Result, SendMessage, Task, WorkerLost
 from kinectbench.engine.on_worker import call, package_versions
 

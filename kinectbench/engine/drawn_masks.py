@@ -13,11 +13,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, Self
 
+from kinectbench.core import (
+    KinectBenchError,
+    SettingsError,
+    StorageError,
+    listed_paths,
+    printable,
+    replaced_file,
+)
 from kinectbench.core.artefacts.views import RECORDED, DrawnOn, MasksFile, ViewsFile
-from kinectbench.core.errors import KinectBenchError, SettingsError, StorageError
 from kinectbench.core.sequence import Sequence
-from kinectbench.core.storage import replaced_file
-from kinectbench.core.untrusted import listed_paths, printable
 from kinectbench.engine.artefact import whole_manifest
 from kinectbench.engine.locks import locked
 from kinectbench.engine.stages import Job

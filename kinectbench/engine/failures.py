@@ -5,8 +5,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from kinectbench._version import __version__
-from kinectbench.core.artefacts.manifest import Failed
-from kinectbench.core.errors import (
+from kinectbench.core import (
     KILLED,
     RecordingError,
     SegmentationError,
@@ -14,8 +13,9 @@ from kinectbench.core.errors import (
     StorageError,
     TrackingError,
     error_code,
+    replaced_file,
 )
-from kinectbench.core.storage import replaced_file
+from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.engine.artefact import Artefact
 
 # Errors caused by the recording or the settings: the same run would fail again.

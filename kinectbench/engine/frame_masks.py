@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from kinectbench.core.errors import SegmentationError
+from kinectbench.core import SegmentationError
 from kinectbench.core.own_pixels import Masks, whole
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory

@@ -20,9 +20,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO
 
-from kinectbench.core.errors import StorageError
-from kinectbench.core.storage import open_to_add, storage_errors
-from kinectbench.core.untrusted import listed_paths
+from kinectbench.core import StorageError, listed_paths, open_to_add, storage_errors
 
 LOCK = ".lock"
 # Seconds within which a run that has taken a lock writes its name.

@@ -9,8 +9,7 @@ from functools import cache
 from platform import python_version
 
 from kinectbench._version import __version__
-from kinectbench.core.errors import ClusterError
-from kinectbench.core.extras import package_version
+from kinectbench.core import ClusterError, package_version
 
 # Packages besides kinectbench that determine the bytes of results.
 PACKAGES = (

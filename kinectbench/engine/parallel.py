@@ -8,8 +8,8 @@ from itertools import islice
 from math import prod
 from typing import Protocol
 
+from kinectbench.core import KILLED, KinectBenchError
 from kinectbench.core.artefacts.sequence import CameraFile
-from kinectbench.core.errors import KILLED, KinectBenchError
 from kinectbench.core.store.address import url_of
 from kinectbench.core.threads import using_threads
 from kinectbench.engine.executor import Executor, SendMessage, SerialExecutor, WorkerLost

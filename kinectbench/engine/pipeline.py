@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from kinectbench.core.artefacts.manifest import Timing
-from kinectbench.core.artefacts.object import BoxPart, CandidatesFile
-from kinectbench.core.errors import (
+from kinectbench.core import (
     KinectBenchError,
     SegmentationError,
     SettingsError,
@@ -19,6 +17,8 @@ from kinectbench.core.errors import (
     error_code,
     internal_error,
 )
+from kinectbench.core.artefacts.manifest import Timing
+from kinectbench.core.artefacts.object import BoxPart, CandidatesFile
 from kinectbench.engine.artefact import Artefact, whole_manifest
 from kinectbench.engine.failures import failed_before, forget_failure, keep_failure
 from kinectbench.engine.interrupts import check_interrupt

@@ -8,9 +8,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from kinectbench.core import KILLED, StorageError
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.stored import StoredPart
-from kinectbench.core.errors import KILLED, StorageError
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import in_parallel
 from kinectbench.engine.failures import keep_failure, stored_failure

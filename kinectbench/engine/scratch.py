@@ -10,8 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from kinectbench.core.errors import StorageError
-from kinectbench.core.storage import storage_errors
+from kinectbench.core import StorageError, storage_errors
 from kinectbench.engine.locks import locked
 
 SCRATCH_VARIABLE = "KINECTBENCH_SCRATCH"

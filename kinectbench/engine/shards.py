@@ -3,8 +3,7 @@
 import re
 from dataclasses import dataclass
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import sha256_text
+from kinectbench.core import SettingsError, sha256_text
 
 # Largest number of parts. Array jobs of batch systems have at most some thousands of tasks.
 MOST_SHARDS = 10**6

@@ -5,9 +5,8 @@ The stages stay up to date. One that would need the deleted frames is refused un
 
 from pathlib import Path
 
+from kinectbench.core import RecordingError, replaced_file
 from kinectbench.core.artefacts.manifest import Failed, Manifest, Sources
-from kinectbench.core.errors import RecordingError
-from kinectbench.core.storage import replaced_file
 from kinectbench.engine.artefact import whole_hash, whole_manifest
 
 # Folders of `build/<recording>/` that only later stages need, except for JSON files. For 300 frames of

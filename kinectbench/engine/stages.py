@@ -8,10 +8,9 @@ from pathlib import Path
 
 from pydantic import JsonValue
 
+from kinectbench.core import RESULTS, KinectBenchError, RecordingError
 from kinectbench.core.artefacts.manifest import Manifest, Sources
 from kinectbench.core.artefacts.views import MasksFile
-from kinectbench.core.errors import KinectBenchError, RecordingError
-from kinectbench.core.names import RESULTS
 from kinectbench.engine.artefact import VERSIONS, content_hash, fingerprint, has_sizes, whole_manifest
 from kinectbench.engine.slim import kept_source
 from kinectbench.engine.stage_settings import (

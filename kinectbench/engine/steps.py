@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.errors import SegmentationError, TrackingError
-from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.mesh import read_own_ply
+from kinectbench.core import SegmentationError, TrackingError
+from kinectbench.core.geometry import TriangleMesh, read_own_ply
 from kinectbench.core.own_pixels import by_own_pixels
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose

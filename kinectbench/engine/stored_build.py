@@ -10,13 +10,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
+from kinectbench.core import RecordingError, StorageError, error_code
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import MasksFile, PairsFile, ViewsFile
-from kinectbench.core.errors import RecordingError, StorageError, error_code
 from kinectbench.core.store.attempts import StoreGoneError
 from kinectbench.core.store.store import in_parallel
 from kinectbench.engine.checkout import (

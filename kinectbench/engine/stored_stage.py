@@ -11,13 +11,11 @@ from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 
+from kinectbench.core import StorageError, below, canonical_json, sha256_file, sha256_text
 from kinectbench.core.artefacts.manifest import Manifest, Timing
-from kinectbench.core.errors import StorageError
-from kinectbench.core.storage import canonical_json, sha256_file, sha256_text
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.packed import pack_files, unpack_files
 from kinectbench.core.store.store import MOST_OBJECT_BYTES, Store, fetch_all, in_parallel
-from kinectbench.core.untrusted import below
 from kinectbench.engine.artefact import Artefact
 
 ARCHIVE = "files.tar"

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Self, TypeVar
 
+from kinectbench.core import KinectBenchError
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.stored import Stored
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import PairsFile, ViewsFile
-from kinectbench.core.errors import KinectBenchError
 from kinectbench.core.medians import known_median
 from kinectbench.engine.pipeline import FOLDERS, Outcome
 from kinectbench.engine.recording_summary import RecordingSummary as RecordingSummary

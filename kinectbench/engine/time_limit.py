@@ -9,7 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core import KinectBenchError
 from kinectbench.engine.executor import WorkerLost
 
 # A recording hangs if it gives no sign of life for the limit again plus this time.

@@ -5,8 +5,8 @@ import time
 from collections.abc import Iterable
 from functools import partial
 
+from kinectbench.core import StorageError
 from kinectbench.core.artefacts.manifest import Manifest, Timing
-from kinectbench.core.errors import StorageError
 from kinectbench.core.store.store import Store, StoredObject, in_parallel
 from kinectbench.engine.stages import STAGES, SUGGEST
 from kinectbench.engine.stored_stage import ARCHIVE, files_folder

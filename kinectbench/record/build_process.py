@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import KinectBenchError, RecordingError
-from kinectbench.core.geometry.mesh import raycaster
+from kinectbench.core import KinectBenchError, RecordingError
+from kinectbench.core.geometry import raycaster
 from kinectbench.core.pictures import new_figure
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import using_threads

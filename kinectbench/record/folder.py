@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import SettingsError
-from kinectbench.core.storage import pretty_json, reachable, storage_errors
+from kinectbench.core import SettingsError, pretty_json, reachable, storage_errors
 from kinectbench.core.trajectory.stamps import format_stamp
 from kinectbench.record.interface import Frame, Setup
 from kinectbench.stages.ingest.images import encode_png

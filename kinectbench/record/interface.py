@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import CaptureError
+from kinectbench.core import CaptureError
 from kinectbench.core.geometry import Camera
 from kinectbench.stages.ingest.recording import ColorCalibration
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from kinectbench.core.errors import CaptureError, KinectBenchError
+from kinectbench.core import CaptureError, KinectBenchError
 from kinectbench.record.folder import FolderWriter, check_new
 from kinectbench.record.interface import Acceleration, Device, Frame, Setup
 from kinectbench.record.quiet import in_a_line, quiet

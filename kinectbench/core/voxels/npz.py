@@ -18,9 +18,8 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core import StorageError, open_plain, printable
 from kinectbench.core.types import Arrays
-from kinectbench.core.untrusted import open_plain, printable
 from kinectbench.core.voxels.npy import MAGIC, NpyError, read_npy
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 

@@ -14,10 +14,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import PairError
+from kinectbench.core import PairError, read_plain
 from kinectbench.core.geometry import Grid
 from kinectbench.core.types import Arrays, Bools, FileArray, Float64
-from kinectbench.core.untrusted import read_plain
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, arrays_of, open_npz, packed_npz_bytes
 
 FORMAT_VERSION, VERSION_KEY = 1, "format_version"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import PairError
+from kinectbench.core import PairError
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.npz import UNREADABLE, load_arrays, npz_bytes
 from kinectbench.core.voxels.pair_file import FULL_CELLS

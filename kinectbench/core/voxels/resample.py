@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import PairError, PredictionError, SettingsError
+from kinectbench.core import PairError, PredictionError, SettingsError
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.pair_file import BLOCK, FULL_CELLS
 

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import ShapeError
+from kinectbench.core import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, transform_points
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64

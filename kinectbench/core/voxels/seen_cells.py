@@ -7,8 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera, Grid
-from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry import Camera, Grid, depth_sigma_m
 from kinectbench.core.types import Float32, Float64
 from kinectbench.core.voxels.view_grids import corner_in_camera
 

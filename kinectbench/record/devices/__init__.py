@@ -4,8 +4,7 @@ import importlib
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from kinectbench.core.errors import CaptureError, SettingsError
-from kinectbench.core.extras import missing_extra
+from kinectbench.core import CaptureError, SettingsError, missing_extra
 from kinectbench.record.interface import Device
 from kinectbench.record.quiet import in_a_line, quiet
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from kinectbench.core.errors import CaptureError
+from kinectbench.core import CaptureError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import Float32
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled

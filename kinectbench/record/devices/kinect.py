@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import CaptureError
+from kinectbench.core import CaptureError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import MM_PER_M, Rgb
 from kinectbench.record.interface import Device, Frame, Setup

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kinectbench.core.errors import CaptureError
+from kinectbench.core import CaptureError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import MM_PER_M
 from kinectbench.record.interface import POLL_MS, Device, Frame, Setup, polled

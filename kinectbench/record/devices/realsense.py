@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from kinectbench.core.errors import CaptureError
+from kinectbench.core import CaptureError
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.record.interface import POLL_MS, Acceleration, Device, Frame, Setup, polled
 from kinectbench.stages.ingest.recording import ColorCalibration

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import CaptureError
+from kinectbench.core import CaptureError
 from kinectbench.core.trajectory.stamps import JUMP_NS, JUMP_PERIODS, NS_PER_S, typical_period_ns
 from kinectbench.record.interface import Device, Frame, Setup
 from kinectbench.settings.models import CameraSettings

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core import KinectBenchError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, rotation_angle_rad, transform_points
 from kinectbench.core.sequence import depth_in_metres
 from kinectbench.core.trajectory.stamps import NS_PER_S

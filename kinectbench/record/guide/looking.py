@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.geometry import OrientedBox, TriangleMesh, invert_rigid
-from kinectbench.core.geometry.decimate import decimated
-from kinectbench.core.geometry.rigid import on_so3
+from kinectbench.core.geometry import OrientedBox, TriangleMesh, decimated, invert_rigid, on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory

@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import CaptureError, SettingsError, StorageError, pretty_json, replaced_file
 from kinectbench.core.encoded_images import decoded_image
-from kinectbench.core.errors import CaptureError, SettingsError, StorageError
-from kinectbench.core.storage import pretty_json, replaced_file
 from kinectbench.core.types import Float64
 from kinectbench.record.guide.guide import Guide, Snapshot, mesh_bytes
 from kinectbench.record.guide.server import PageServer

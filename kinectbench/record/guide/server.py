@@ -13,7 +13,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from urllib.parse import urlsplit
 
-from kinectbench.core.errors import SettingsError
+from kinectbench.core import SettingsError
 
 HOST, HOSTS = "127.0.0.1", ("127.0.0.1", "localhost")
 TOKEN_BYTES = 16

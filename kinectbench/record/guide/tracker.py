@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import invert_rigid
-from kinectbench.core.geometry.rigid import on_so3
+from kinectbench.core.geometry import invert_rigid, on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Float64, Int64
 from kinectbench.record.interface import Frame, Setup

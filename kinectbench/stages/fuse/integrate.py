@@ -8,12 +8,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera, invert_rigid
-from kinectbench.core.geometry.depth import (
+from kinectbench.core.geometry import (
     SIGMA_GROWTH_PER_M,
     SIGMA_NEAR_DEPTH_M,
     SIGMA_NEAR_M,
+    Camera,
     depth_sigma_m,
+    invert_rigid,
 )
 from kinectbench.core.threads import ahead, in_parts
 from kinectbench.core.types import Float32, Float64

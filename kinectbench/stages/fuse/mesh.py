@@ -3,9 +3,7 @@
 import numba
 import numpy as np
 
-from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
-from kinectbench.core.geometry.closed import three_corners
-from kinectbench.core.geometry.mesh import isosurface
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, isosurface, three_corners, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import TrackingError
 from kinectbench.core.artefacts.reconstruction import DepthRangePart, ReconstructionFile
-from kinectbench.core.errors import TrackingError
-from kinectbench.core.geometry import Grid, TriangleMesh
-from kinectbench.core.geometry.mesh import write_ply
+from kinectbench.core.geometry import Grid, TriangleMesh, write_ply
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory

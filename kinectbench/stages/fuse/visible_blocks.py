@@ -7,8 +7,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import Camera
-from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry import Camera, depth_sigma_m
 from kinectbench.core.types import Float32, Float64, Int32
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume, unique_blocks
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.types import DepthCode
 from kinectbench.stages.ingest.images import quantised

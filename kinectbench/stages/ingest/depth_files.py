@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import MOST_PIXELS, UNPACKED_BYTES, RecordingError, is_too_large, printable
 from kinectbench.core.encoded_images import PNG_MAGIC, image_head
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import MM_PER_M, Bools, Float32
-from kinectbench.core.untrusted import MOST_PIXELS, UNPACKED_BYTES, is_too_large, printable
 from kinectbench.core.voxels.npy import MAGIC, read_npy
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
 from kinectbench.stages.ingest.images import (

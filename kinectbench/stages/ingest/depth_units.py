@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from kinectbench.core import quoted
 from kinectbench.core.types import MM_PER_M
-from kinectbench.core.untrusted import quoted
 
 # What a number under a name says. BY_SIZE: which of the three is judged by its size.
 UNITS_A_METRE, METRES_A_UNIT, BY_SIZE = "units a metre", "metres a unit", "by its size"

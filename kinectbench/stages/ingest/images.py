@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import RecordingError
 from kinectbench.core.encoded_images import PNG_MAGIC, ImageHead, decoded_image, decoded_mask, image_head
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.types import Bools
 
 # Units per metre for depth that was float: steps of 0.2 mm.

@@ -9,13 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core import IntrinsicsError, RecordingError, parsed_json, quoted
 from kinectbench.core.geometry import Camera
 from kinectbench.core.trajectory.text_rows import read_numbers, read_text
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import quoted
-from kinectbench.core.untrusted_text import parsed_json
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_units import scale_of_keys
 from kinectbench.stages.ingest.recording import ColorCalibration

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core import IntrinsicsError, RecordingError, listed_paths, printable
 from kinectbench.core.trajectory.text_rows import parse_floats, read_text
-from kinectbench.core.untrusted import listed_paths, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_units import scale_of_keys, yaml_scale
 from kinectbench.stages.ingest.intrinsics import (

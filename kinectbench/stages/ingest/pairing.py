@@ -6,7 +6,7 @@ All readers of two streams use this. An image without partner stays alone, and a
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.core.trajectory.association import associate, pairing_tolerance_ns
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.stages.ingest.image_names import frame_key, frame_numbers, times_of_names

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from kinectbench.core import RecordingError
 from kinectbench.core.artefacts.sequence import DAMAGED_FRAME
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import format_stamp
 from kinectbench.stages.ingest.images import OddImageError, image_header
 from kinectbench.stages.ingest.recording import RawFrame, Recording

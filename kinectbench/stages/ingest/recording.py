@@ -13,11 +13,10 @@ from typing import ClassVar, Literal, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import IMAGE_BYTES, RecordingError, listed_paths, printable, read_plain
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, DepthCode, Float64, Int64
-from kinectbench.core.untrusted import IMAGE_BYTES, listed_paths, printable, read_plain
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_codes import read_by_code
 from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px, kind_of

@@ -16,14 +16,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import (
+    UNPACKED_BYTES,
+    GivenPosesError,
+    KinectBenchError,
+    RecordingError,
+    StorageError,
+    read_plain,
+    storage_errors,
+)
 from kinectbench.core.artefacts.sequence import AGAIN, CameraFile, FrameRow, FramesFile
-from kinectbench.core.errors import GivenPosesError, KinectBenchError, RecordingError, StorageError
 from kinectbench.core.sequence import Sequence, UpSample
-from kinectbench.core.storage import storage_errors
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_text
 from kinectbench.core.types import Bools, Progress
-from kinectbench.core.untrusted import UNPACKED_BYTES, read_plain
 from kinectbench.stages.ingest.depth_code import decode_depth
 from kinectbench.stages.ingest.images import decode_depth_png, decode_mask
 from kinectbench.stages.ingest.partial_sequence import PartialSequence, go_on_from

@@ -8,10 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from kinectbench.core import RecordingError, storage_errors
 from kinectbench.core.artefacts.sequence import FrameRow
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import depth_in_metres
-from kinectbench.core.storage import storage_errors
 from kinectbench.core.threads import ahead
 from kinectbench.core.types import Progress
 from kinectbench.stages.ingest.depth_code import encode_depth

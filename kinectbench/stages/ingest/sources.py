@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import printable, scanned
+from kinectbench.core import RecordingError, printable, scanned
 
 # Most frames: two hours at 30 frames a second.
 MOST_FRAMES = 250_000

@@ -4,10 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.geometry import Camera, gauss_newton, rotation_angle_rad, transform_points
-from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry import (
+    Camera,
+    depth_sigma_m,
+    gauss_newton,
+    rigid_from_twist,
+    rotation_angle_rad,
+    transform_points,
+    twist_from_rigid,
+)
 from kinectbench.core.geometry.gauss_newton import NormalEquations
-from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float32, Float64
 
 # Farther depth is ignored: a Kinect's noise is 19 mm there.

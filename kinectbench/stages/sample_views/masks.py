@@ -10,9 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import SegmentationError
-from kinectbench.core.geometry import OrientedBox
-from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core import SegmentationError
+from kinectbench.core.geometry import OrientedBox, depth_sigma_m
 from kinectbench.core.types import Bools, Float32
 
 # Wide, so that the sensor's noise stays in the network's input.

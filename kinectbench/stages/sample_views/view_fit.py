@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.core.geometry import Camera
-from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry import Camera, DepthRenderer
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.morphology import containment_of_cells

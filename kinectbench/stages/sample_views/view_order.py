@@ -5,8 +5,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from kinectbench.core.geometry import transform_points
-from kinectbench.core.geometry.camera import DepthRenderer
+from kinectbench.core.geometry import DepthRenderer, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64

@@ -13,20 +13,17 @@ from typing import Any
 
 import numpy as np
 
+from kinectbench.core import IMAGE_BYTES, SegmentationError, StorageError, listed_paths, read_plain
 from kinectbench.core.artefacts.stored import known, number
 from kinectbench.core.artefacts.views import MasksFile, Refused, ViewRow, ViewsFile
 from kinectbench.core.encoded_images import decoded_image, decoded_mask, image_head
-from kinectbench.core.errors import SegmentationError, StorageError
-from kinectbench.core.geometry import transform_points
-from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.core.geometry.depth import TOO_FAR, depth_in_mm, too_far_for_mm
+from kinectbench.core.geometry import TOO_FAR, DepthRenderer, depth_in_mm, too_far_for_mm, transform_points
 from kinectbench.core.images import png
 from kinectbench.core.jpeg_metadata import without_metadata
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress
-from kinectbench.core.untrusted import IMAGE_BYTES, listed_paths, read_plain
 from kinectbench.settings.models import FitLimits, MaskCuts, ViewSettings
 from kinectbench.stages.sample_views.alignment import ViewAlignment, align_view
 from kinectbench.stages.sample_views.masks import (

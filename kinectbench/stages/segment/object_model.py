@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import StorageError
 from kinectbench.core.artefacts.object import FloorCandidate, FloorFile, QualityFile
 from kinectbench.core.artefacts.object_grids import ObjectVolume, Surround
 from kinectbench.core.artefacts.stored import known, number
-from kinectbench.core.errors import StorageError
-from kinectbench.core.geometry import Grid, OrientedBox
-from kinectbench.core.geometry.mesh import read_own_ply, write_ply
+from kinectbench.core.geometry import Grid, OrientedBox, read_own_ply, write_ply
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.floor_choice import REASONS
 from kinectbench.stages.segment.solid.solid import SolidShape

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from kinectbench.core.errors import ShapeError
+from kinectbench.core import ShapeError
 from kinectbench.core.geometry import Camera, Grid, OrientedBox, TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from kinectbench.core import TrackingError
 from kinectbench.core.artefacts.stored import known
 from kinectbench.core.artefacts.trajectory import GivenFigures
-from kinectbench.core.errors import TrackingError
-from kinectbench.core.geometry.depth import DepthCalibration
+from kinectbench.core.geometry import DepthCalibration
 from kinectbench.core.sequence import Sequence, counts_frames
 from kinectbench.core.trajectory.compare import compare_poses, has_pose
 from kinectbench.core.types import Bools, Float64, Progress

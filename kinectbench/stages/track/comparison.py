@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from kinectbench.core.errors import TrackingError
+from kinectbench.core import TrackingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.clock_offset import ClockOffset, clock_offset
 from kinectbench.core.trajectory.compare import TrajectoryError, compare_poses, has_pose, match_stamps

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.geometry import invert_rigid, transform_points
-from kinectbench.core.geometry.depth import (
+from kinectbench.core.geometry import (
     NO_CALIBRATION,
     TERMS,
     DepthCalibration,
     depth_sigma_m,
+    invert_rigid,
     legendre_terms,
+    transform_points,
 )
 from kinectbench.core.geometry.gauss_newton import NormalEquations, eliminated, weighted_products
 from kinectbench.core.threads import ahead

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry import invert_rigid, rotation_angle_rad, transform_points
+from kinectbench.core.geometry import invert_rigid, rotation_angle_rad, transform_points, twist_from_rigid
 from kinectbench.core.geometry.gauss_newton import projective_residuals
-from kinectbench.core.geometry.rigid import twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import covisible, keyframe_thumbnail
 from kinectbench.stages.track.frame_maps import FrameMaps, Level, MapCache

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.encoded_images import decoded_image
-from kinectbench.core.geometry import Camera, invert_rigid
-from kinectbench.core.geometry.depth import (
+from kinectbench.core.geometry import (
     SIGMA_GROWTH_PER_M,
     SIGMA_NEAR_DEPTH_M,
     SIGMA_NEAR_M,
+    Camera,
     DepthCalibration,
     corrected_depth_m,
+    invert_rigid,
 )
 from kinectbench.core.geometry.rolling_shutter import RollingShutter, upright_depth, upright_gray
 from kinectbench.core.images import image_sharpness

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
-from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
+from kinectbench.core.geometry import NO_CALIBRATION, DepthCalibration, invert_rigid, rotation_angle_rad
 from kinectbench.core.threads import ahead
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.covisibility import KeyframeThumbnail, covisible, keyframe_thumbnail

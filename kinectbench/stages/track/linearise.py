@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.core.geometry import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 from kinectbench.core.geometry.gauss_newton import NormalEquations, add_products, eliminated, symmetric_matrix
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import Level

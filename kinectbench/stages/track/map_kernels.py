@@ -7,7 +7,7 @@ cx, cy in pixels.
 import numba
 import numpy as np
 
-from kinectbench.core.geometry.depth import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
+from kinectbench.core.geometry import SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M, SIGMA_NEAR_M
 
 # A Kinect measures nothing nearer; farther its noise exceeds 33 mm.
 MIN_DEPTH_M, MAX_DEPTH_M = 0.3, 4.5

@@ -10,9 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
-from kinectbench.core.geometry.depth import DepthCalibration
-from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
+from kinectbench.core.geometry import (
+    DepthCalibration,
+    invert_rigid,
+    on_so3,
+    rigid_from_twist,
+    rotation_angle_rad,
+    twist_from_rigid,
+)
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.features import FeatureCache, pose_from_features
 from kinectbench.stages.track.frame_maps import DepthAverage, FrameMaps, MapCache

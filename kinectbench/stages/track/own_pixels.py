@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kinectbench.core.errors import TrackingError
+from kinectbench.core import TrackingError
 from kinectbench.core.own_pixels import Masks, by_own_pixels, frames_with_masks
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.association import poses_at

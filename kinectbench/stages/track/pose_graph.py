@@ -14,9 +14,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
 
-from kinectbench.core.geometry import invert_rigid
+from kinectbench.core.geometry import invert_rigid, on_so3, rigid_from_twist, twist_from_rigid
 from kinectbench.core.geometry.gauss_newton import descend
-from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.tracked import Constraint
 

@@ -13,8 +13,8 @@ from functools import partial
 import numpy as np
 from scipy.linalg import eigh
 
+from kinectbench.core.geometry import on_so3, rigid_from_twist, twist_from_rigid
 from kinectbench.core.geometry.gauss_newton import NormalEquations, descend
-from kinectbench.core.geometry.rigid import on_so3, rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.frame_maps import FrameMaps, Level
 from kinectbench.stages.track.linearise import NO_EXPOSURE_CHANGE, LinearTerms, linearise

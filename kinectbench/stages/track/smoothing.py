@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, diags_array, eye_array, kron
 from scipy.sparse.linalg import spsolve
 
-from kinectbench.core.geometry import invert_rigid
-from kinectbench.core.geometry.rigid import rigid_from_twist, twist_from_rigid
+from kinectbench.core.geometry import invert_rigid, rigid_from_twist, twist_from_rigid
 from kinectbench.core.types import Float64
 
 # Number of reweightings by the kernel.

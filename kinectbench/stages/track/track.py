@@ -7,8 +7,8 @@ trajectory is graded (`health`).
 
 import numpy as np
 
+from kinectbench.core import TrackingError
 from kinectbench.core.artefacts.trajectory import Source
-from kinectbench.core.errors import TrackingError
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.compare import has_pose

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.geometry.depth import NO_CALIBRATION, DepthCalibration
+from kinectbench.core.geometry import NO_CALIBRATION, DepthCalibration
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.registration import Registration
 

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from kinectbench.core.geometry import invert_rigid
-from kinectbench.core.geometry.rigid import on_so3
+from kinectbench.core.geometry import invert_rigid, on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.compare import has_pose

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from kinectbench.core.untrusted import HEAD_BYTES
+from kinectbench.core import HEAD_BYTES
 
 if TYPE_CHECKING:
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -26,8 +26,8 @@ from pathlib import Path
 from sqlite3 import Blob
 from typing import BinaryIO, Literal, NamedTuple
 
+from kinectbench.core import UNPACKED_BYTES
 from kinectbench.core.trajectory.stamps import LIMIT_NS
-from kinectbench.core.untrusted import UNPACKED_BYTES
 from kinectbench.stages.ingest.images import DamagedImageError
 
 # A decoded message: an object of the class that rosbags generates, with the type's fields as attributes.

@@ -13,12 +13,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import HEAD_BYTES, RecordingError, open_plain, size_of
 from kinectbench.core.geometry import closest_rotation, rigid
 from kinectbench.core.trajectory.text_rows import parse_floats
 from kinectbench.core.trajectory.trajectory_file import FARTHEST_M
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import HEAD_BYTES, open_plain, size_of
 from kinectbench.stages.ingest.bags.message_decoding import BagTopic, Message, RosBag, long_type
 from kinectbench.stages.ingest.bags.ros_poses import TransformTree, matrix_of
 from kinectbench.stages.ingest.bags.ros_topics import CAMERA_INFO, WANTED, CameraInfo, ImageTopic

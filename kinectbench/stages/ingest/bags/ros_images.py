@@ -6,8 +6,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import MOST_PIXELS, MOST_SIDE_PX, is_too_large
 from kinectbench.core.encoded_images import JPEG_MAGIC, PNG_MAGIC
-from kinectbench.core.untrusted import MOST_PIXELS, MOST_SIDE_PX, is_too_large
 from kinectbench.stages.ingest.bags.message_decoding import Message
 from kinectbench.stages.ingest.images import (
     DamagedImageError,

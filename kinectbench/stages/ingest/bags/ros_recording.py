@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.core.sequence import UpSample
 from kinectbench.core.trajectory.stamps import first_by_stamp
 from kinectbench.core.types import Float64

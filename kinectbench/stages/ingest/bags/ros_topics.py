@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.stages.ingest.bags.message_decoding import (
     OLD_TF_MESSAGE,
     TF_MESSAGE,

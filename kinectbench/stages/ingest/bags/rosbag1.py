@@ -14,8 +14,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, ClassVar
 
-from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, read_head, size_of
+from kinectbench.core import UNPACKED_BYTES, RecordingError, open_plain, read_head, size_of
 from kinectbench.stages.ingest.bags.message_decoding import (
     DEFINITION_BYTES,
     LONGEST_NAME,

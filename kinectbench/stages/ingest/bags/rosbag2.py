@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError, copy_bounded, listed_paths, open_plain, read_head
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import copy_bounded, listed_paths, open_plain, read_head
 from kinectbench.stages.ingest.bags import rosbag2_mcap, rosbag2_sqlite
 from kinectbench.stages.ingest.bags.message_decoding import (
     ZSTD_MAGIC,

@@ -9,8 +9,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 from urllib.parse import quote
 
-from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import copy_bounded, open_plain, read_head, size_of
+from kinectbench.core import RecordingError, copy_bounded, open_plain, read_head, size_of
 from kinectbench.stages.ingest.bags.message_decoding import (
     DEFINITION_BYTES,
     BagTopic,

@@ -4,8 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, unpacked_bound
+from kinectbench.core import UNPACKED_BYTES, RecordingError, open_plain, unpacked_bound
 from kinectbench.stages.ingest.bags.message_decoding import DamagedRecordError, MessagePlace
 
 # Least bytes of a bag's file per record, however well it is compressed; and records that are always allowed.

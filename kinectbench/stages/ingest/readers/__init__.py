@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import RESULTS, IntrinsicsError, RecordingError, StorageError
 from kinectbench.core.artefacts.manifest import Manifest
-from kinectbench.core.errors import IntrinsicsError, RecordingError, StorageError
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.names import RESULTS
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings

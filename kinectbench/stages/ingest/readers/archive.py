@@ -6,8 +6,7 @@ import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kinectbench.core.errors import RecordingError
-from kinectbench.core.untrusted import HEAD_BYTES, open_plain, printable, size_of, unpacked_bound
+from kinectbench.core import HEAD_BYTES, RecordingError, open_plain, printable, size_of, unpacked_bound
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 from kinectbench.stages.ingest.images import DamagedImageError
 

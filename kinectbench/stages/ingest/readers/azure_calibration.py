@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
 from kinectbench.core.types import Bools, Float64

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, BinaryIO, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import HEAD_BYTES, UNPACKED_BYTES, RecordingError, is_too_large, open_plain, size_of
 from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S, first_by_stamp
-from kinectbench.core.untrusted import HEAD_BYTES, UNPACKED_BYTES, is_too_large, open_plain, size_of
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, encode_png
 from kinectbench.stages.ingest.intrinsics import object_of

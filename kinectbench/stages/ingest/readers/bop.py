@@ -7,12 +7,11 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core import IntrinsicsError, RecordingError, is_too_large, printable
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import trajectory_from_matrices
 from kinectbench.core.types import MM_PER_M, Float64
-from kinectbench.core.untrusted import is_too_large, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import (

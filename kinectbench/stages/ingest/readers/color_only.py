@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
+from kinectbench.core import listed_paths, printable, read_head
 from kinectbench.core.encoded_images import PNG_MAGIC
-from kinectbench.core.untrusted import listed_paths, printable, read_head
 from kinectbench.stages.ingest.depth_files import ARRAYS
 from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, DEPTH_WORD, HEAD_BYTES, is_16_bit
 

@@ -7,9 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar, Self
 
+from kinectbench.core import listed_paths
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
-from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_files import (
     SUFFIXES,

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from kinectbench.core.untrusted import listed_paths, printable, read_head
+from kinectbench.core import listed_paths, printable, read_head
 from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import is_depth_png

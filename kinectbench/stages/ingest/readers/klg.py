@@ -14,10 +14,9 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
+from kinectbench.core import UNPACKED_BYTES, RecordingError, open_plain, size_of
 from kinectbench.core.encoded_images import JPEG_MAGIC
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import counted_ns, first_by_stamp, no_times
-from kinectbench.core.untrusted import UNPACKED_BYTES, open_plain, size_of
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics

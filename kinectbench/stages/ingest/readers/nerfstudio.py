@@ -16,12 +16,19 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import GivenPosesError, IntrinsicsError, RecordingError
+from kinectbench.core import (
+    GivenPosesError,
+    IntrinsicsError,
+    RecordingError,
+    below,
+    printable,
+    quoted,
+    read_head,
+)
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import below, printable, quoted, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings

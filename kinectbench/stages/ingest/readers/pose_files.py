@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import GivenPosesError, RecordingError
+from kinectbench.core import GivenPosesError, RecordingError, printable, read_head
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
 from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_matrix, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import printable, read_head
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.recording import FrameFiles, first_file

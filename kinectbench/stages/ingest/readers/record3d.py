@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from kinectbench.core.errors import GivenPosesError, IntrinsicsError, RecordingError
+from kinectbench.core import GivenPosesError, IntrinsicsError, RecordingError
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import ClassVar, NamedTuple, Self
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import counting_key, stamps_of_names
 from kinectbench.stages.ingest.images import DamagedImageError, decode_depth_png, image_header

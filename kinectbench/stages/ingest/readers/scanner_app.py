@@ -6,11 +6,10 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError, listed_paths
 from kinectbench.core.trajectory.stamps import counted_ns
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import json_numbers, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError
 from kinectbench.core.trajectory.text_rows import read_matrix
 from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none
 from kinectbench.core.types import Float64

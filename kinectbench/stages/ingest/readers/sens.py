@@ -15,12 +15,11 @@ from typing import BinaryIO, ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core import IntrinsicsError, RecordingError, is_too_large, open_plain, read_head, size_of
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import is_too_large, open_plain, read_head, size_of
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics, rig_calibration, scale_warnings

@@ -10,12 +10,11 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import IntrinsicsError, RecordingError
+from kinectbench.core import IntrinsicsError, RecordingError, listed_paths, read_head
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.core.untrusted import listed_paths, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_depth_png
 from kinectbench.stages.ingest.intrinsics import (

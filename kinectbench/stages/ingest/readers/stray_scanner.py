@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError, is_too_large, printable, read_head
 from kinectbench.core.trajectory.stamps import first_by_stamp, parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import parse_floats, read_matrix, text_rows
 from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, trajectory_from_poses
-from kinectbench.core.untrusted import is_too_large, printable, read_head
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.images import DamagedImageError

@@ -10,12 +10,11 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError, listed_paths
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import first_by_stamp
 from kinectbench.core.trajectory.text_rows import read_numbers
 from kinectbench.core.trajectory.trajectory_file import read_given
-from kinectbench.core.untrusted import listed_paths
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names, times_of_names
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix

@@ -5,7 +5,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
+from kinectbench.core import RecordingError, below, printable
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.trajectory.stamps import (
     check_unit,
@@ -16,7 +16,6 @@ from kinectbench.core.trajectory.stamps import (
 )
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory_file
-from kinectbench.core.untrusted import below, printable
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.gravity import up_at_rest
 from kinectbench.stages.ingest.intrinsics import HELD, read_color_calibration, read_json_object, said_warnings

@@ -10,7 +10,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from kinectbench.core.errors import GivenPosesError, RecordingError
+from kinectbench.core import GivenPosesError, RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.text_rows import parse_floats, text_rows

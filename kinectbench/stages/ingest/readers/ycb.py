@@ -16,13 +16,12 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import RecordingError, is_too_large
 from kinectbench.core.encoded_images import decoded_image
-from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.untrusted import is_too_large
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_files import hdf5_arrays
 from kinectbench.stages.ingest.images import DamagedImageError

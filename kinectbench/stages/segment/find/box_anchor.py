@@ -6,17 +6,18 @@ from math import atan2
 
 import numpy as np
 
+from kinectbench.core import SegmentationError
 from kinectbench.core.artefacts.object import AnchoredBoxPart
-from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import (
+    BoxAnchor,
     OrientedBox,
+    Pose,
     invert_rigid,
     quaternion_xyzw_from_rotation,
     rigid,
     rotation_from_quaternion_xyzw,
     transform_points,
 )
-from kinectbench.core.geometry.boxes import BoxAnchor, Pose
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core import SegmentationError
 from kinectbench.core.artefacts.object import AnchoredBoxPart, CandidateRow, CandidatesFile
 from kinectbench.core.box_pictures import ShownBox, box_picture, plan_picture
-from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import SegmentationError
-from kinectbench.core.geometry import Camera, invert_rigid
-from kinectbench.core.geometry.plane_fit import ransac_plane, refine
+from kinectbench.core import SegmentationError
+from kinectbench.core.geometry import Camera, invert_rigid, ransac_plane, refine
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import FloorCuts

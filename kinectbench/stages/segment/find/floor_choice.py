@@ -5,8 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from kinectbench.core.geometry import transform_points
-from kinectbench.core.geometry.plane_fit import ransac_plane, refine
+from kinectbench.core.geometry import ransac_plane, refine, transform_points
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.morphology import cell_numbers

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinectbench.core.errors import SegmentationError
+from kinectbench.core import SegmentationError
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_points
 from kinectbench.core.trajectory.coverage import looked_at
 from kinectbench.core.trajectory.trajectory import Trajectory

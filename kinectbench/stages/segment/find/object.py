@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kinectbench.core.errors import SegmentationError
+from kinectbench.core import SegmentationError
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64

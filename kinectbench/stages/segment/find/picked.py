@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kinectbench.core.errors import SegmentationError
+from kinectbench.core import SegmentationError
 from kinectbench.core.geometry import Camera, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory

@@ -4,9 +4,8 @@ from collections.abc import Sequence as Rows
 
 import numpy as np
 
-from kinectbench.core.errors import SegmentationError
-from kinectbench.core.geometry import Camera, transform_points
-from kinectbench.core.geometry.image_normals import image_normals
+from kinectbench.core import SegmentationError
+from kinectbench.core.geometry import Camera, image_normals, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float32, Float64

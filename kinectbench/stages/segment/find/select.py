@@ -4,9 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kinectbench.core.errors import SegmentationError
-from kinectbench.core.geometry import OrientedBox
-from kinectbench.core.geometry.boxes import yaw_rotation
+from kinectbench.core import SegmentationError
+from kinectbench.core.geometry import OrientedBox, yaw_rotation
 from kinectbench.core.types import Bools, Float64, Int32, Int64
 from kinectbench.core.voxels.touching_cells import connected, pieces_of_cells, touching_cells
 

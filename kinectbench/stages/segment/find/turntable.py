@@ -4,10 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from kinectbench.core.errors import SegmentationError
-from kinectbench.core.geometry import Camera, transform_points
-from kinectbench.core.geometry.depth import depth_sigma_m
-from kinectbench.core.geometry.image_normals import image_normals
+from kinectbench.core import SegmentationError
+from kinectbench.core.geometry import Camera, depth_sigma_m, image_normals, transform_points
 from kinectbench.core.own_pixels import Masks
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, watch_some

@@ -5,9 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.artefacts.object import MovingPart, UnseenSidePart
-from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, transform_points
-from kinectbench.core.geometry.camera import DepthRenderer
-from kinectbench.core.geometry.depth import depth_sigma_m
+from kinectbench.core.geometry import (
+    DepthRenderer,
+    Grid,
+    TriangleMesh,
+    depth_sigma_m,
+    invert_rigid,
+    transform_points,
+)
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory

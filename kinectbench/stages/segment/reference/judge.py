@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.artefacts.reference import RunnerUpPart
-from kinectbench.core.geometry import TriangleMesh, invert_rigid, transform_points
-from kinectbench.core.geometry.rigid import rotation_angle_rad
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, rotation_angle_rad, transform_points
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.solid import costs_too_much

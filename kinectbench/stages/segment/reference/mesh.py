@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kinectbench.core.errors import RecordingError
-from kinectbench.core.geometry import TriangleMesh
-from kinectbench.core.geometry.closed import is_closed, joined_vertices
+from kinectbench.core import RecordingError, printable, read_plain
+from kinectbench.core.geometry import TriangleMesh, is_closed, joined_vertices
 from kinectbench.core.glb_file import read_glb
 from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_obj, read_ply_surface
-from kinectbench.core.untrusted import printable, read_plain
 
 SUFFIXES = (".ply", ".obj", ".glb")
 # Nothing of a room is farther away, in any unit.

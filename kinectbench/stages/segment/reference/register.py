@@ -19,10 +19,17 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.geometry import TriangleMesh, invert_rigid, rigid, transform_points
+from kinectbench.core.geometry import (
+    Tensors,
+    TriangleMesh,
+    invert_rigid,
+    raycaster,
+    rigid,
+    rotation_angle_rad,
+    rotation_from_quaternion_xyzw,
+    transform_points,
+)
 from kinectbench.core.geometry.gauss_newton import NormalEquations, descend, robust_weights, weighted_products
-from kinectbench.core.geometry.mesh import Tensors, raycaster
-from kinectbench.core.geometry.rigid import rotation_angle_rad, rotation_from_quaternion_xyzw
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.stages.segment.object_model import ObjectModel

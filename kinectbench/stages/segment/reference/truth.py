@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from kinectbench.core import SegmentationError, ShapeError
 from kinectbench.core.artefacts.object import BoxPart, LabelCounts, QualityFile, ReferenceTruth
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.errors import SegmentationError, ShapeError
-from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
-from kinectbench.core.geometry.closed import outwards
+from kinectbench.core.geometry import Grid, TriangleMesh, outwards, transform_points
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube

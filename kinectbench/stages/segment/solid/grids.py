@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core import SegmentationError
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.errors import SegmentationError
-from kinectbench.core.geometry import Camera, Grid, OrientedBox, rigid, transform_points
-from kinectbench.core.geometry.boxes import yaw_rotation
+from kinectbench.core.geometry import Camera, Grid, OrientedBox, rigid, transform_points, yaw_rotation
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.observation import RAY_WIDTHS_VOXELS, Observation, ray_width_m

@@ -6,9 +6,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.errors import ShapeError
-from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
-from kinectbench.core.geometry.mesh import isosurface
+from kinectbench.core import ShapeError
+from kinectbench.core.geometry import Grid, TriangleMesh, isosurface, transform_points
 from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.morphology import from_beyond
 from kinectbench.core.voxels.observation import Observation
