@@ -183,7 +183,7 @@ def _tell(common: Common, done: "Recorded") -> None:
     value |= {"clock_set_back": done.set_back, "failure": done.failure or None}
     common.tell(value, [f"wrote {done.folder}: {done.frames} frames in {done.seconds:.1f} s"])
     warnings = {
-        f"{done.missed} frames were lost by the device": done.missed,
+        f"{done.missed} frames never arrived (too late, or damaged)": done.missed,
         f"{done.dropped} frames were not written: the disk is too slow": done.dropped,
         f"the device's clock went back {done.set_back} times; stamps go on by this machine's": done.set_back,
     }

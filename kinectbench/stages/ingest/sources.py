@@ -13,7 +13,7 @@ MOST_FILES = 4 * MOST_FRAMES
 MOST_DEPTH = 32
 # Most links to folders to follow: a few that link to each other form an endless tree.
 MOST_LINKED = 1000
-MISSING = "there is no such file or folder; correct the recording's `path:`"
+MISSING = "there is no such file or folder; correct the path"
 # Characters of a path that a message quotes.
 QUOTED = 300
 

@@ -114,7 +114,7 @@ def _known_format(path: Path) -> str:
     check_there(path)
     if not (path.is_dir() or path.is_file()):
         raise RecordingError(
-            f"{path}: is neither a folder nor a plain file; correct the recording's `path:`", what="not-found"
+            f"{path}: is neither a folder nor a plain file; correct the path", what="not-found"
         )
     name = format_of(path)
     if name is None:
