@@ -6,7 +6,6 @@ drawn on: views change, and the pictures of a frame change with the poses and th
 """
 
 import contextlib
-import hashlib
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,9 +20,10 @@ from kinectbench.core import (
     printable,
     replaced_file,
 )
-from kinectbench.core.artefacts.views import RECORDED, DrawnOn, MasksFile, ViewsFile
+from kinectbench.core.artefacts.views import RECORDED, DrawnOn, MasksFile
 from kinectbench.core.sequence import Sequence
 from kinectbench.engine.artefact import whole_manifest
+from kinectbench.engine.drawn_images import Shown, image_digest, picture_digests, views_of, views_shown
 from kinectbench.engine.locks import locked
 from kinectbench.engine.stages import Job
 from kinectbench.stages.ingest.sequence_folder import read_sequence
@@ -37,13 +37,6 @@ OTHERS_DRAWN = (
 VIEWS_DRAWN = "`segment_by: masks` takes masks of frames as they were recorded, and these were drawn on views"
 # Temporary name of a mask that is being renamed: its old name between these two.
 CARRIED = (".", ".carried")
-
-
-class Shown(NamedTuple):
-    """A view's name, and the index of the frame that it shows."""
-
-    name: str
-    frame: int
 
 
 class Carried(NamedTuple):
@@ -115,7 +108,7 @@ class DrawnMasks:
         entries, seen = dict[str, DrawnOn](), list[str]()
         with contextlib.suppress(KinectBenchError):  # a damaged build has no images
             sequence = read_sequence(build / "sequence")
-            shown = _shown_of(build / "views", manifest.fingerprint)
+            shown = views_of(build / "views", manifest.fingerprint)
             for file in new:
                 number, of_frame, _ = self.names[file]
                 view = shown.get((number, of_frame))
@@ -212,7 +205,7 @@ class DrawnMasks:
         """
         if self.of_recorded:
             return self
-        shown, wrong = _shown(views), list[str]()
+        shown, wrong = views_shown(views), list[str]()
         for file, (number, of_frame, _) in self.names.items():
             view = shown.get((number, of_frame))
             if of_frame or (view is not None and self._is(file, sequence, view.frame)):
@@ -232,7 +225,7 @@ class DrawnMasks:
     def _picture_now(self, file: str, sequence: Sequence, views: Path, view: Shown) -> str:
         """The digest of a view's pictures; the recorded digest, if their colour just lost its metadata."""
         pictures, known = read_pictures(views, view.name), self.entries[file].picture
-        return known if known in _digests(pictures, sequence, view.frame) else picture_digest(pictures)
+        return known if known in picture_digests(pictures, sequence, view.frame) else picture_digest(pictures)
 
     def _on_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
@@ -245,7 +238,7 @@ class DrawnMasks:
                 entries[file] = DrawnOn(image=image, picture=now)
             elif was != now and not (  # pictures of an uncorrected view equal the recorded frame
                 RECORDED in (was, now)
-                and {was, now} & _digests(pictures_of(sequence, frame), sequence, frame)
+                and {was, now} & picture_digests(pictures_of(sequence, frame), sequence, frame)
             ):
                 other.append(file)
         if other:
@@ -375,29 +368,3 @@ def carry_masks(job: Job) -> Carried:
     with locked(job.build):
         drawn = DrawnMasks.of(job)
         return Carried((), ()) if drawn is None else drawn.carry(read_sequence(job.build / "sequence"))
-
-
-def image_digest(sequence: Sequence, frame: int) -> str:
-    """SHA-256 of a frame's depth image as recorded: its size and every pixel in native units."""
-    depth = sequence.frames.depth_native(frame)
-    return hashlib.sha256(f"{depth.shape}".encode() + depth.astype("<u2").tobytes()).hexdigest()
-
-
-def _shown_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
-    """As `_shown`, but empty if the views were not made from the sequence with this fingerprint."""
-    manifest = whole_manifest(views)
-    return {} if manifest is None or manifest.inputs.get("ingest") != sequence else _shown(views)
-
-
-def _shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
-    """Map mask names to views: (number of a view, False) or (index of a frame, True) -> view."""
-    shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
-    return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}
-
-
-def _digests(pictures: Mapping[str, bytes], sequence: Sequence, frame: int) -> set[str]:
-    """The digests of a frame's pictures: as they are, and with the recorded colour and all its metadata."""
-    _, color = sequence.frames.color_encoded(frame) or ("", b"")
-    return {
-        picture_digest(each) for each in (pictures, {**pictures, "color.jpg": color} if color else pictures)
-    }

@@ -26,7 +26,8 @@ from kinectbench.core.geometry.rigid import rigid_from_twist
 from kinectbench.core.geometry.rolling_shutter import RollingShutter, motions
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.upright import upright
-from kinectbench.engine.drawn_masks import DrawnMasks, image_digest
+from kinectbench.engine.drawn_images import image_digest
+from kinectbench.engine.drawn_masks import DrawnMasks
 from kinectbench.engine.stages import Job
 from kinectbench.settings.file import load_benchmark
 from kinectbench.stages.sample_views.masks import mask_name

@@ -27,13 +27,11 @@ from kinectbench.core.voxels.lines_of_sight import (
     directions,
     seen_along,
 )
-from kinectbench.core.voxels.seeable import (
-    SeeableSolid,
+from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid, seen_from_outside
+from kinectbench.core.voxels.sight import (
     _grown_back,
     _level_ways_out,
     _reached_without_rising,
-    seeable_solid,
-    seen_from_outside,
     swept_from_outside,
 )
 

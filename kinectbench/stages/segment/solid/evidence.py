@@ -12,7 +12,7 @@ from kinectbench.core.types import Bools, Float32, Underside
 from kinectbench.core.voxels.distance import distance_within_m
 from kinectbench.core.voxels.lines_of_sight import Space
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
-from kinectbench.core.voxels.seeable import swept_from_outside
+from kinectbench.core.voxels.sight import swept_from_outside
 
 # A voxel with less than this share of the surface's median weight was grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015

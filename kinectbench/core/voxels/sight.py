@@ -1,0 +1,266 @@
+"""From where cameras could see each voxel around a measured surface: sweeps, and camera positions."""
+
+from dataclasses import dataclass, replace
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from kinectbench.core.sensor_limits import SensorLimits
+from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.core.voxels.distance import distance_within_m
+from kinectbench.core.voxels.fine_sight import seen_closely
+from kinectbench.core.voxels.lines_of_sight import (
+    BLOCKED,
+    LEVEL,
+    PASSABLE,
+    PLACE,
+    Space,
+    directions,
+    seen_along,
+)
+from kinectbench.core.voxels.morphology import from_beyond
+
+# Distances from voxel to voxel are exact except for rounding.
+ROUNDING_M = 1e-6
+# Below an object on legs so many of eight level rays lead out; behind a door or a front three at most do, and
+# of a desk with a back and two sides as many.
+OPEN_WAYS = 5
+# So near to a camera position lies one that no leg hides from the ways out: legs are thinner.
+BESIDE_M = 0.3
+
+
+@dataclass(frozen=True)
+class Sight:
+    """From where cameras could see each voxel.
+
+    Attributes:
+        any_way: (nx, ny, nz) uint8: FROM_ABOVE, FROM_BELOW, both, or 0 if no camera could see the voxel.
+        from_above: (nx, ny, nz) bool, seen level or from above by a camera in a position of `lower`.
+        space: where lines pass and cameras can be.
+        lower: `space` without the camera positions reached only by rising into an object from below.
+    """
+
+    any_way: NDArray[np.uint8]
+    from_above: Bools
+    space: Space
+    lower: Space
+
+    @property
+    def only_from_below(self) -> Bools:
+        """Mask of voxels seen only from below, or only from camera positions that `lower` excludes."""
+        below: Bools = (self.any_way > 0) & ~self.from_above
+        return below
+
+
+def swept_from_outside(
+    obstacle: Bools,
+    empty: Bools,
+    heights_m: Float32 | None,
+    voxel_size_m: float,
+    limits: SensorLimits,
+    count: int,
+    closer: SensorLimits | None = None,
+) -> Sight:
+    """Find the voxels that a camera outside an obstacle could see along some directions.
+
+    It is much faster than `seeable.seen_from_outside`, but may miss narrow gaps.
+
+    Args:
+        obstacle: bool (nx, ny, nz), voxels that lines and cameras do not cross; its last axis points up.
+        empty: bool (nx, ny, nz), voxels that the recording saw to be empty; all others count as unseen.
+        heights_m: (nz,) float32, heights of the layers' middles above the plane that the obstacle stands on,
+            metres; None: no plane.
+        voxel_size_m: edge of a voxel, metres.
+        limits: width of lines of sight, and size, least height and least distance of cameras.
+        count: number of directions, evenly spread.
+        closer: limits of the lines that are tried along more directions behind gaps; None: none are.
+    """
+    to_camera = directions(count)
+    level_or_up = to_camera[:, 2] >= -LEVEL
+    space = line_space(obstacle, heights_m, voxel_size_m, limits)
+    wide = None if closer is None else line_space(obstacle, heights_m, voxel_size_m, closer)
+    lines = _Lines(obstacle, limits, closer, wide, float(np.sqrt(4 * np.pi / count)))
+    lower, nothing = without_rising(space, empty), np.zeros_like(space.state)
+    from_above = lines.seen(space, to_camera[level_or_up], nothing)
+    any_way = from_above | lines.seen(space, to_camera[~level_or_up], from_above)
+    if lower is not space:
+        from_above = lines.seen(lower, to_camera[level_or_up], nothing)
+    return Sight(any_way, from_above > 0, space, lower)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Lines of sight around an obstacle: narrow ones, and wide ones for directions between theirs.
+
+    Attributes:
+        obstacle: bool (nx, ny, nz).
+        narrow: limits of the narrow lines.
+        closer: limits of the wide lines; None: only narrow lines are tried.
+        wide: where wide lines pass; None without them.
+        spacing_rad: angle between neighbouring directions of narrow lines, radians.
+    """
+
+    obstacle: Bools
+    narrow: SensorLimits
+    closer: SensorLimits | None
+    wide: Space | None
+    spacing_rad: float
+
+    def seen(self, space: Space, to_camera: Float64, already: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Find the voxels seen along directions (n, 3), all level or up, or all down; dilated by half a line.
+
+        Camera positions are those of `space`; voxels set in `already` are not searched for behind gaps.
+        """
+        if self.closer is None or self.wide is None:
+            return grown(seen_along(space, to_camera), self.obstacle, space.voxel_size_m, self.narrow)
+        state = np.where(self.wide.state == BLOCKED, np.uint8(BLOCKED), space.state)
+        found, further = seen_closely(
+            space, replace(space, state=state), to_camera, self.spacing_rad, already
+        )
+        narrowly = grown(found, self.obstacle, space.voxel_size_m, self.narrow)
+        return narrowly | grown(further, self.obstacle, space.voxel_size_m, self.closer)
+
+
+def without_rising(space: Space, empty: Bools) -> Space:
+    """Return the space without camera positions that are reached only by rising into an object from below.
+
+    A camera below an object on legs could otherwise rise through its unseen underside. Where walls surround
+    a camera, it came in through a side, and may rise: a cabinet is higher than its door.
+
+    Args:
+        space: where lines pass and cameras can be.
+        empty: bool of the same shape, voxels that were seen to be empty; all others count as unseen.
+    """
+    from scipy import ndimage
+
+    place = space.state == PLACE
+    reached = _reached_without_rising(place, empty)
+    if np.array_equal(reached, place):
+        return space
+    ways = _level_ways_out(space.state, reached & ~empty)
+    # Beside a leg few ways lead out, a little farther away more.
+    cells = 2 * round(BESIDE_M / space.voxel_size_m) + 1
+    below = _open_below(space.state, ndimage.maximum_filter(ways, (cells, cells, 1)))
+    may_enter = empty.copy()
+    may_enter[:, :, 1:] |= ~below[:, :, :-1]
+    reached = _reached_without_rising(place, may_enter)
+    return replace(space, state=np.where(place & ~reached, np.uint8(PASSABLE), space.state))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
+    """Return the camera positions, of `place`, that a camera reaches from outside the grid voxel by voxel.
+
+    It moves to any of 6 neighbours, but upwards only into voxels where `may_enter` is set. It enters
+    the grid through the lowest layer only at such voxels, and through the other sides anywhere.
+    """
+    nx, ny, nz = place.shape
+    reached = np.zeros(place.shape, np.bool_)
+    stack = np.empty(np.count_nonzero(place), np.int64)
+    count = 0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                edge = i == 0 or i == nx - 1 or j == 0 or j == ny - 1 or k == nz - 1
+                if place[i, j, k] and (edge or (k == 0 and may_enter[i, j, k])):
+                    reached[i, j, k] = True
+                    stack[count] = (i * ny + j) * nz + k
+                    count += 1
+    while count > 0:
+        count -= 1
+        i, j, k = stack[count] // (ny * nz), stack[count] // nz % ny, stack[count] % nz
+        for step in range(6):
+            a = i + (step == 1) - (step == 0)
+            b = j + (step == 3) - (step == 2)
+            c = k + (step == 5) - (step == 4)
+            if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
+                continue
+            if place[a, b, c] and not reached[a, b, c] and (c <= k or may_enter[a, b, c]):
+                reached[a, b, c] = True
+                stack[count] = (a * ny + b) * nz + c
+                count += 1
+    return reached
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
+    """Count the level rays of each `asked` voxel, 8 along axes and diagonals, that no BLOCKED voxel stops."""
+    nx, ny, nz = state.shape
+    ways = np.zeros(state.shape, np.uint8)
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if not asked[i, j, k]:
+                    continue
+                for way in range(9):
+                    dx, dy = way // 3 - 1, way % 3 - 1
+                    if dx == 0 and dy == 0:
+                        continue
+                    a, b = i, j
+                    while 0 <= a < nx and 0 <= b < ny and state[a, b, k] != BLOCKED:
+                        a, b = a + dx, b + dy
+                    ways[i, j, k] += not (0 <= a < nx and 0 <= b < ny)
+    return ways
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _open_below(state, ways):  # type: ignore[no-untyped-def]
+    """Return a mask of voxels that are open below.
+
+    A voxel is open below if it, or a voxel straight below it with no BLOCKED voxel between, has at least
+    `OPEN_WAYS` in `ways`, the result of `_level_ways_out`.
+    """
+    nx, ny, nz = state.shape
+    below = np.zeros(state.shape, np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            is_open = False
+            for k in range(nz):
+                is_open = state[i, j, k] != BLOCKED and (is_open or ways[i, j, k] >= OPEN_WAYS)
+                below[i, j, k] = is_open
+    return below
+
+
+def line_space(
+    obstacle: Bools, heights_m: Float32 | None, voxel_size_m: float, limits: SensorLimits
+) -> Space:
+    """Find where axes of lines of sight pass and cameras can be; arguments as in `swept_from_outside`."""
+    heights = np.full(obstacle.shape[2], np.inf, np.float32) if heights_m is None else heights_m
+    half_m = limits.line_width_m / 2
+    farthest_m = max(half_m, limits.camera_size_m / 2) + voxel_size_m
+    gap_m = distance_within_m(obstacle, voxel_size_m, farthest_m) - np.float32(voxel_size_m / 2)
+    place = from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
+    blocked = (gap_m < half_m - ROUNDING_M) | (heights < half_m - ROUNDING_M)
+    state = np.where(blocked, np.uint8(BLOCKED), np.where(place, np.uint8(PLACE), np.uint8(PASSABLE)))
+    return Space(state, heights, voxel_size_m, limits.near_m, limits.camera_height_m)
+
+
+def grown(
+    reached: NDArray[np.uint8], obstacle: Bools, voxel_size_m: float, limits: SensorLimits
+) -> NDArray[np.uint8]:
+    """Dilate `reached`, voxels on axes of lines of sight, by half a line's width, not into the obstacle."""
+    # Half a voxel more, or layers right at the obstacle would be missed by rounding.
+    return np.asarray(_grown_back(reached, obstacle, limits.line_width_m / 2 / voxel_size_m + 0.5))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
+    """Dilate `reached` (bits) by a ball of `radius` voxels, but not into the obstacle."""
+    nx, ny, nz = reached.shape
+    most = int(radius)
+    grown = reached.copy()
+    for i in range(nx):
+        for j in range(ny):
+            own = grown[i, j]
+            for a in range(max(-most, -i), min(most + 1, nx - i)):
+                for b in range(max(-most, -j), min(most + 1, ny - j)):
+                    for c in range(-most, most + 1):
+                        if a * a + b * b + c * c <= radius * radius and abs(c) < nz:
+                            source = reached[i + a, j + b, max(c, 0) : nz + min(c, 0)]
+                            target = own[max(-c, 0) : nz - max(c, 0)]
+                            for k in range(len(target)):
+                                target[k] |= source[k]
+            for k in range(nz):
+                own[k] = reached[i, j, k] if obstacle[i, j, k] else own[k]
+    return grown

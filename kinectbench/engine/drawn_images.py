@@ -1,0 +1,44 @@
+"""The images that masks are drawn on: a recorded frame's depth, and the pictures of a view that shows it."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from kinectbench.core.artefacts.views import ViewsFile
+from kinectbench.core.sequence import Sequence
+from kinectbench.engine.artefact import whole_manifest
+from kinectbench.stages.sample_views.views import picture_digest
+
+
+class Shown(NamedTuple):
+    """A view's name, and the index of the frame that it shows."""
+
+    name: str
+    frame: int
+
+
+def image_digest(sequence: Sequence, frame: int) -> str:
+    """SHA-256 of a frame's depth image as recorded: its size and every pixel in native units."""
+    depth = sequence.frames.depth_native(frame)
+    return hashlib.sha256(f"{depth.shape}".encode() + depth.astype("<u2").tobytes()).hexdigest()
+
+
+def views_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
+    """As `views_shown`, but empty if the views were not made from the sequence with this fingerprint."""
+    manifest = whole_manifest(views)
+    return {} if manifest is None or manifest.inputs.get("ingest") != sequence else views_shown(views)
+
+
+def views_shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
+    """Map mask names to views: (number of a view, False) or (index of a frame, True) -> view."""
+    shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
+    return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}
+
+
+def picture_digests(pictures: Mapping[str, bytes], sequence: Sequence, frame: int) -> set[str]:
+    """The digests of a frame's pictures: as they are, and with the recorded colour and all its metadata."""
+    _, color = sequence.frames.color_encoded(frame) or ("", b"")
+    return {
+        picture_digest(each) for each in (pictures, {**pictures, "color.jpg": color} if color else pictures)
+    }
