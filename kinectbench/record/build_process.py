@@ -68,6 +68,7 @@ class BuildProcess(Executor):
             folder: the growing folder.
             threads: number of threads for the build.
         """
+        folder = folder.absolute()  # as in a build's tasks: of another path, no stored frame is used
         context = multiprocessing.get_context("spawn")
         self._mine, theirs = context.Pipe()
         self._threads = threads

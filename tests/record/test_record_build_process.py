@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made_once import made_once
-from small_runs import make_small
+from growing_folder import FRAMES, all_taken, recorded_once
 from typed import noted
 
 from kinectbench.core import threads
@@ -22,22 +21,17 @@ from kinectbench.core.errors import RecordingError
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.engine.executor import SendMessage, WorkerLost
-from kinectbench.engine.parallel import build
-from kinectbench.engine.stages import Job
 from kinectbench.record import build_process
 from kinectbench.record.build_process import MAY_CHANGE, STORED, BuildProcess, GrowingBuild
-from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import TrackingSettings
 from kinectbench.stages.ingest import sequence_writer
-from kinectbench.stages.ingest.images import decode_depth_png, encode_png
 from kinectbench.stages.ingest.partial_sequence import (
-    PartialSequence,
+    go_on_from,
     partial_sequence,
-    using_partial_sequence,
 )
 from kinectbench.stages.ingest.readers import open_recording
-from kinectbench.stages.ingest.recording import FileRecording, RawFrame
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
+from kinectbench.stages.ingest.sequence_writer import SequenceWriter
 from kinectbench.stages.track import partial_odometry, track, tracker
 from kinectbench.stages.track.odometry import Follower
 from kinectbench.stages.track.partial_odometry import (
@@ -46,27 +40,11 @@ from kinectbench.stages.track.partial_odometry import (
     using_partial_odometry,
 )
 
-FRAMES = 16
-
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`out`, 16 frames of a chair, and `sequence`, what `ingest` makes of it."""
-
-    def make(to: Path) -> None:
-        (make_small(to, ("chair",)) / "recordings/chair").rename(to / "out")
-        write_sequence(open_recording(to / "out"), to / "sequence")
-
-    return made_once(tmp_path_factory, "partial", make)
-
-
-def all_taken(folder: Path, stored: Path, *, whole: bool) -> GrowingBuild:
-    """A folder of which all is taken that can be."""
-    growing = GrowingBuild(folder, stored)
-    growing.read_again()
-    while growing.take(whole=whole):
-        pass
-    return growing
+    return recorded_once(tmp_path_factory)
 
 
 def taken_of(folder: Path, stored: Path, *, whole: bool) -> PartialOdometry:
@@ -74,12 +52,6 @@ def taken_of(folder: Path, stored: Path, *, whole: bool) -> PartialOdometry:
     made = all_taken(folder, stored, whole=whole).odometry()
     assert made is not None
     return made
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    """The bytes of all files by their names, without the time that was taken."""
-    files = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "timing.json")
-    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def tracked(sequence: Sequence) -> Trajectory:
@@ -163,6 +135,28 @@ def test_a_process_takes_the_frames_as_they_come(recorded: Path, tmp_path: Path)
     assert listener == ["task"] and (count, pid) == (2, process.pid)
     assert 1 <= stored <= followed <= FRAMES
     assert not [*(tmp_path / "out").glob(f"{STORED}*")]
+
+
+def stored_frames_used(path: Path, say: SendMessage) -> int:
+    """The number of frames that `ingest` of the recording at this path need not store again."""
+    partial = partial_sequence()
+    assert partial is not None
+    writer = SequenceWriter(open_recording(path), path.with_name("sequence"))
+    go_on_from(partial, writer)
+    return writer.taken
+
+
+def test_stored_frames_are_used_if_the_folder_was_named_from_here(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A build's tasks have absolute paths; a recorder's user writes `record out`."""
+    shutil.copytree(recorded / "out", tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    process = BuildProcess(Path("out"))
+    process.ended()
+    [(_, used)] = process.outcomes(stored_frames_used, [tmp_path / "out"], Heard())
+    process.close()
+    assert not isinstance(used, WorkerLost) and used > 0  # further frames are stored meanwhile
 
 
 def test_a_closed_terminal_leaves_nothing(recorded: Path, tmp_path: Path) -> None:
@@ -299,102 +293,3 @@ def test_a_process_that_dies_costs_nothing(tmp_path: Path) -> None:
     stored, followed, _, pid = built_by(process, Heard())
     assert (stored, followed, pid) == (0, 0, os.getpid())
     process.close()
-
-
-@pytest.mark.parametrize("whole", [False, True])
-def test_ingest_goes_on_with_the_same_bytes(
-    recorded: Path, whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What was stored is not read again; of one frame depth is empty, which the warnings count."""
-    shutil.copytree(recorded / "out", tmp_path / "out")
-    empty = sorted((tmp_path / "out/depth").iterdir())[3]
-    empty.write_bytes(encode_png(np.zeros_like(decode_depth_png(empty.read_bytes(), ""))))
-    source = open_recording(tmp_path / "out")
-    write_sequence(source, tmp_path / "alone")
-    growing = all_taken(tmp_path / "out", tmp_path / "stored", whole=whole)
-    partial: PartialSequence = pickle.loads(pickle.dumps(growing.sequence()))
-    read, frame = list[int](), FileRecording.frame
-
-    def noted_frame(recording: FileRecording, index: int) -> RawFrame:
-        read.append(index)
-        return frame(recording, index)
-
-    monkeypatch.setattr(FileRecording, "frame", noted_frame)
-    warnings = write_sequence(source, tmp_path / "sequence", partial=partial)
-    assert read == list(range(FRAMES - (0 if whole else MAY_CHANGE), FRAMES))
-    assert any("1 depth images are empty" in line for line in warnings)
-    assert contents(tmp_path / "sequence") == contents(tmp_path / "alone")
-
-
-class EverySecond:
-    """A watch that wants every second frame."""
-
-    def __init__(self) -> None:
-        self.seen: list[tuple[int, int]] = []
-
-    def wants(self, index: int) -> bool:
-        return index % 2 == 0
-
-    def see(self, index: int, frame: RawFrame) -> None:
-        self.seen += [(index, frame.stamp_ns)] if self.wants(index) else []
-
-    def warnings(self) -> list[str]:
-        return []
-
-    def scale_warnings(self) -> list[str]:
-        return []
-
-
-def test_a_watch_is_shown_what_it_wants_of_stored_frames(recorded: Path, tmp_path: Path) -> None:
-    """In the same order, as if nothing had been stored before."""
-    partial, alone = all_taken(recorded / "out", tmp_path / "stored", whole=False).sequence(), EverySecond()
-    write_sequence(open_recording(recorded / "out"), tmp_path / "alone", watch=alone)
-    after = EverySecond()
-    write_sequence(open_recording(recorded / "out"), tmp_path / "sequence", watch=after, partial=partial)
-    assert after.seen == alone.seen and len(alone.seen) == FRAMES // 2
-
-
-@pytest.mark.parametrize("change", ["pixels", "scale", "gone"])
-def test_what_was_stored_of_other_files_is_not_used(recorded: Path, tmp_path: Path, change: str) -> None:
-    """A file was written again, the unit of depth differs, or what was stored is gone: all is read."""
-    out = tmp_path / "out"
-    shutil.copytree(recorded / "out", out)
-    partial = all_taken(out, tmp_path / "stored", whole=True).sequence()
-    if change == "pixels":
-        first, second = sorted((out / "depth").iterdir())[:2]
-        shutil.copyfile(second, first)
-    elif change == "scale":
-        said = json.loads((out / "camera.json").read_text())
-        (out / "camera.json").write_text(json.dumps({**said, "depth_scale": said["depth_scale"] / 2}))
-    else:
-        shutil.rmtree(tmp_path / "stored")
-    write_sequence(open_recording(out), tmp_path / "sequence", partial=partial)
-    write_sequence(open_recording(out), tmp_path / "alone")
-    assert contents(tmp_path / "sequence") == contents(tmp_path / "alone")
-
-
-def test_a_build_goes_on_from_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The stages ask for it, and their files are the same bytes as without."""
-    root = make_small(tmp_path, ("chair",))
-    file = root / "benchmark.yaml"
-    file.write_text(file.read_text().replace("category: chair}", "category: chair, trajectory: ignore}"))
-    settings = load_benchmark(file)
-    job = Job(settings, settings.recordings[0], root)
-    growing, asked = all_taken(root / "recordings/chair", tmp_path / "stored", whole=True), list[str]()
-
-    def sequence() -> PartialSequence | None:
-        asked.append("sequence")
-        return growing.sequence()
-
-    def odometry() -> PartialOdometry | None:
-        asked.append("odometry")
-        return growing.odometry()
-
-    written = list[object]()
-    monkeypatch.setattr(sequence_writer, "_write_packed", noted(sequence_writer._write_packed, written))
-    with using_partial_sequence(sequence), using_partial_odometry(odometry):
-        assert build([job], "track")[0].error is None
-    assert asked == ["sequence", "odometry"] and not written
-    begun = contents(job.build)
-    assert build([job], "track", ("ingest", "track"))[0].error is None and len(written) == FRAMES
-    assert asked == ["sequence", "odometry"] and len(begun) > 2 * FRAMES and contents(job.build) == begun
