@@ -124,6 +124,7 @@ class BuildProcess(Executor):
                 result: Result = said
                 return result
             listener.heard(said)  # an OSError of its own does not begin the task again
+        listener.warn("the build's process was killed, perhaps for lack of memory; the build begins again")
         with using_threads(self._threads):
             return function(task, listener.heard)
 

@@ -108,6 +108,13 @@ class Heard(list[object]):
         raise AssertionError(message)
 
 
+class Warned(Heard):
+    """The messages of tasks, and warnings."""
+
+    def warn(self, message: str, task: object = None) -> None:
+        self.append(message)
+
+
 def taken_in(task: object, say: SendMessage) -> tuple[int, int, object, int]:
     """What a build finds: numbers of frames stored and followed, its threads' default, and its process."""
     sequence, ask = partial_sequence(), partial_odometry._ask.get()
@@ -285,11 +292,13 @@ def test_another_camera_in_between_is_refused(recorded: Path, tmp_path: Path) ->
         growing.read_again()
 
 
-def test_a_process_that_dies_costs_nothing(tmp_path: Path) -> None:
+def test_a_process_that_dies_costs_time_only(tmp_path: Path) -> None:
     process = BuildProcess(tmp_path / "out")
     assert process.pid is not None
     os.kill(process.pid, signal.SIGKILL)
     process.ended()
-    stored, followed, _, pid = built_by(process, Heard())
+    listener = Warned()
+    stored, followed, _, pid = built_by(process, listener)
     assert (stored, followed, pid) == (0, 0, os.getpid())
+    assert len(listener) == 2  # a warning, then the task's own message
     process.close()
