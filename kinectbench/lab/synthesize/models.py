@@ -207,7 +207,7 @@ def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> 
     Args:
         models: the models, sorted.
         settings: `seed` and the numbers of models per category and split are used.
-        check: function from models to the reason why each cannot be used, or None.
+        check: function that returns for each of some models why it cannot be used, or None if it can.
 
     Returns:
         {category: its models with their splits}, sorted by category.
