@@ -23,7 +23,7 @@ COLUMNS = {
     "normal_consistency": ("normals", "{:.3f}"),
     "iou": ("IoU", "{:.3f}"),
 }
-# Further figures of a row, as in `COLUMNS`.
+# Further metrics of a row, as in `COLUMNS`.
 BESIDE = {
     **{name: (str(field.title), "{:.3f}") for name, field in fields_of(AsPapers).items() if field.title},
     "cut": ("cut", "{:.1%}"),
@@ -131,7 +131,10 @@ def _far(table: ScoreTable, heading: str) -> float:
 
 
 def _empty(rows: Sequence[ScoreRow]) -> str:
-    """Return " (<n> empty)" if n views have an empty prediction, which dominates a mean distance, else ""."""
+    """Return " (<n> empty)" if n views have an empty prediction, else "".
+
+    Empty predictions dominate a mean distance.
+    """
     count = sum(row.counts and row.solid is None for row in rows)
     return f" ({count} empty)" if count else ""
 

@@ -35,8 +35,8 @@ PROTOCOL_NOTES = {
     "shell": "the shape's surface alone, the extreme of the paper's real truth; plain mean over pairs",
     "camera": "surfaces in the camera frame, as predicted, in metres; mean over objects",
 }
-# The two figures of a protocol's table: key, heading, decimals. Protocols of voxels and of space show
-# different figures.
+# The two metrics of a protocol's table: key, heading, decimals. Protocols of voxels and of space show
+# different metrics.
 OF_VOXELS = (("iou", "IoU", 3), ("ce", "CE, nats a voxel", 3))
 OF_SURFACES = (("f_score_10mm", "F-score 10 mm", 3), ("chamfer_l1_m", "Chamfer L1, m", 4))
 CEILING = "ceiling"
@@ -122,7 +122,7 @@ def _figures(protocol: str) -> tuple[tuple[str, str, int], tuple[str, str, int]]
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the protocols under which the tables have averages: first those of `PROTOCOL_NOTES`."""
+    """Return the protocols under which the tables have averages, those of `PROTOCOL_NOTES` first."""
     names = dict.fromkeys(p for t in tables for p in [*(t.by_category or {}), *(t.overall or {})])
     first = [p for p in PROTOCOL_NOTES if p in names]
     return first + [p for p in names if p not in first]
@@ -186,7 +186,7 @@ def protocol_table(
 
 
 def _shared(marks: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Return the marks (caveats) that all rows have; empty for a single row, which shows its marks itself."""
+    """Return the marks (caveats) that all rows have; none if there is one row, which shows its own marks."""
     first = marks[0] if len(marks) > 1 else ()
     return tuple(words for words in first if all(words in of for of in marks))
 
@@ -249,13 +249,13 @@ def _cell(value: float | None, best: float | None, interval: Sequence[float] | N
 
 
 def _base_rate(averages: Averages) -> str:
-    """Return as text the cross-entropy of predicting the base rate, and the split it was computed on."""
+    """Return one text: the cross-entropy of predicting the base rate, and the split it was computed on."""
     source = averages.base_rate_source if isinstance(averages, CategoryAverages) else None
     return " ".join(filter(None, (shown_figure(averages.base_rate_ce), source)))
 
 
 def _truth_iou(averages: Averages) -> str | None:
-    """Return as text the truth's estimated IoU and interval, both means over objects; None if unknown."""
+    """Return the truth's estimated IoU and its interval as text, means over objects; None if unknown."""
     low, high = averages.truth_estimated_iou_low, averages.truth_estimated_iou_high
     return with_interval(averages.truth_estimated_iou, low, high, DECIMALS)
 

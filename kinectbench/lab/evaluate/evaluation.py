@@ -137,8 +137,8 @@ def floor_figures(floor: Floor, truth: Truth, registration: BuildRegistration) -
     return FloorFigures(float(np.arctan2(sine, cosine)), float(-(normal @ foot + offset) / cosine))
 
 
-# Version 2: figures refer to the seeable solid; figures that refer to the exact solid, and had these names
-# before, begin with `exact`.
+# Version 2: metrics refer to the seeable solid. Names of metrics that refer to the exact solid, which had
+# no prefix before, begin with `exact`.
 FORMAT_VERSION = 2
 DIGITS = 6
 # Decimals of matrices and of lists of errors, metres.

@@ -33,7 +33,7 @@ YCB_MESH = "google_16k/nontextured.ply"
 NEAR_M = 0.02
 # Faces within 45 degrees of the vertical count as looking up or down.
 STEEP = np.sqrt(0.5)
-# Decimals of the written figures: micrometres, and millionths of a ratio.
+# Decimals of the written values: micrometres, and millionths of a ratio.
 DECIMALS = 6
 
 

@@ -276,8 +276,9 @@ def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tu
     """Return one surface patch for every `step`th pixel of every `step`th row, and their (rows, columns).
 
     Returns:
-        (n, 9) float32: point in metres and unit normal, both in the camera's frame; reflected light; area in
-        m²; cosine of incidence. Light and area are 0 without a hit. And the number of rows and of columns.
+        The patches, (n, 9) float32: point in metres and unit normal, both in the camera's frame; reflected
+        light; area in m²; cosine of incidence. Light and area are 0 where nothing is hit. And the number of
+        rows and of columns of patches.
     """
     lens = (camera.fx, camera.fy, camera.cx, camera.cy)
     rows, columns = (len(range(step // 2, size, step)) for size in depth_m.shape)

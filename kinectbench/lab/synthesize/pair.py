@@ -76,7 +76,7 @@ def make_synthetic_pair(
 def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
     """Return two packed bit grids: the cells in the solid, and the known cells.
 
-    Unknown are gaps that only a finer sensor could see into, and walls thinner than a voxel (`slit`).
+    Gaps that only a finer sensor could see into, and walls thinner than a voxel (`slit`), are not known.
     """
     full = VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, grid)
     if checked.seeable is None:
