@@ -27,7 +27,7 @@ MOST_DOTS = 500
 
 @dataclass(frozen=True)
 class Bar:
-    """A method's bar: `text` is its IoU, `length` and `interval` (start, length) are in % of the chart."""
+    """A method's bar: `text` is its IoU; `length` and `interval` (start, length) are in % of the chart."""
 
     method: str
     text: str
@@ -37,7 +37,7 @@ class Bar:
 
 
 def iou_bars(tables: Sequence[ScoreTable], protocol: str) -> dict[str, list[Bar]]:
-    """Return {category: a bar for each method} that show mean IoU and its confidence interval.
+    """Return {category: a bar for each method}; a bar shows the mean IoU and its confidence interval.
 
     If there are several categories, the group `OVERALL` comes first.
     """
@@ -210,7 +210,7 @@ def visible_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, 
 
 
 def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Chart, ...]:
-    """Draw a reliability diagram of methods with several hypotheses per view; at most one chart.
+    """Draw one reliability diagram of all methods with several hypotheses per view, if there are any.
 
     Cells are binned by the share of hypotheses in which they are solid; y is the share of a bin's cells that
     are solid in the truth.

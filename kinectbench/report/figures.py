@@ -1,4 +1,4 @@
-"""Format a stage's figures for the page: its verdict, and every other key of its file with its unit."""
+"""Format a stage's statistics for the page: its verdict, and each other key of its file with its unit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from kinectbench.core.artefacts.trajectory import Grade, TrajectoryHealth
 UNITS = {"_mm": "mm", "_m": "m", "_s": "s", "_ns": "ns", "_px": "px", "_rad": "rad", "_deg": "deg"}
 MAX_LISTED = 6
 HIDDEN = ("verdict", "warnings", "format_version")
-# Keys that are shown in separate words, beside the object's other figures.
+# Keys that are shown in separate words, beside the object's other statistics.
 OF_THE_ESTIMATE = ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "estimated_iou_reasons")
 # Names of shares whose keys do not say what they are a share of.
 NAMES: Mapping[str, str] = {
@@ -27,18 +27,18 @@ TONES: Mapping[Grade, str] = {"good": "good", "fair": "good", "not good": "bad"}
 
 @dataclass(frozen=True)
 class StageFigures:
-    """The figures of one stage, formatted for the page.
+    """The statistics of one stage, formatted for the page.
 
     Attributes:
         verdict: the verdict that the stage gives, or "".
         tone: the class that colours the verdict: "good", "warn", "bad" or "plain".
         grade: the grade of a trajectory, such as "fair"; "" for an object.
         warnings: the stage's warnings.
-        rows: (name, value) of the other figures, as texts; lists of objects are left out.
+        rows: (name, value) of the other statistics, as texts; lists of objects are left out.
         estimate: the estimated IoU with its interval, or "".
         reasons: what widens the interval, one line each.
         advice: what to record again, one line for each unobserved opening.
-        word: a sentence on what a person stated about the object, or "".
+        word: a sentence on what the user stated about the object, or "".
     """
 
     verdict: str
@@ -53,9 +53,11 @@ class StageFigures:
 
 
 def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None) -> StageFigures:
-    """Return a trajectory's figures, coloured by its grade: "good", "warn" if it has warnings, or "bad".
+    """Return a trajectory's statistics for the page.
 
-    With `sequence`, the recording's camera file, the first row is the number of damaged frames.
+    The colour of the verdict follows the grade: "bad" if the grade is "not good", else "warn" if there are
+    warnings, else "good". With `sequence`, the recording's camera file, the first row gives the number of
+    damaged frames.
     """
     tone = TONES[health.grade]
     if health.warnings and tone != "bad":
@@ -66,7 +68,11 @@ def health_figures(health: TrajectoryHealth, sequence: CameraFile | None = None)
 
 
 def quality_figures(quality: QualityFile) -> StageFigures:
-    """Return an object's figures; tone "good" without warnings, "warn" with, "plain" if not known."""
+    """Return an object's statistics for the page.
+
+    The colour of the verdict is "warn" if there are warnings, "good" if there are none, and "plain" if the
+    file has no list of warnings.
+    """
     tone = "plain" if "warnings" not in quality.model_fields_set else "warn" if quality.warnings else "good"
     return StageFigures(
         quality.verdict or "",

@@ -50,7 +50,7 @@ DRAWN_SHARE = 0.25
 
 
 def shown_pairs(rising: Sequence[str], every: Sequence[str]) -> list[str]:
-    """Return the sorted names of the pairs that a page shows of a method: best, worst, and some of all.
+    """Return the sorted names of a method's shown pairs: its best, its worst, and some spread over all.
 
     Args:
         rising: the method's pairs, from the worst to the best.
@@ -72,7 +72,7 @@ def gallery_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress = no_progress,
 ) -> dict[str, Packed]:
-    """Return {shown pair: its prediction at the threshold of its score, (64, 64, 8) uint8, packed}.
+    """Return {shown pair: packed cells (64, 64, 8) uint8 of its prediction, at the threshold of its score}.
 
     Args:
         release: the release that was predicted.
@@ -111,7 +111,7 @@ def loaded_cells(
     upsampling: str = HALF_PIXEL,
     progress: Progress = no_progress,
 ) -> dict[str, Packed]:
-    """Return the cells as `gallery_cells` does, of predictions from `load`; None gives an empty grid."""
+    """Return the cells of `gallery_cells` for predictions that `load` returns; None gives an empty grid."""
     chosen = chosen_pairs(release, table)
     cells = {}
     for done, (target, threshold) in enumerate(chosen.items()):
@@ -127,12 +127,12 @@ def baseline_cells(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> list[dict[str, Packed]]:
-    """Return for each baseline {shown pair: its prediction, (64, 64, 8) uint8, packed}, predicted again.
+    """Predict the shown pairs again: return for each baseline {pair: packed cells (64, 64, 8) uint8}.
 
     Args:
         release: the release that was predicted.
         tables: the baselines' scores.
-        upsampling: as in `gallery_cells`.
+        upsampling: convention for grids of fewer or more than 256 cells, "half-pixel" or "corner-aligned".
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -177,7 +177,7 @@ def chosen_pairs(release: Release, table: ScoreTable) -> dict[Target, float]:
 
 
 def _figure(row: ScoreRow) -> float | None:
-    """Return a row's sort key, higher is better: IoU, or minus the Chamfer distance; None if unknown."""
+    """Return a row's sort key: IoU, or minus the Chamfer distance (higher is better); None if unknown."""
     if row.in_space:
         return None if row.chamfer_l1_m is None else -row.chamfer_l1_m
     return row.iou
@@ -200,8 +200,9 @@ class PairTruth:
         up: (3,) unit vector that points up, in the grid's axes.
         partial: (64, 64, 8) uint8, packed.
         full: (64, 64, 8) uint8, packed, the true shape.
-        known: (64, 64, 8) uint8, packed, cells whose voxel just beyond the middle is known.
-        unseen: (64, 64, 8) uint8, packed, cells of `full` with at least half of the shape's voxels not known.
+        known: (64, 64, 8) uint8, packed; a cell is set if the voxel just beyond its middle is known.
+        unseen: (64, 64, 8) uint8, packed, the cells of `full` in which at least half of the shape's voxels
+            are not known.
         picture: the view's depth, and its colour if published, as a `data:` URL; "" without images.
     """
 
@@ -218,7 +219,7 @@ class PairTruth:
 def read_pair_truth(release: Release, target: Target) -> PairTruth:
     """Read the parts of a release's pair that the page shows.
 
-    Of an open mesh, `full` has the cells with points of its surface, and all cells count as known.
+    If the truth is an open mesh, `full` has the cells with points of its surface, and all cells are known.
 
     Raises:
         ReleaseError: the pair file is missing, damaged or not the published one.
@@ -282,7 +283,7 @@ def _unseen(full: Packed, known: Packed) -> Packed:
 
 
 def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64:
-    """Return the up direction (3,) in grid axes: the floor's normal, or, without a floor, the image's up."""
+    """Return the up direction (3,) in grid axes: the floor's normal, or up in the image without a floor."""
     up = np.zeros(3)
     with contextlib.suppress(ReleaseError):  # it only turns a picture
         floor = release.floor(recording)
@@ -311,12 +312,13 @@ def gallery_json(
         tables: the methods' scores.
         galleries: each method's gallery, or None.
         truths: {pair: its truth}; pairs without truth are not shown.
-        protocol: the protocol whose figures are shown. A method that was not scored under it is shown under
-            the protocol of its first row, which is named.
+        protocol: the protocol whose scores are shown. If a method was not scored under it, the scores of its
+            first row's protocol are shown, with the name of that protocol.
         many: whether the page shows many recordings; then the gallery is smaller.
 
     Returns:
-        The JSON text, or None if there is nothing to show; and the number of pairs left out for its size.
+        The JSON text, or None if there is nothing to show; and the number of pairs left out to limit its
+        size.
     """
     shown_by = [
         {name: _text(cells) for name, cells in (gallery or {}).items() if name in truths}

@@ -107,7 +107,7 @@ def frame_pictures(folder: Path, views: ViewsFile, most: int = FRAMES_SHOWN) -> 
 
 
 def _frame(folder: Path, row: ViewRow, registered: bool) -> FramePicture | None:
-    """Draw one view on its colour image if `registered`, else on its depth; return None without either."""
+    """Draw one view on its colour image if `registered`, else on its depth; None if it has no image."""
     paths = {kind: folder / f"{row.view}.{kind}" for kind in ("color.jpg", "depth.png", "mask.png")}
     color_path = paths["color.jpg"] if paths["color.jpg"].exists() else None
     color = images.read_color(color_path) if color_path else None

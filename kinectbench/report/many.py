@@ -1,4 +1,4 @@
-"""Make the list of recordings for a page of a large benchmark: a row each, read only from small files."""
+"""Make the list of recordings for a page of a large benchmark: one row for each, read from small files."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -42,7 +42,7 @@ class Groups:
 
 @dataclass(frozen=True)
 class Beside:
-    """The parts of a page beside the score tables.
+    """The parts of a page that accompany the score tables.
 
     Attributes:
         groups: groups of methods that cannot be distinguished.

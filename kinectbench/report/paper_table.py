@@ -1,7 +1,8 @@
 """Make the tables of the paper, 3D-RecGAN++, for some methods: mean IoU and cross-entropy by category.
 
 They have the form of the paper's tables at 256^3 (`scoring.published`), and every pair weighs equally. Like
-the paper's test sets, each set of viewing angles, which the names of recordings state, gets its own table.
+the paper's test sets, each set of viewing angles gets its own table. The names of recordings state the
+angles.
 """
 
 import re
@@ -37,13 +38,13 @@ LONGEST_CELL = 100
 
 @dataclass(frozen=True)
 class PaperRow:
-    """One row of the paper's table: the figures of a method.
+    """One row of the paper's table: the results of a method.
 
     Attributes:
         method: the method's name.
-        published: title of the paper's table that states these figures; "" for a scored method.
+        published: title of the paper's table that states these results; "" for a scored method.
         iou: {category: mean over pairs}; a category without a pair is left out.
-        ce: {category: mean cross-entropy over pairs}, nats a voxel.
+        ce: {category: mean cross-entropy over pairs}, nats per voxel.
     """
 
     method: str
@@ -59,7 +60,7 @@ class PaperTable:
     Attributes:
         title: states the scored pairs, such as those of one set of viewing angles.
         categories: categories with pairs: first the paper's in its order, then others by name.
-        pairs: number of scored pairs, the same for all methods with one truth; else that of the first method.
+        pairs: number of scored pairs of the first method; methods with the same truth have the same number.
         rows: the methods, highest mean IoU over the categories first; then the published methods.
     """
 
@@ -73,7 +74,8 @@ def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
     """Return tables in the paper's form for methods scored on one truth, one for each set of viewing angles.
 
     If all methods were also scored under the protocol `shell`, its tables follow. Both kinds of tables have
-    the paper's figures of real recordings, because it does not say whether their truth is solid or a shell.
+    the paper's results on real recordings, because the paper does not say whether their truth is solid or a
+    shell.
 
     Raises:
         SettingsError: a table is not complete, or was not scored under the protocol `paper`.
@@ -136,14 +138,14 @@ def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
 
 
 def _present(of: PublishedTable, figures: Sequence[float], categories: Sequence[str]) -> dict[str, float]:
-    """Return {category: figure} of one row of figures of the table `of`, for the wanted categories."""
+    """Return {category: value} for the wanted categories; `figures` is a row of the published table `of`."""
     return {name: value for name, value in zip(of.categories, figures, strict=True) if name in categories}
 
 
 def paper_markdown(tables: Sequence[PaperTable]) -> str:
-    """Return tables as Markdown: a row for each method, with IoU, then cross-entropy, of each category.
+    """Return tables as Markdown: a row for each method, with the IoU, then the cross-entropy, by category.
 
-    Below tables with published rows is a line on the numbers of parameters of the paper's networks.
+    If a table has published rows, the last line states the numbers of parameters of the paper's networks.
     """
     last = [PARAMETERS_LINE] if any(row.published for table in tables for row in table.rows) else []
     return "\n\n".join([*("\n".join(_lines(table)) for table in tables), *last]) + "\n"

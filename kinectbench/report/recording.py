@@ -59,20 +59,20 @@ class RecordingPart:
 
     Attributes:
         settings: the recording's own settings.
-        health: figures of the trajectory, or None.
-        quality: figures of the object, or None.
+        health: statistics of the trajectory, or None.
+        quality: statistics of the object, or None.
         turntable: a strip of pictures of the object from all around, or None.
         plan: the camera's path seen from above, or None.
         object_pictures: pictures of the object from a few sides, with unseen parts in colour.
         frames: pictures of some recorded views.
         tiles: every pair.
-        refused: (view, frame, reason) of every refused pair, and of every frame that was refused as a view,
-            for which view is "".
+        refused: (view, frame, reason) of every refused pair and of every frame that was refused as a view.
+            Such a frame has "" as its view.
         containment: median containment over the pairs, as text.
         residual: median residual over the pairs, as text.
         missing: results that are not built yet, of "trajectory", "floor", "object", "views" and "pairs".
-        outdated: those of the five that are not shown, because they were made with another version, other
-            settings or other inputs.
+        outdated: results, of the same five, that are not shown because they were made with another version,
+            other settings or other inputs.
         failed: the stage at which the last build failed, and why, one line; or "".
     """
 
@@ -155,9 +155,9 @@ def collect(job: Job, folder: Path) -> RecordingPart:
 
 
 def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction: Path | None) -> str:
-    """Return a strip of pictures of the object from all around as a `data:` URL, coloured if the scene is.
+    """Return a strip of pictures of the object from all around as a `data:` URL.
 
-    `reconstruction` is the folder with the scene's mesh, or None.
+    The object is coloured if the scene's mesh is. `reconstruction` is the folder with that mesh, or None.
     """
     scene_floor = None
     if reconstruction and (reconstruction / "mesh.ply").is_file():
@@ -176,9 +176,10 @@ def _mesh(folder: Path, T_floor_world: Float64) -> tuple[TriangleMesh, Bools]:
 
 
 def _left_out(cameras_floor: Float64, health: TrajectoryHealth | None) -> Float64:
-    """Return camera positions (k, 3), floor frame, metres, of rejected frames, interpolated between others.
+    """Return the camera positions of rejected frames: (k, 3), floor frame, metres.
 
-    The result is empty unless the trajectory has a row for each frame, or for each frame that was kept.
+    They are interpolated between other frames. The result is empty unless the trajectory has a row for each
+    frame, or for each frame that was kept.
     """
     if health is None or not health.rejected:
         return np.zeros((0, 3))

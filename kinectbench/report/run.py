@@ -39,7 +39,7 @@ class ScoreFile:
 def files_in(folder: Path, benchmark_sha256: str | None) -> tuple[list[ScoreFile], list[str]]:
     """Read every scores.json in a folder and its direct subfolders, sorted by path.
 
-    Files scored against another release are left out, and files with an older score version than the newest.
+    Files scored against another release are left out. So are files whose score version is not the newest.
 
     Args:
         folder: the folder of scores; it may be missing.
@@ -99,7 +99,8 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
 def kept_baselines(files: Sequence[ScoreFile]) -> list[ScoreFile]:
     """Read the scores of baselines that `score` has written beside score files; one file per baseline.
 
-    Only those of the same release, score version and upsampling are returned, without baselines in `files`.
+    Only scores of the same release, score version and upsampling are returned. Baselines in `files` are left
+    out.
 
     Args:
         files: the page's score files, all of one release.
@@ -239,7 +240,7 @@ def write_galleries(
     Args:
         release: the release that was predicted.
         predictions: the folder of the scored predictions; None: baselines, which are predicted again.
-        tables: the score tables; of predictions, in the order of `split_methods`.
+        tables: the score tables; with `predictions`, in the order of `split_methods`.
         out: the folder in which the scores are.
         upsampling: the convention used for scoring, "half-pixel" or "corner-aligned".
         jobs: number of processes for baselines.

@@ -30,7 +30,7 @@ def space_cells(
 ) -> dict[str, Packed]:
     """Return {shown view: its prediction as cells, (64, 64, 8) uint8, packed}.
 
-    Of several hypotheses the first is taken. A missing prediction gives an empty grid.
+    If there are several hypotheses of a view, the first is taken. A missing prediction gives an empty grid.
 
     Args:
         release: the release that was predicted.
@@ -60,7 +60,10 @@ def space_cells(
 
 
 def _prediction_cells(truth: SpaceTruth, shape: CameraShape, kind: str | None) -> Packed:
-    """Return the cells of a predicted solid, or the cells that its open surface meets: packed (64, 64, 8)."""
+    """Return the cells of a predicted solid, or of its surface if it is open: packed (64, 64, 8).
+
+    `kind` names the registration to the truth that comes first, such as "R+t+s"; None: no registration.
+    """
     surface, T = surface_of(shape), truth.T_grid_camera
     if kind is not None:
         T = register_surface(truth, surface.transformed(T), kind).T @ T

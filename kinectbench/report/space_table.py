@@ -23,7 +23,7 @@ COLUMNS = {
     "normal_consistency": ("normals", "{:.3f}"),
     "iou": ("IoU", "{:.3f}"),
 }
-# Further figures of a row, as in `COLUMNS`.
+# Further metrics of a row, as in `COLUMNS`.
 BESIDE = {
     **{name: (str(field.title), "{:.3f}") for name, field in fields_of(AsPapers).items() if field.title},
     "cut": ("cut", "{:.1%}"),
@@ -47,10 +47,10 @@ class SpaceTable:
     """Scores of predictions in the camera frame as text, for the terminal and the page.
 
     Attributes:
-        columns: headings of the figures.
+        columns: headings of the scores.
         groups: {heading: lines (method's name, one text per column)}; the method with the lowest Chamfer L1
-            distance is first. The last line may be the ceiling: figures that a perfect prediction would get,
-            because the truth is uncertain.
+            distance is first. The last line may be the ceiling: the scores that even a perfect prediction
+            would get, because the truth is uncertain.
         notes: lines below the table.
     """
 
@@ -115,7 +115,7 @@ def is_baseline(table: ScoreTable) -> bool:
 
 
 def _without_empty(table: SpaceTable) -> SpaceTable:
-    """Return the table without the columns in which no line has a figure."""
+    """Return the table without the columns in which no line has a value."""
     lines = [cells for of in table.groups.values() for _, cells in of]
     kept = [i for i in range(len(table.columns)) if any(cells[i] for cells in lines)]
     groups = {
@@ -131,7 +131,10 @@ def _far(table: ScoreTable, heading: str) -> float:
 
 
 def _empty(rows: Sequence[ScoreRow]) -> str:
-    """Return " (<n> empty)" if n views have an empty prediction, which dominates a mean distance, else ""."""
+    """Return " (<n> empty)" if n views have an empty prediction, else "".
+
+    Empty predictions dominate a mean distance.
+    """
     count = sum(row.counts and row.solid is None for row in rows)
     return f" ({count} empty)" if count else ""
 

@@ -35,8 +35,8 @@ PROTOCOL_NOTES = {
     "shell": "the shape's surface alone, the extreme of the paper's real truth; plain mean over pairs",
     "camera": "surfaces in the camera frame, as predicted, in metres; mean over objects",
 }
-# The two figures of a protocol's table: key, heading, decimals. Protocols of voxels and of space show
-# different figures.
+# The two metrics of a protocol's table: key, heading, decimals. Protocols of voxels and of space show
+# different metrics.
 OF_VOXELS = (("iou", "IoU", 3), ("ce", "CE, nats a voxel", 3))
 OF_SURFACES = (("f_score_10mm", "F-score 10 mm", 3), ("chamfer_l1_m", "Chamfer L1, m", 4))
 CEILING = "ceiling"
@@ -47,11 +47,11 @@ NONE = CategoryAverages()
 
 @dataclass(frozen=True)
 class Cell:
-    """A figure in a table.
+    """A value in a table.
 
     Attributes:
-        text: the figure as shown.
-        sort: the exact figure, to sort the column by; "" if not known.
+        text: the value as shown.
+        sort: the exact value, to sort the column by; "" if not known.
         best: whether it is the column's best.
         interval: its confidence interval as text, or "".
     """
@@ -69,10 +69,10 @@ class MethodRow:
     Attributes:
         method: the method's name.
         group: letters; methods that share a letter cannot be distinguished. "" if not compared.
-        iou: the table's first figure in each category: IoU, or F-score under protocols of surfaces.
-        ce: the table's second figure in each category: cross-entropy, or Chamfer distance of surfaces.
+        iou: the table's first metric in each category: IoU, or F-score under protocols of surfaces.
+        ce: the table's second metric in each category: cross-entropy, or Chamfer distance of surfaces.
         marks: caveats of the scores, a few words each.
-        standing: "reported", or "verified" (recomputed) with date and version; "" for published figures.
+        standing: "reported", or "verified" (recomputed) with date and version; "" for published results.
     """
 
     method: str
@@ -85,13 +85,13 @@ class MethodRow:
 
 @dataclass(frozen=True)
 class Table:
-    """One table: a row for each method, with two figures for each category.
+    """One table: a row for each method, with two metrics for each category.
 
     Attributes:
         title: the heading.
-        protocol: the protocol under which the figures were scored.
+        protocol: the protocol under which the methods were scored.
         note: one line below the table.
-        categories: the columns under each of the figures.
+        categories: the columns under each of the two metrics.
         rows: the methods, best first.
         base_rate: for each category, the cross-entropy of predicting the share of occupied voxels everywhere;
             empty if not known, or if the baseline `base-rate` has a row.
@@ -100,7 +100,7 @@ class Table:
         grouped: whether rows have letters in `group`.
         shared: marks that every row has; they are shown above the table instead of in the rows.
         of_baselines: further marks that every baseline has, also shown above the table.
-        figures: headings of the two figures.
+        figures: headings of the two metrics.
     """
 
     title: str
@@ -122,14 +122,14 @@ def _figures(protocol: str) -> tuple[tuple[str, str, int], tuple[str, str, int]]
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the protocols under which the tables have averages: first those of `PROTOCOL_NOTES`."""
+    """Return the protocols under which the tables have averages, those of `PROTOCOL_NOTES` first."""
     names = dict.fromkeys(p for t in tables for p in [*(t.by_category or {}), *(t.overall or {})])
     first = [p for p in PROTOCOL_NOTES if p in names]
     return first + [p for p in names if p not in first]
 
 
 def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
-    """Return the score tables, highest overall IoU (or F-score of surfaces) first, those without it last."""
+    """Return the score tables, highest overall IoU (F-score of surfaces) first; those without it last."""
     name = _figures(protocol)[0][0]
 
     def key(table: ScoreTable) -> float:
@@ -186,7 +186,7 @@ def protocol_table(
 
 
 def _shared(marks: Sequence[Sequence[str]]) -> tuple[str, ...]:
-    """Return the marks (caveats) that all rows have; empty for a single row, which shows its marks itself."""
+    """Return the marks (caveats) that all rows have; none if there is one row, which shows its own marks."""
     first = marks[0] if len(marks) > 1 else ()
     return tuple(words for words in first if all(words in of for of in marks))
 
@@ -231,13 +231,13 @@ def _table(
 
 
 def _best(choose: Callable[[list[float]], float], values: list[float | None], decimals: int) -> float | None:
-    """Return the best value of a column after rounding as shown, so that all figures shown equal are best."""
+    """Return the best rounded value of a column; all values that look equal to it count as best."""
     rounded = [round(value, decimals) for value in values if value is not None]
     return choose(rounded) if rounded else None
 
 
 def shown_figure(value: float | None, decimals: int = DECIMALS) -> str:
-    """Return a figure as text with this number of decimals, or "–" for None."""
+    """Return a value as text with this number of decimals, or "–" for None."""
     return "–" if value is None else f"{value:z.{decimals}f}"
 
 
@@ -249,13 +249,13 @@ def _cell(value: float | None, best: float | None, interval: Sequence[float] | N
 
 
 def _base_rate(averages: Averages) -> str:
-    """Return as text the cross-entropy of predicting the base rate, and the split it was computed on."""
+    """Return one text: the cross-entropy of predicting the base rate, and the split it was computed on."""
     source = averages.base_rate_source if isinstance(averages, CategoryAverages) else None
     return " ".join(filter(None, (shown_figure(averages.base_rate_ce), source)))
 
 
 def _truth_iou(averages: Averages) -> str | None:
-    """Return as text the truth's estimated IoU and interval, both means over objects; None if unknown."""
+    """Return the truth's estimated IoU and its interval as text, means over objects; None if unknown."""
     low, high = averages.truth_estimated_iou_low, averages.truth_estimated_iou_high
     return with_interval(averages.truth_estimated_iou, low, high, DECIMALS)
 
@@ -300,7 +300,7 @@ Detail = tuple[tuple[str, str, str], tuple[str, ...]]
 
 
 def details(tables: Sequence[ScoreTable]) -> tuple[Detail, ...]:
-    """Return a line for each protocol, method and category, with the figures in `DETAILS` as texts."""
+    """Return a line for each protocol, method and category, with the metrics in `DETAILS` as texts."""
     return tuple(
         (
             (table.method, protocol, category),
@@ -320,7 +320,7 @@ ObjectTruth = tuple[str, str, int, str, int]
 
 
 def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[ObjectTruth, ...]:
-    """Return a row on the truth of each object, that with the largest unknown share first.
+    """Return a row on the truth of each object, largest unknown share first.
 
     A row is (object, category, number of pairs, unknown share as text, number of pairs that do not count in
     scores). All tables must have the same truth.

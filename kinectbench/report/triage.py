@@ -79,7 +79,10 @@ def _card(row: TriageRow, folder: Path) -> Card:
 
 
 def _figures(row: TriageRow, quality: QualityFile | None) -> str:
-    """Return a line: estimated IoUs, except one in the row's reasons; the underside, and who stated it."""
+    """Return one line: the estimated IoUs, the underside, and who stated it.
+
+    The estimated IoU on known voxels is left out if the row's reasons state it.
+    """
     high = quality.estimated_iou_high if quality else None
     words = with_interval(row.estimated_iou, row.estimated_iou_low, high, 2)
     parts = [f"estimated IoU {words}"] if words else []
@@ -97,7 +100,7 @@ def _figures(row: TriageRow, quality: QualityFile | None) -> str:
 def _pictures(folder: Path) -> list[str]:
     """Return pictures (`data:` URLs) of views with the object's mask, or else of the middle frame.
 
-    Without views and frames, there are none.
+    If there are neither views nor frames, the result is empty.
     """
     views = ViewsFile.read_if_there(folder / "views")
     if views is not None and views.views:

@@ -40,7 +40,7 @@ class Build:
             world frame.
         model: the object, a closed mesh and labelled voxels, in the trajectory's world frame.
         views: the frames that were chosen as single depth views of the object.
-        valid_depth: function from a view to the mask of its pixels with depth: (height, width) bool.
+        valid_depth: function that returns the mask of a view's pixels that have depth: (height, width) bool.
         pair_names: names of the views that became pairs.
         pair: function from a view's name to its pair.
     """
@@ -59,7 +59,7 @@ class Build:
 
     @property
     def limits(self) -> SensorLimits | None:
-        """The sensor's resolution, range and positions behind this build's free space; None if unknown."""
+        """Limits of the sensor's resolution, range and positions used for free space; None if unknown."""
         method = None if self.model is None else self.model.quality.method
         return method.air.limits if isinstance(method, SolidMethod) and method.air is not None else None
 
@@ -113,13 +113,13 @@ def read_build(folder: Path) -> Build:
 
 @dataclass(frozen=True)
 class BuildRegistration:
-    """Correspondence of a build's n frames, and of its world frame, to the truth's.
+    """How the n frames and the world frame of a build correspond to those of the truth.
 
     Attributes:
         true_frame: (n,) int64, index in the truth of each frame of the build's sequence, -1 for none.
         shown: (n,) bool, the frame has a true camera pose: it is in the truth, and shows the simulated scene
             instead of another one.
-        T_truth_built: (4, 4), the build's world to the truth's; the identity if not aligned.
+        T_truth_built: (4, 4), maps the build's world to the truth's world; the identity if not aligned.
         aligned: whether `T_truth_built` was computed from the trajectories.
     """
 
@@ -137,8 +137,9 @@ class BuildRegistration:
 def register_build(build: Build, truth: Truth, align: bool = True) -> BuildRegistration:
     """Match the build's frames to the truth's by stamp, and align the world frames by the trajectories.
 
-    Without a given trajectory, a build's world frame is its first camera; with one, it is the truth's world
-    up to the trajectory's errors. In both cases the alignment is the one used for ATE.
+    If the recording came without a trajectory, the build's world frame is that of its first camera. Otherwise
+    it is the truth's world, up to the errors of the given trajectory. In both cases the alignment is that of
+    the ATE.
 
     Args:
         build: the build; later stages may be missing.
@@ -175,8 +176,9 @@ def register_build(build: Build, truth: Truth, align: bool = True) -> BuildRegis
 def true_frames(stamps_ns: NDArray[np.int64], truth_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the truth's frame index for each frame of a sequence, -1 for none: (n,) int64.
 
-    Frames are matched by stamp. A recording without stamps has frame `i` at `i` seconds; its stamps in whole
-    seconds are then used as frame indices.
+    Frames are matched by stamp. In a recording without stamps, frame `i` gets the stamp of `i` seconds. So if
+    all stamps are whole seconds below m and none is a stamp of the truth, the seconds are used as the truth's
+    frame indices.
 
     Args:
         stamps_ns: (n,) stamps of the sequence.

@@ -69,8 +69,8 @@ def path_chart(
         positions_true: (n, 3) true positions of all frames in order, frame `object`; NaN where unknown.
         positions_built: (m, 3) positions of the frames with a built pose, aligned to the true ones, frame
             `object`.
-        errors_m: (m,) distances of built positions from true ones.
-        outline: (k, 2) points of the object from above.
+        errors_m: (m,) distances of built positions from true ones, metres.
+        outline: (k, 2) points on the true object's surface: x and y in frame `object`, metres.
 
     Returns:
         A PNG file.
@@ -91,7 +91,7 @@ def path_chart(
 
 
 def error_picture(errors: SurfaceErrors) -> bytes:
-    """Plot signed errors of the built surface, and precision and recall against distance: a PNG file."""
+    """Return a PNG file: a histogram of the signed surface errors, and precision and recall by distance."""
     figure = new_figure(9.0, 3.6)
     left, right = figure.subplots(1, 2)
     signed_mm = np.clip(errors.built_m, -REACH_M, REACH_M) * 1000
@@ -114,7 +114,10 @@ def error_picture(errors: SurfaceErrors) -> bytes:
 
 
 def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes:
-    """Draw the built mesh coloured by signed error, and below it the true mesh by distance: a PNG file.
+    """Return a PNG file of the built mesh and, below it, the true mesh, both coloured by error.
+
+    The error of a point of the built mesh is its signed distance from the true mesh. The error of a point of
+    the true mesh is its unsigned distance from the built mesh.
 
     Args:
         built_object: closed mesh, frame `object`.
@@ -162,7 +165,7 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
 
 
 def slice_picture(solids: EvaluatedSolids) -> bytes:
-    """Draw three slices through the true solid's centre of mass, with colours of `slice_colors`: a PNG file.
+    """Return a PNG file of three slices through the true solid's centre of mass, coloured by `slice_colors`.
 
     Args:
         solids: grids on the canonical cube, whose axes are those of frame `object`.
@@ -189,13 +192,13 @@ def slice_picture(solids: EvaluatedSolids) -> bytes:
 
 
 def slice_colors(true: NDArray[np.bool_], built: NDArray[np.bool_], known: NDArray[np.bool_]) -> Float64:
-    """Return colours (n, m, 3), 0 to 255, of a slice's cells: empty, correct, missing or excess.
+    """Return a slice's colours (n, m, 3), 0 to 255: its cells are empty, correct, missing or excess.
 
     Args:
         true: (n, m), the cell is in the true solid.
         built: (n, m), the cell is in the built solid.
-        known: (n, m), the build does not label the cell unknown; if it does, the colours of empty and correct
-            cells are tinted.
+        known: (n, m), the build's label of the cell is not `unknown`. The colours of unknown cells are tinted
+            if they are empty or correct.
     """
     kind = np.where(true, np.where(built, 1, 2), np.where(built, 3, 0))
     colors = SLICE_COLORS[kind]

@@ -1,6 +1,6 @@
-"""Compute all figures of a build against the truth, and the content of evaluation.json.
+"""Compute all metrics of a build against the truth, and the content of evaluation.json.
 
-The figures of the trajectory and of the floor are computed here, the others in the modules beside this one.
+The metrics of the trajectory and of the floor are computed here, the others in the modules beside this one.
 """
 
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -44,8 +44,8 @@ class TrajectoryFigures:
         rejected: indices of frames whose pose was found but discarded, as their depth disagrees with it.
         foreign_tracked: indices of frames that show another scene but have a pose.
         error: errors of the poses with known truth; None if there are fewer than three.
-        given_clock: clock offset of the given trajectory against the true poses; None if it cannot be
-            determined or does not matter.
+        given_clock: clock offset of the given trajectory against the true poses; None if there is none or it
+            cannot be determined.
     """
 
     frames: int
@@ -108,7 +108,7 @@ def _given_clock(
 
 @dataclass(frozen=True)
 class FloorFigures:
-    """The distance of the built floor from the true one.
+    """Angle and height of the built floor relative to the true one.
 
     Attributes:
         angle_rad: angle between the two planes.
@@ -120,7 +120,7 @@ class FloorFigures:
 
 
 def floor_figures(floor: Floor, truth: Truth, registration: BuildRegistration) -> FloorFigures:
-    """Compare the built floor with the true one: their angle, and their distance in height under the object.
+    """Return the angle between the built and the true floor, and their difference in height at the object.
 
     Args:
         floor: the built floor, in the build's world.
@@ -137,8 +137,8 @@ def floor_figures(floor: Floor, truth: Truth, registration: BuildRegistration) -
     return FloorFigures(float(np.arctan2(sine, cosine)), float(-(normal @ foot + offset) / cosine))
 
 
-# Version 2: figures refer to the seeable solid; figures that refer to the exact solid, and had these names
-# before, begin with `exact`.
+# Version 2: metrics refer to the seeable solid. Names of metrics that refer to the exact solid, which had
+# no prefix before, begin with `exact`.
 FORMAT_VERSION = 2
 DIGITS = 6
 # Decimals of matrices and of lists of errors, metres.
@@ -153,7 +153,7 @@ class AlignmentFigures:
         aligned: whether the worlds were aligned by the trajectories.
         moved_m: distance by which `T_truth_built` moves the origin.
         turned_rad: angle by which `T_truth_built` rotates.
-        T_truth_built: (4, 4), the build's world to the truth's.
+        T_truth_built: (4, 4), maps the build's world to the truth's world.
     """
 
     aligned: bool
@@ -164,22 +164,22 @@ class AlignmentFigures:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All figures of a build against the truth; an attribute is None if its stage was not built.
+    """All metrics of a build against the truth; an attribute is None if its stage was not built.
 
     Attributes:
         subject: the truth's name of the object.
         alignment: how the worlds were aligned.
-        trajectory: figures of stage `track`.
-        scene: figures of the mesh of stage `fuse` around the object and above the floor; None if either
-            surface is empty there.
-        floor: figures of the floor of stage `segment`.
-        surface: figures of the object's closed mesh.
-        measured: figures of the closed mesh's measured faces, around the object and above the floor; None if
-            there are none. Here `visible` means the true surface that some frame measured.
-        solid: figures of the closed mesh's volume and of the voxel labels.
-        refined: figures before and after the mesh is rigidly registered to the true one.
-        masks: figures of the views' masks, stage `sample-views`.
-        pairs: figures of the pairs, stage `pairs`.
+        trajectory: metrics of stage `track`.
+        scene: metrics of the mesh of stage `fuse` around the object and above the floor; None if the built or
+            the true mesh has no surface there.
+        floor: metrics of the floor of stage `segment`.
+        surface: metrics of the object's closed mesh.
+        measured: metrics of those faces of the closed mesh that are measured, around the object and above the
+            floor; None if there are none. Here `visible` means true surface that at least one frame measured.
+        solid: metrics of the closed mesh's volume and of the voxel labels.
+        refined: metrics before and after the mesh is rigidly registered to the true one.
+        masks: metrics of the views' masks, stage `sample-views`.
+        pairs: metrics of the pairs, stage `pairs`.
     """
 
     subject: str
@@ -255,7 +255,7 @@ def evaluate(
 
 
 def evaluation_json(evaluation: Evaluation) -> dict[str, object]:
-    """Return the content of evaluation.json: all figures in SI units and radians, rounded (`_plain`)."""
+    """Return the content of evaluation.json: all metrics in SI units and radians, rounded by `_plain`."""
     head = {"format_version": FORMAT_VERSION, "package_version": __version__}
     return {**head, **_plain(evaluation)}
 
@@ -272,7 +272,10 @@ def _alignment(registration: BuildRegistration) -> AlignmentFigures:
 
 
 def _plain(value: object) -> Any:
-    """Convert dataclasses, tuples and arrays to JSON: floats to 6 significant digits, arrays 9 decimals."""
+    """Convert dataclasses, tuples and arrays to JSON values.
+
+    Floats are rounded to 6 significant digits, arrays to 9 decimals.
+    """
     if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray):

@@ -33,8 +33,8 @@ class Voxels:
         probability: float32, the build's probability that the voxel is occupied.
         true: bool, the voxel's centre lies in the seeable solid (`core.voxels.seeable`): inside the true
             mesh, or in space that no camera could see.
-        judged: bool, the voxel is evaluated. Slits are not: gaps that only a finer sensor could see into, and
-            walls thinner than a voxel.
+        judged: bool, the voxel is evaluated. Slits are not evaluated: gaps that only a finer sensor could see
+            into, and walls thinner than a voxel.
         distance_m: float32, distance of the centre from the seeable solid's surface; infinite beyond 30 mm.
         exact: bool, the centre lies inside the true mesh.
         exact_distance_m: float32, distance of the centre from the true mesh; infinite beyond 30 mm.
@@ -64,9 +64,9 @@ class GrossErrors:
     A gross error is a known voxel with a wrong state, more than 10 mm from the true surface.
 
     Attributes:
-        known_gross_share: all gross errors, the sum of the two kinds below.
-        solid_called_air: those inside the true solid, which the build says are empty.
-        air_called_solid: those outside the true solid, which the build says are solid.
+        known_gross_share: all gross errors, the sum of the two shares below.
+        solid_called_air: gross errors inside the true solid: known voxels that are empty in the build.
+        air_called_solid: gross errors outside the true solid: known voxels that are solid in the build.
     """
 
     known_gross_share: float
@@ -76,11 +76,11 @@ class GrossErrors:
 
 @dataclass(frozen=True)
 class NearUnknown:
-    """Share of voxels labelled unknown, among the voxels within 10 mm of true surface that was measured.
+    """Share of voxels labelled unknown, among the voxels within 10 mm of measured true surface.
 
     Attributes:
-        solid: the share among those inside the true solid; None if there are none.
-        air: the share among those outside the true solid; None if there are none.
+        solid: the share among such voxels inside the true solid; None if there are none.
+        air: the share among such voxels outside the true solid; None if there are none.
     """
 
     solid: float | None
@@ -104,7 +104,7 @@ def voxels_beside(
     Args:
         model: the built object, in its own world.
         truth: the true solid.
-        registration: transform between the worlds.
+        registration: transform between the worlds of the build and the truth.
         surface: samples of the true surface; distances are computed only near them.
     """
     shape = model.shape
@@ -132,8 +132,8 @@ def voxels_beside(
 def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Float32:
     """Return each cell's distance in metres from the seeable solid's surface, infinite beyond 30 mm.
 
-    Within 30 mm of space that is solid only because no camera could see it, the distance is exact to half a
-    voxel; elsewhere it is the distance from the true mesh.
+    Some space counts as solid only because no camera could see it. Within 30 mm of such space, the distance
+    is exact to half a voxel. Elsewhere it is the distance from the true mesh.
 
     Args:
         cells: true states of a grid's cells.
@@ -157,7 +157,10 @@ def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Fl
 
 
 def cells_around(grid: Grid, points_world: Float64, reach_m: float) -> Bools:
-    """Mark the cells of a grid near points (n, 3): at least all with a centre within `reach_m` of a point."""
+    """Mark the cells of a grid near points (n, 3).
+
+    Every cell whose centre is within `reach_m` of a point is marked. Cells slightly farther away may be, too.
+    """
     from scipy import ndimage
 
     cells = np.floor(transform_points(grid.T_grid_world, points_world) / grid.voxel_size_m).astype(np.int64)
@@ -177,13 +180,13 @@ def centres(grid: Grid, cells: Bools) -> Float64:
 
 
 def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) -> GrossErrors:
-    """Return shares of the true volume: voxels whose known state is wrong over 10 mm from the true surface.
+    """Return the volumes of gross errors (see `GrossErrors`) as shares of the true volume.
 
     Args:
         voxels: the object's voxels.
         true_volume_m3: volume of the true solid, to which the volumes are relative.
-        beyond_m3: volume of true solid called empty outside the object's voxels, which is added to the
-            errors.
+        beyond_m3: volume of true solid outside the object's voxels that the build calls empty. It is added to
+            the errors.
     """
     wrong = voxels.known & voxels.judged & (voxels.distance_m > GROSS_M)
     cell_share = voxels.grid.voxel_size_m**3 / true_volume_m3
@@ -194,13 +197,13 @@ def gross_errors(voxels: Voxels, true_volume_m3: float, beyond_m3: float = 0.0) 
 
 
 def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) -> float:
-    """Return the volume, outside the object's voxel grid, of true solid that the build calls empty.
+    """Return the volume of true solid that the build calls empty, outside the object's voxel grid.
 
     Only cells more than 10 mm from the true mesh count.
 
     Args:
         cube: a cube around the true object, truth's world.
-        lost: bool, of the cube's shape: cells in the true solid that the build knows to be empty.
+        lost: bool, of the cube's shape: cells in the true solid that are known and empty in the build.
         voxels: the object's voxels.
         truth: the truth, with the true mesh.
     """
@@ -214,9 +217,10 @@ def called_air_beyond_m3(cube: Grid, lost: Bools, voxels: Voxels, truth: Truth) 
 
 
 def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnknown:
-    """Return the share of voxels labelled unknown, among voxels beside measured surface.
+    """Return the share of voxels labelled unknown, among voxels near measured surface.
 
-    These are within 10 mm of the true mesh, and the surface sample nearest to them was measured.
+    A voxel is near measured surface if it is within 10 mm of the true mesh, and the surface sample nearest to
+    it was measured.
     """
     from scipy.spatial import cKDTree
 
@@ -232,10 +236,10 @@ def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnkno
 
 
 def calibration(voxels: Voxels) -> tuple[CalibrationBin, ...]:
-    """Sort the voxels that are unknown or within 30 mm of the true surface by probability into ten bins.
+    """Sort voxels by probability into ten bins of equal count.
 
-    The bins have equal counts. If voxels of equal probability fall into two bins, both bins get their mean
-    share inside the true solid.
+    Only voxels that are labelled unknown or lie within 30 mm of the true surface are used. If voxels of equal
+    probability fall into two bins, both bins get the mean share of these voxels inside the true solid.
     """
     asked = voxels.judged & (~voxels.known | np.isfinite(voxels.distance_m))
     probability, inside = voxels.probability[asked].astype(np.float64), voxels.true[asked]
@@ -265,7 +269,7 @@ def equal_bins(probability: Float64, inside: NDArray[np.bool_]) -> tuple[Calibra
 
 
 def calibration_error(bins: tuple[CalibrationBin, ...]) -> float | None:
-    """Return the mean over the bins of |mean probability - share inside|; None without bins."""
+    """Return the mean over the bins of |mean probability - share inside|; None if there are no bins."""
     if not bins:
         return None
     return float(np.mean([abs(each.mean_probability - each.inside_share) for each in bins]))

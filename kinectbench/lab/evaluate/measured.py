@@ -34,7 +34,7 @@ LEAST_SAMPLES = 50
 
 @dataclass(frozen=True)
 class MeasuredSurface:
-    """Samples spread evenly over the true surface, each with whether it was measured.
+    """Samples spread evenly over the true surface, with a mask of those that were measured.
 
     Attributes:
         points_world: (m, 3), metres, truth's world.
@@ -133,8 +133,8 @@ class FaceBias:
 def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) -> FaceBias:
     """Return a built mesh's mean signed error at measured samples at least 15 mm away from sharp edges.
 
-    Samples more than 15 mm from the built surface are ignored: there, surface is missing or excess, and other
-    figures measure that.
+    Samples more than 15 mm from the built surface are ignored: there, surface is missing or excess, which
+    other metrics measure.
 
     Args:
         mesh_world: the built closed mesh, truth's world.
@@ -170,7 +170,7 @@ def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
 
 
 def edge_points(mesh: TriangleMesh) -> NDArray[np.float64]:
-    """Return points (n, 3), at most 4 mm apart, along sharp edges: faces meet there at over 30 degrees."""
+    """Return points (n, 3), at most 4 mm apart, along edges where face normals differ by over 30 degrees."""
     import trimesh
 
     shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)

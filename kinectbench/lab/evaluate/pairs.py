@@ -25,7 +25,8 @@ class MaskRow:
         view: the view's name.
         frame: index in the sequence.
         valid_iou: IoU of mask and silhouette over pixels with valid depth.
-        iou: IoU over all pixels, though a mask can contain only pixels with depth.
+        iou: IoU over all pixels. A mask contains only pixels with depth, so silhouette pixels without depth
+            lower this IoU.
     """
 
     view: str
@@ -95,13 +96,13 @@ def mask_figures(build: Build, truth: Truth, registration: BuildRegistration) ->
 
 @dataclass(frozen=True)
 class EvaluatedPair:
-    """Figures of one pair against the truth, each in [0, 1]; names in backquotes are grids of the pair.
+    """Metrics of one pair against the truth, each in [0, 1]. `full` and `known` are grids of the pair.
 
     Attributes:
         view: the view's name.
         frame: index in the sequence.
-        iou: IoU of `full` and the seeable solid (`core.voxels.seeable`), without slits: gaps that only a
-            finer sensor could see into, and walls thinner than a voxel.
+        iou: IoU of `full` and the seeable solid (`core.voxels.seeable`), over all cells except slits: gaps
+            that only a finer sensor could see into, and walls thinner than a voxel.
         known_iou: the same IoU over `known` cells; None if no cell of the true solid is known.
         exact_iou: IoU of `full` and the solid inside the true mesh, over all cells.
         true_unknown_share: share of the seeable solid that is not `known`.
@@ -120,7 +121,7 @@ class EvaluatedPair:
 
 @dataclass(frozen=True)
 class Summary:
-    """Mean and worst value of one figure over all pairs, and the name of the view with the worst value."""
+    """Mean and worst value of one metric over all pairs, and the name of the view with the worst value."""
 
     mean: float
     worst: float
@@ -129,12 +130,13 @@ class Summary:
 
 @dataclass(frozen=True)
 class PairFigures:
-    """All pairs against the truth: summaries of the figures of `EvaluatedPair`, None if no pair has it.
+    """All pairs against the truth: a summary of each metric of `EvaluatedPair`, None if no pair has it.
 
     Attributes:
-        iou: of `full` with the seeable solid: the true mesh's inside and space that no camera could see.
+        iou: IoU of `full` and the seeable solid: the inside of the true mesh, and space that no camera could
+            see.
         known_iou: the same IoU over `known` cells.
-        exact_iou: IoU of `full` with the inside of the true mesh.
+        exact_iou: IoU of `full` and the inside of the true mesh.
         true_unknown_share: share of the seeable solid that is not `known`; the worst is the largest.
         containment: share of the partial view's cells that lie in the seeable solid dilated by one cell.
         without_truth: pairs that are not compared: their frame is not in the truth, or shows another scene.
@@ -153,10 +155,10 @@ class PairFigures:
 def pair_figures(
     build: Build, truth: Truth, registration: BuildRegistration, progress: Progress
 ) -> PairFigures:
-    """Compare every pair with the true solid, seen from the true camera pose of the pair's frame.
+    """Compare every pair with the true solid, placed by the true camera pose of the pair's frame.
 
     The view's depth was recorded from the true pose. So the true solid is aligned exactly with the partial
-    view, whatever pose the build estimated; an error of that pose shifts `full`, and lowers its IoU.
+    view, whatever pose the build estimated. An error of the estimated pose shifts `full`, and lowers its IoU.
 
     Args:
         build: a build with views and pairs.

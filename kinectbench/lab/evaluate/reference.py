@@ -33,15 +33,15 @@ YCB_MESH = "google_16k/nontextured.ply"
 NEAR_M = 0.02
 # Faces within 45 degrees of the vertical count as looking up or down.
 STEEP = np.sqrt(0.5)
-# Decimals of the written figures: micrometres, and millionths of a ratio.
+# Decimals of the written values: micrometres, and millionths of a ratio.
 DECIMALS = 6
 
 
 def find_references(folder: Path, names: Mapping[str, str]) -> dict[str, Path]:
-    """Find the reference mesh of each recording in a folder, by the recording's id or its object's name.
+    """Find each recording's reference mesh in a folder, by the recording's id or the name of its object.
 
-    Files are called `<name>.ply`, `.obj` or `.glb`; the layout of YCB's archives,
-    `<object>/google_16k/nontextured.ply`, is found, too.
+    A mesh is called `<name>.ply`, `<name>.obj` or `<name>.glb`, or lies where YCB's archives have it:
+    `<object>/google_16k/nontextured.ply`.
 
     Args:
         folder: the folder of meshes.
@@ -79,7 +79,7 @@ def compare_reference(folder: Path, path: Path) -> tuple[ComparedMesh, Reference
         path: file of the reference mesh.
 
     Returns:
-        The figures of this mesh, and the whole content of reference.json.
+        The metrics of this mesh, and the whole content of reference.json.
 
     Raises:
         RecordingError: the mesh cannot be used.
@@ -125,7 +125,7 @@ def _truths(folder: Path) -> Iterator[str]:
 
 
 def reference_figures(model: ObjectModel, fit: RegisteredReference, closed: bool) -> ComparedMesh:
-    """Return the figures of an object against a reference; the mesh's name and hash are left empty.
+    """Return the metrics of an object against a reference; the mesh's name and hash are left empty.
 
     Args:
         model: the object.
@@ -197,9 +197,9 @@ def _is_free(model: ObjectModel, points_world: Float64) -> Bools:
 def _by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) -> DirectionsPart:
     """Return mean distances, signed and absolute, of the measured surface from the reference.
 
-    There is a mean for faces that point up, for those that point down and for the others. Positive: the
-    measured surface is too far out.
-    `T` (4, 4) maps the reference to the object's world, and `T_floor_world` that to a frame whose z is up.
+    There is one mean for faces that point up, one for faces that point down, and one for all others. A
+    positive mean: the measured surface is too far out. `T` (4, 4) maps the reference to the object's world.
+    `T_floor_world` (4, 4) maps this world to a frame whose z is up.
     """
     ours, theirs = fit.ours, fit.theirs
     points, normals = ours.points[ours.counted], ours.normals[ours.counted]
@@ -222,9 +222,10 @@ def _by_direction(fit: RegisteredReference, T: Float64, T_floor_world: Float64) 
 
 
 def solids_iou(model: ObjectModel, mesh: TriangleMesh) -> tuple[float | None, float | None]:
-    """Return the IoU of the object and a closed mesh in its world, over all 256^3 cells and over known cells.
+    """Return the IoU of the object and a closed mesh, over all 256^3 cells and over known cells only.
 
-    Both are None if the mesh is too costly to voxelise; the second is None if no cell of the mesh is known.
+    `mesh` is in the object's world. Both values are None if the mesh is too costly to voxelise. The second is
+    None if no cell of the mesh is known.
     """
     ours = model.shape.mesh
     grid = object_cube(

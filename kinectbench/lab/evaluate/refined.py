@@ -42,7 +42,7 @@ STIFFNESS = 1e-4
 
 @dataclass(frozen=True)
 class RefinedFigures:
-    """Figures of the built closed mesh before and after rigid registration to the true mesh.
+    """Metrics of the built closed mesh before and after rigid registration to the true mesh.
 
     Distances are from measured samples of the true surface to the built mesh; those over 15 mm are ignored.
 
@@ -50,8 +50,8 @@ class RefinedFigures:
         lifted_m: upward shift of the object's centre by the registration.
         moved_m: length of the whole shift of the object's centre.
         turned_rad: angle of the rotation.
-        measured_distance_m: mean distance before registration; None without distances within 15 mm.
-        refined_distance_m: mean distance after registration; None in the same case.
+        measured_distance_m: mean distance before registration; None if no distance is within 15 mm.
+        refined_distance_m: mean distance after registration; None if no distance is within 15 mm.
         face_bias_m: face bias after registration.
         iou: IoU of the solids on 256^3 cells after registration.
         known_iou: the same IoU over known cells; None if no true cell is known.
@@ -98,7 +98,10 @@ def refined_figures(
 
 
 def measured_distance_m(mesh_world: TriangleMesh, surface: MeasuredSurface) -> float | None:
-    """Return the mean distance to a mesh of the measured samples within 15 mm; None without such samples."""
+    """Return the mean distance of measured samples from a mesh; None if there are none.
+
+    Samples more than 15 mm from the mesh are ignored.
+    """
     distance_m = ReferenceSurface(mesh_world).distance_m(surface.points_world[surface.measured])
     near = distance_m <= REACH_M
     return float(distance_m[near].mean()) if near.any() else None
@@ -124,7 +127,10 @@ def _refining_motion(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSu
     about = rigid(np.eye(3), middle)
 
     def advance(T: Float64) -> tuple[Float64, float]:
-        """Return the motion (4, 4) after a Gauss-Newton step; and inf as its size, so no step is the last."""
+        """Return the motion (4, 4) after one Gauss-Newton step, and inf as the step's size.
+
+        So `descend` never stops early.
+        """
         outward_m = built.signed_distance_m(transform_points(invert_rigid(T), points))
         near = np.abs(outward_m) <= REACH_M
         arms = np.cross(points[near] - middle, normals[near]) / size_m

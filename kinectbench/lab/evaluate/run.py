@@ -54,10 +54,10 @@ def find_built(recording: str, truth: Path | None, config: Path, overrides: Sequ
     """Find a recording and its truth, before anything is built.
 
     Args:
-        recording: an id of the benchmark at `config`, or the folder of a build, or a recording's path. The
-            job of a path has the benchmark's settings if it lists the path; else default settings, and
-            `build/` in the working folder as target.
-        truth: the truth's folder; default: the folder beside the recording.
+        recording: an id of the benchmark at `config`, or the folder of a build, or a recording's path. If the
+            benchmark lists this path, the job has the benchmark's settings. Else the job has default settings
+            and builds into `build/` in the working folder.
+        truth: the truth's folder; None: the folder `<recording>.truth` beside the recording.
         config: a benchmark.yaml, which need not exist.
         overrides: settings that replace the file's, each `SECTION.KEY=VALUE`.
 
@@ -108,7 +108,7 @@ def _find(recording: str, truth: Path | None, config: Path, overrides: Sequence[
 
 
 def _truth_of_build(build: Path, jobs: Sequence[Job]) -> Path:
-    """Return the truth's folder of a build: beside the recording that the benchmark builds there."""
+    """Return the truth's folder of a build: the one beside the recording from which it was built."""
     for job in jobs:
         if job.build.resolve() == build.resolve():
             return truth_folder(job.source)
@@ -131,7 +131,7 @@ def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) 
 
     Args:
         name: the recording's name.
-        evaluation: all figures.
+        evaluation: all metrics.
         pictures: {key of `CAPTIONS`: PNG file}; some may be missing.
     """
     shown = {
@@ -147,7 +147,7 @@ def make_page(name: str, evaluation: Evaluation, pictures: Mapping[str, bytes]) 
 def evaluate_recording(
     build: Path, truth: Path, out: Path, *, align: bool = True, progress: Progress = no_progress
 ) -> Evaluation:
-    """Compare a recording's build with its truth, and write figures, pictures and a page.
+    """Compare a recording's build with its truth, and write metrics, pictures and a page.
 
     Args:
         build: `build/<recording>/`; any later stage may be missing.

@@ -1,7 +1,7 @@
 """Compare the built solid and its labels with the true solid, on an upright cube around the true object.
 
 The true solid is the seeable one (`core.voxels.seeable`): space that no camera could see counts as solid, in
-the truth as in the build. The exact solid is the inside of the true mesh; figures named `exact` refer to it.
+the truth as in the build. The exact solid is the inside of the true mesh; metrics named `exact` refer to it.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -58,8 +58,8 @@ class EvaluatedSolids:
         true: the cell's centre lies in the seeable solid.
         built: the cell's centre lies in the built closed mesh.
         known: the label of the nearest voxel is not `unknown`.
-        judged: the cell is evaluated. Slits are not: gaps that only a finer sensor could see into, and walls
-            thinner than a voxel.
+        judged: the cell is evaluated. Slits are not evaluated: gaps that only a finer sensor could see into,
+            and walls thinner than a voxel.
         exact: the cell's centre lies in the exact solid.
     """
 
@@ -96,12 +96,13 @@ class SolidOverlap:
 
 @dataclass(frozen=True)
 class SolidFigures:
-    """The built solid against the true one.
+    """Metrics of the built solid against the true one.
 
     Attributes:
-        fine: figures on 256^3 cells.
-        coarse: figures on 64^3 cells of the same cube, each set if more than half of its 4^3 fine cells are.
-            This IoU is not smooth: by a small shift, thin upright parts gain or lose a whole layer of cells.
+        fine: overlap on 256^3 cells.
+        coarse: overlap on 64^3 cells of the same cube. A coarse cell is set if more than half of its 4^3 fine
+            cells are set. This IoU is not smooth: a small shift can add a whole layer of cells to thin
+            upright parts, or remove one.
         exact_fine: same as `fine`, against the exact solid.
         exact_coarse: same as `coarse`, against the exact solid.
         line_width_m: width of the lines of sight that define the seeable solid.
@@ -112,7 +113,7 @@ class SolidFigures:
         true_volume_m3: volume enclosed by the true mesh.
         built_volume_m3: volume enclosed by the built mesh.
         built_outside_share: share of the built solid outside the cube, found in a cube of twice the side;
-            other figures ignore this part.
+            other metrics ignore this part.
         known_gross_share: volume of voxels whose known state is wrong more than 10 mm from the seeable
             solid's surface, relative to the seeable solid.
         exact_known_gross_share: the same for the exact solid.
@@ -126,9 +127,10 @@ class SolidFigures:
         estimated_iou: the estimated IoU in quality.json; None if missing.
         estimated_iou_low: lower end of the estimate's interval in quality.json.
         estimated_iou_high: upper end of this interval.
-        iou_in_interval: whether the IoU of `fine` lies in this interval; None without one.
+        iou_in_interval: whether the IoU of `fine` lies in this interval; None if there is no interval.
         estimated_known_iou: the estimated IoU over known voxels in quality.json; None if missing.
-        known_iou_in_interval: whether `known_iou` of `fine` lies in its interval; None without one.
+        known_iou_in_interval: whether `known_iou` of `fine` lies in the interval of its estimate; None if
+            there is no interval or no `known_iou`.
     """
 
     fine: SolidOverlap
@@ -158,9 +160,10 @@ class SolidFigures:
 
 
 def canonical_cube(truth: Truth) -> Grid:
-    """Return the 256^3 grid around the true object: upright, in its axes, centred on its bounding box.
+    """Return the 256^3 grid around the true object: along its axes, centred on its bounding box.
 
-    The cube's side is the box's longest extent x 256/252, as in framing `object`; it is in the truth's world.
+    The side of the cube is the box's longest extent times 256/252, as in framing `object`. The grid is placed
+    in the truth's world.
     """
     return object_cube(truth.mesh_world.vertices, truth.T_world_object)
 
@@ -207,8 +210,8 @@ def solid_figures(
 ) -> SolidFigures:
     """Compare the solids on 256^3 and 64^3 cells of the canonical cube, and on the object's own voxels.
 
-    The coarse cells are reduced from the fine ones. Their centres are not sampled, because the object's box
-    ends exactly at some of them.
+    The coarse cells are reduced from the fine ones. The centres of the coarse cells are not sampled, because
+    the object's box ends exactly at some of them.
 
     Args:
         model: the built object, in its own world.
@@ -267,7 +270,7 @@ def _lies_in(interval: tuple[float | None, float | None], iou: float | None) -> 
 
 
 def reduced_solids(solids: EvaluatedSolids) -> EvaluatedSolids:
-    """Return the grids reduced by 4 along each axis: a cell is set if more than half of its 4^3 cells are."""
+    """Return grids reduced by 4 along each axis: a cell is set if more than half of its 4^3 cells are set."""
     return EvaluatedSolids(
         *(reduce_blocks(getattr(solids, field.name), "majority") for field in fields(solids))
     )
@@ -297,7 +300,10 @@ def _built_cells(model: ObjectModel, grid: Grid) -> Bools:
 
 
 def _outside_share(grid: Grid, model: ObjectModel, registration: BuildRegistration) -> float:
-    """Return the share of the built solid outside a cube, from a grid of twice the cube's side around it."""
+    """Return the share of the built solid that lies outside a cube.
+
+    It is found on a grid of twice the cube's side around the cube.
+    """
     n, side_m = grid.shape[0], grid.shape[0] * grid.voxel_size_m
     corner = rigid(np.eye(3), np.full(3, -side_m / 2))
     around = Grid(grid.shape, 2 * grid.voxel_size_m, grid.T_world_grid @ corner)

@@ -67,10 +67,10 @@ class SurfaceComparison:
     """Accuracy, completeness and scores of the built surface, as a whole or only where the camera saw it.
 
     Attributes:
-        accuracy: mean, RMS and 90 % quantile of built points' distances from the true surface; None without
-            built points.
-        completeness: mean, RMS and quantile of true samples' distances from the built surface; None without
-            true samples.
+        accuracy: mean, RMS and 90 % quantile of built points' distances from the true surface; None if there
+            are no built points.
+        completeness: mean, RMS and 90 % quantile of true samples' distances from the built surface; None if
+            there are no true samples.
         scores: precision, recall and F-score, one `SurfaceScore` for each distance threshold.
     """
 
@@ -81,7 +81,7 @@ class SurfaceComparison:
 
 @dataclass(frozen=True)
 class SurfaceFigures:
-    """All figures of the built surface against the true one.
+    """All metrics of the built surface against the true one.
 
     Attributes:
         whole: over all surface, including the underside, which rests on the floor and is never seen.
@@ -133,13 +133,14 @@ class ReferenceSurface:
 def surface_errors(
     mesh: TriangleMesh, truth: Truth, samples: int = SAMPLES, judged: Callable[[Float64], Bools] | None = None
 ) -> SurfaceErrors:
-    """Measure the distances of points on a built mesh from the true mesh, and of true points from it.
+    """Measure distances of points on a built mesh from the true mesh, and of true points from the built mesh.
 
     Args:
         mesh: the built surface, in the truth's world, metres; it must have faces.
         truth: the true closed mesh, with samples of its surface.
         samples: number of points spread over the built mesh.
-        judged: function from points (n, 3) to whether each is evaluated, (n,) bool; None: all are.
+        judged: function that maps points (n, 3) to the mask (n,) of those to evaluate; None: all are
+            evaluated.
     """
     from scipy.spatial import cKDTree
 
@@ -161,8 +162,8 @@ def surface_errors(
 def errors_at_object(mesh: TriangleMesh, truth: Truth) -> SurfaceErrors | None:
     """Measure the distances between a mesh and the true object, near the object and above the floor only.
 
-    Only surface in the true object's box, enlarged by 30 mm, and more than 15 mm above the floor counts. The
-    result is None if the mesh or the object has no surface there.
+    Only surface that lies in the true object's box, enlarged by 30 mm, and more than 15 mm above the floor
+    counts. The result is None if the mesh or the object has no such surface.
 
     Args:
         mesh: a fused scene or a part of the built object, in the truth's world, metres.

@@ -1,4 +1,4 @@
-"""Table rows of an evaluation's figures, for terminal and page, in millimetres, degrees and per cent."""
+"""Table rows of an evaluation's metrics, for terminal and page, in millimetres, degrees and per cent."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -41,7 +41,7 @@ UNITS: Mapping[str, tuple[float, int]] = {
 
 @dataclass(frozen=True)
 class FigureRow:
-    """One row of the table: name of the figure, value as text, unit (may be empty)."""
+    """One row of the table: name of the metric, value as text, unit (may be empty)."""
 
     figure: str
     value: str
@@ -50,14 +50,14 @@ class FigureRow:
 
 @dataclass(frozen=True)
 class Section:
-    """A titled group of rows, such as those of one stage; without rows if the stage was not built."""
+    """A titled group of rows, such as those of one stage; it has no rows if the stage was not built."""
 
     title: str
     rows: tuple[FigureRow, ...]
 
 
 def sections(evaluation: Evaluation) -> tuple[Section, ...]:
-    """Return all figures as sections, in the order of the stages of a build."""
+    """Return all metrics as sections, in the order of the stages of a build."""
     e = evaluation
     parts: tuple[tuple[str, Callable[[Any], Iterator[FigureRow]], Any], ...] = (
         ("Worlds", _alignment, e.alignment),

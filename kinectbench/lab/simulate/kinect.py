@@ -69,7 +69,9 @@ def projector_lit(depth_m, shift_px_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-untyped-def]
-    """Return for each pixel which pixel's depth it measures: its own, or at an edge a random neighbour's.
+    """Return for each pixel the index of the pixel whose depth it measures.
+
+    This is the pixel itself or, near a depth edge, a random neighbour.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.
@@ -80,7 +82,7 @@ def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-u
         noise: `KinectNoise`.
 
     Returns:
-        (height, width) int32, index of that pixel in the flattened image.
+        (height, width) int32, indices in the flattened image.
     """
     height, width = seen_m.shape
     source = np.empty((height, width), np.int32)
@@ -100,14 +102,14 @@ def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-u
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-untyped-def]
-    """Return reported depth, (height, width) float32 metres, 0 = none, for pixels displaced at edges.
+    """Return the depth that the sensor reports: (height, width) float32, metres, 0 = none.
 
-    Pixels are lost or mixed, then depth is distorted, gets axial noise, and is quantised in disparity.
+    Some pixels are lost or mixed. Then depth is distorted, gets axial noise, and is quantised in disparity.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.
         around_m: pair (smallest, largest) of the depth in each 3x3 window.
-        source: (height, width) int32, index in the flattened image of the pixel whose depth each measures.
+        source: (height, width) int32, from `displace`: index of the pixel whose depth each pixel measures.
         surface: pair (cosine of incidence, albedo), both (height, width) float32.
         device: triple (`KinectNoise`, distortion of disparity (height, width) float32 in pixels, sunlight).
         drawn: pair of standard normal variates, float32: (height, width) for depth noise, and at half the
@@ -152,8 +154,8 @@ def _lateral_sigma_px(cosine):  # type: ignore[no-untyped-def]
 def _drawn_sigma_m(z, cosine, scale):  # type: ignore[no-untyped-def]
     """Return the standard deviation of the axial noise to draw, metres, before depth is quantised.
 
-    It is the published value (Nguyen et al. 2012, eq. 3 and 4) at depth z and that cosine of incidence,
-    without the variance of rounding inverse depth to multiples of 1 / `scale`, which `sense` adds.
+    It is the published value (Nguyen et al. 2012, eq. 3 and 4) at depth `z` and the given cosine of
+    incidence, without the variance of rounding inverse depth to multiples of 1 / `scale`, which `sense` adds.
     """
     sigma = np.float32(0.0012) + np.float32(0.0019) * (z - np.float32(0.4)) ** 2
     if cosine < np.float32(0.5):
@@ -188,21 +190,21 @@ class KinectNoise(NamedTuple):
         smooth_share: share of the axial noise's variance that is correlated between neighbouring pixels.
             Chosen so that errors on planes correlate as in 7-Scenes' red kitchen
             (docs/evidence/simulation.md).
-        smooth_px: standard deviation of the blur that correlates it; chosen by the same measurement.
+        smooth_px: standard deviation of the blur that correlates this share; chosen by the same measurement.
         same_surface: largest relative difference of depth between pixels of one surface.
         weakest_signal: albedo * cos(incidence) / z² in 1/m² at which half the pixels are lost (chosen here: a
             grey wall, albedo 0.6, is lost beyond 8.7 m, a black cushion, albedo 0.05, beyond 2.5 m).
         signal_softness: standard deviation of the logarithm of the required signal.
-        sun: infrared light of full sun, relative to the pattern's at 1 m (chosen here: in full sun the grey
-            wall is lost beyond 2.4 m).
+        sun: infrared light of full sun, relative to that of the pattern at 1 m (chosen here: in full sun the
+            grey wall is lost beyond 2.4 m).
         graze_cos: cosine of incidence at which half the pixels are lost (chosen here: 80°).
-        graze_softness: standard deviation of that cosine.
+        graze_softness: standard deviation of the cosine at which a pixel is lost.
         edge_margin: a pixel at an edge is lost if its standard normal variate exceeds this (chosen here: 31 %
-            of them).
+            of the pixels at edges).
         edge_mix: a pixel at an edge mixes near and far depth if its variate is at most this much below
-            `edge_margin` (chosen here: 7 % of them).
+            `edge_margin` (chosen here: 7 % of the pixels at edges).
         hole_px: standard deviation of the blur of the variates, which makes holes coherent blobs.
-        any_margin: any pixel is lost if its variate exceeds this (chosen here: 0.1 % of them).
+        any_margin: any pixel is lost if its variate exceeds this (chosen here: 0.1 % of all pixels).
         blind_share: share of the width at the right without depth: 8 of 640 columns, as in 7-Scenes.
     """
 

@@ -51,7 +51,7 @@ class Waves:
 
 
 def draw_waves(frequency_hz: Float64, curves: int, rng: np.random.Generator) -> Waves:
-    """Draw random curves from sines of these frequencies, whose amplitudes fall as 1 / frequency."""
+    """Draw random curves: sums of sines of these frequencies, with amplitudes that fall as 1 / frequency."""
     amplitude = 1 / frequency_hz
     amplitude = amplitude * np.sqrt(2 / np.sum(amplitude**2))
     return Waves(frequency_hz, amplitude, rng.uniform(0, 2 * np.pi, (len(frequency_hz), curves)))
@@ -71,7 +71,7 @@ class CameraPath:
         knots_share: (k,) share of the path covered at these times, 0 to 1.
         shake: six curves of the hand's shake: three for position, three for orientation.
         reach: one curve, for the relative change of the distance.
-        jolt: (6,) unit vectors of the knock's displacement and rotation.
+        jolt: (6,) two unit vectors: direction of the knock's displacement, and axis of its rotation.
         stations_rad: (frames, 2) azimuth and elevation of views in random order; None on a walk.
     """
 
@@ -115,7 +115,10 @@ class CameraPath:
         return looks
 
     def _stations(self, time_s: Float64) -> tuple[Float64, Float64]:
-        """Return azimuth and elevation (n,), radians, at times (n,): of the walk or the view next in time."""
+        """Return azimuth and elevation, each (n,) radians, at times (n,) in seconds.
+
+        Views in random order have those of the view that is nearest in time.
+        """
         chosen = self.settings
         if self.stations_rad is not None:
             frame = np.clip(np.rint(time_s * chosen.rate_hz), 0, chosen.frames - 1).astype(np.int64)
@@ -131,9 +134,10 @@ class CameraPath:
         return self.start_rad + chosen.arc_rad * share, rise
 
     def _turns(self, time_s: Float64) -> Float64:
-        """Return rotation vectors (n, 3), in camera axes, of the camera's repeated turns to a side and back.
+        """Return rotation vectors (n, 3), in camera axes, of the camera's repeated turns at times (n,).
 
-        About roll, pitch and yaw in turn, it turns to one side and back, then to the other side and back.
+        The camera turns about roll, pitch and yaw, one after the other and again and again. About each axis,
+        it turns to one side and back, then to the other side and back.
         """
         chosen = self.settings
         # The angle A (1 - cos(2 pi t / period)) / 2 is fastest at a quarter of its period: pi A / period.
@@ -143,7 +147,7 @@ class CameraPath:
         return np.asarray(angle_rad[:, None] * TURN_AXES[axis])
 
     def _knock(self, time_s: Float64) -> Float64:
-        """Return displacement and rotation (n, 6) by a knock against the camera, with a peak of about 1.
+        """Return displacement and rotation (n, 6) of a knock against the camera, with a peak of about 1.
 
         It is a damped oscillation that starts after two thirds of the recording.
         """
@@ -162,12 +166,12 @@ def draw_path(
     """Draw a camera path around a subject at the room's origin.
 
     Args:
-        settings: the path's shape; without a distance, the subject just fits into the image.
+        settings: the path's shape. If it has no distance, the subject just fits into the image.
         subject: the subject's mesh, z up, metres.
         camera: the depth camera.
         rng: draws all random parts of the path.
-        min_range_m: minimum range of the sensor; without a distance in the settings, the camera stays so far
-            from the subject.
+        min_range_m: minimum range of the sensor. If the settings have no distance, the camera stays at least
+            this far from the subject.
     """
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
     target_room = np.array([0.0, 0.0, (low[2] + high[2]) / 2])
@@ -196,9 +200,9 @@ def _shuffled_rad(settings: PathSettings, start_rad: float, rng: np.random.Gener
     """Return azimuth and elevation (frames, 2), radians, of views in random order.
 
     They are spread evenly by area over the azimuths and elevations of the walk, as a spherical Fibonacci
-    lattice: the sine of the elevation in even steps, the azimuth in steps of the golden ratio's share of the
-    arc (Gonzalez: Measurement of Areas on a Sphere Using Fibonacci and Latitude-Longitude Lattices,
-    Mathematical Geosciences 42, 2010).
+    lattice: the sine of the elevation in even steps, the azimuth in steps of 0.618 (golden ratio) of the arc
+    (Gonzalez: Measurement of Areas on a Sphere Using Fibonacci and Latitude-Longitude Lattices, Mathematical
+    Geosciences 42, 2010).
     """
     low, high = np.sin(
         np.clip(settings.elevation_rad + np.array([-1, 1]) * settings.swing_rad, -STEEPEST_RAD, STEEPEST_RAD)
@@ -214,8 +218,9 @@ def _fitting_distance_m(
 ) -> float:
     """Return the distance in metres at which a bounding sphere of the subject just fits into the image.
 
-    It has a small margin, and is large enough that the sphere stays beyond the sensor's minimum range even
-    where the hand comes nearest; `reach_share` is the standard deviation of that relative approach.
+    A small margin is added. The distance is also so large that the sphere stays beyond the sensor's minimum
+    range even where the hand comes nearest. `reach_share` is the standard deviation of the distance's
+    relative change.
     """
     radius_m = float(np.linalg.norm(subject.vertices - target_room, axis=1).max())
     half_view = min(np.arctan(camera.width / 2 / camera.fx), np.arctan(camera.height / 2 / camera.fy))

@@ -73,7 +73,7 @@ def plan_frames(spec: SimulationSpec, T_world_camera: Float64) -> tuple[PlannedF
 
 
 def given_trajectory(spec: SimulationSpec, T_world_camera: Float64) -> Float64 | None:
-    """Return the given trajectory (n, 4, 4) to record: the true one, perhaps with errors; None for none."""
+    """Return the trajectory (n, 4, 4) to record with the frames, true or with errors; or None."""
     given, rng = spec.given, spec.rng(GIVEN)
     if given.trajectory == "none":
         return None
@@ -90,7 +90,7 @@ def given_trajectory(spec: SimulationSpec, T_world_camera: Float64) -> Float64 |
 
 
 def _disturbed(poses: Float64, sigma_m: float, sigma_rad: float, rng: np.random.Generator) -> Float64:
-    """Add Gaussian noise to every pose, independently for each camera axis: of `sigma_m` and `sigma_rad`."""
+    """Add Gaussian noise to every pose: standard deviations `sigma_m` and `sigma_rad` per camera axis."""
     turns = Rotation.from_rotvec(rng.standard_normal((len(poses), 3)) * sigma_rad).as_matrix()
     shifts = rng.standard_normal((len(poses), 3)) * sigma_m
     return np.stack([T @ rigid(R, t) for T, R, t in zip(poses, turns, shifts, strict=True)])
@@ -99,7 +99,7 @@ def _disturbed(poses: Float64, sigma_m: float, sigma_rad: float, rng: np.random.
 def _drifting(poses: Float64, drift_m_per_m: float, rng: np.random.Generator) -> Float64:
     """Add odometry drift to the poses, always in the same direction and about the same axis.
 
-    A step's error is its length times `drift_m_per_m`, with a rotation in proportion.
+    The error of a step is a shift by the step's length times `drift_m_per_m`, and a rotation in proportion.
     """
     shift, turn = (axis / np.linalg.norm(axis) for axis in rng.standard_normal((2, 3)))
     drifted = [poses[0]]

@@ -1,6 +1,6 @@
 """Named simulations: versioned presets, the sample recordings, the demo's recordings, and their writer.
 
-Presets serve to compare figures of different package versions. So a preset never changes; a better one gets
+Presets serve to compare results of different package versions. So a preset never changes; a better one gets
 the next version. `tests/lab/simulate/test_simulate_presets.py` has the hash of each.
 """
 

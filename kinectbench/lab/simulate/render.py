@@ -113,7 +113,7 @@ def shade(rays, hit_m, item, normals_room, looks, image):  # type: ignore[no-unt
     Args:
         rays: (height, width, 6) float32, from `pixel_rays`.
         hit_m: (height, width) float32, ray parameters, infinite where nothing is hit.
-        item: (height, width), index of the hit item, which is its row in `looks`; any number without a hit.
+        item: (height, width), index of the hit item: its row in `looks`. Any value where nothing is hit.
         normals_room: (height, width, 3) float32, unit.
         looks: `Looks` of the scene.
         image: (512, 512) float32, from `make_texture`.
@@ -156,7 +156,8 @@ def _light_row(rays, depth_m, normals, plane_m, light, cosine):  # type: ignore[
         rays: (width, 6), origin and direction.
         depth_m: (width,), ray parameters of the hits.
         normals: (width, 3), unit.
-        plane_m: (2, width), written: the hits along the two room axes that are most parallel to the surface.
+        plane_m: (2, width), written: coordinates of the hits along the two room axes most parallel to the
+            surface, metres.
         light: (width,), written: brightness factors.
         cosine: (width,), written: cosine of incidence.
     """

@@ -205,7 +205,7 @@ def _table_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item
 
 
 def _neighbour(subject_room: TriangleMesh, draw: Draw) -> Item:
-    """Draw a box that touches the subject: it stands at its outermost vertex in a random direction."""
+    """Draw a box that touches the subject at its outermost vertex in a random horizontal direction."""
     turn = draw.between(0, 2 * np.pi)
     outward = np.array([np.cos(turn), np.sin(turn)])
     flat = subject_room.vertices[:, :2]

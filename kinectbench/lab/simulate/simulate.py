@@ -55,7 +55,7 @@ class Simulation:
         spec: the settings of the simulation.
         subject: the object.
         renderer: renderer of the scene, frame `room`.
-        foreign: renderer of another scene, for frames that show it as a fault; None without such frames.
+        foreign: renderer of another scene, which some frames show as a fault; None if no frame does.
         path: the camera's motion, frame `room`.
         device: the individual sensor's errors; None for an ideal sensor.
         gains: (n,) brightness gains of the colour images, one per frame.
@@ -84,7 +84,7 @@ class Simulation:
 
     @property
     def T_world_camera(self) -> Float64:
-        """The true camera poses of all recorded frames, (n, 4, 4) float64; the object rests in this world."""
+        """True camera poses of all recorded frames, (n, 4, 4) float64, in a world where the object rests."""
         times = np.array([frame.time_s for frame in self.frames])
         return np.asarray(self.T_world_room @ self.path.poses(times))
 
@@ -117,7 +117,8 @@ def prepare(spec: SimulationSpec) -> Simulation:
     """Draw the object, its surroundings, the camera path and the sensor, and plan the recording.
 
     Raises:
-        SettingsError, RecordingError: the family is unknown; the mesh cannot be used.
+        SettingsError: the family is unknown.
+        RecordingError: the mesh cannot be used.
     """
     subject = _make_subject(spec)
     min_range_m = MIN_RANGE_M[spec.sensor.model]
@@ -209,7 +210,10 @@ def _color(
     middle_s: float,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """Return frame `index`'s colour image, taken at `middle_s`; use `exact` if of that camera and time."""
+    """Return the colour image of frame `index`, exposed around the time `middle_s`.
+
+    `exact` is the depth camera's rendering. It is used again if colour is registered and taken with depth.
+    """
     sensor = simulation.spec.sensor
     times_s = middle_s + np.array([-0.5, 0.0, 0.5]) * sensor.exposure_s
     T_depth_color = invert_rigid(simulation.rig.T_color_depth)
@@ -225,7 +229,7 @@ def _color(
 def _own_colors(
     simulation: Simulation, renderer: Renderer | StillRenderer, exact: Rendering, index: int
 ) -> tuple[ColorImage, ...] | None:
-    """Return a separate colour stream's images since depth frame `index` - 1; None without a stream."""
+    """Return the images of a separate colour stream since depth frame `index` - 1; None if there is none."""
     spec, plans = simulation.spec, simulation.frames
     rate_hz, delay_s = spec.sensor.color_rate_hz, spec.sensor.color_delay_s
     if rate_hz is None:
@@ -271,7 +275,7 @@ def _foreign(spec: SimulationSpec, reach_m: float) -> Renderer:
 
 
 def _world(spec: SimulationSpec, T_room_first: Float64) -> Float64:
-    """Return T_world_room (4, 4): by the setting `world` the identity, random, or from the first camera."""
+    """Return T_world_room (4, 4): the identity, random, or so that the world is the first camera's frame."""
     if spec.world == "first_camera":
         return invert_rigid(T_room_first)
     if spec.world == "random":
@@ -285,7 +289,7 @@ def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, 
 
     This folder has the files of `write_truth`, `masks/<frame>.png` (noise-free silhouettes in depth pixels,
     255 = subject) and, with `save_depth`, `depth/<frame>.png` (noise-free, 5000 units per metre); `<frame>`
-    is the recorded frame's index in six digits. A simulated recording that is there is replaced.
+    is the recorded frame's index in six digits. A simulated recording that lies at `out` already is replaced.
 
     Args:
         spec: the settings of the simulation.

@@ -48,7 +48,7 @@ LATER = {
 
 
 class GrownSettings(Settings):
-    """Settings whose later added keys (`LATER`) are left out of stored specs at their defaults."""
+    """Settings that are stored without those later added keys (`LATER`) that have their default value."""
 
     @model_serializer(mode="wrap")
     def _without_later_defaults(self, write: SerializerFunctionWrapHandler) -> dict[str, object]:

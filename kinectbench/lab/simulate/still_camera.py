@@ -1,4 +1,4 @@
-"""Render a static camera in front of an object that turns on a turntable or is moved by a hand.
+"""Render what a static camera sees of an object that turns on a turntable or is moved by a hand.
 
 A camera path gives the camera's pose relative to the object, in frame `room`, which here moves with the
 object. From this pose the object is rendered; everything else is rendered from the static camera.
@@ -30,7 +30,7 @@ HELD_M = 0.8
 class StillRenderer:
     """Renders moving items and static surroundings, each from its own pose, into one image.
 
-    It has the methods of `Renderer`. On the object, the light moves with the object.
+    It has the methods of `Renderer`. The object is lit as if the light moved with it.
 
     Attributes:
         own: renderer of the object, and of the arm or the plate that moves with it.
@@ -58,7 +58,7 @@ class StillRenderer:
     def visible(
         self, points_room: Float64, normals_room: Float64, camera: Camera, T_room_camera: Float64
     ) -> Bools:
-        """Return which points a camera sees, as `Renderer.visible` does; only moving items occlude."""
+        """Return whether a camera sees each point, like `Renderer.visible`; only moving items occlude."""
         return self.own.visible(points_room, normals_room, camera, T_room_camera)
 
 
@@ -91,7 +91,7 @@ def still_renderer(
 
 
 def turning_only(settings: PathSettings) -> PathSettings:
-    """Return path settings in which only the turntable moves; unchanged if the settings have no turntable."""
+    """Return path settings in which only the turntable moves; settings without turntable stay unchanged."""
     if settings.moves != "turntable":
         return settings
     still = {

@@ -253,13 +253,13 @@ def _report(exact_m, around_m, returned, device, drawn):  # type: ignore[no-unty
 
 
 def multipath_m(rendering: Rendering, camera: Camera, sensor: TimeOfFlight) -> Float32:
-    """Return each pixel's error of depth by indirect light, multipath: (height, width) metres along z.
+    """Return the depth error that indirect light (multipath) causes: (height, width) metres along z.
 
     The model is one diffuse bounce between Lambertian surfaces in the image. Further bounces, surfaces out of
-    view, and occlusion between two surfaces are left out (chosen here). The light source is at the camera.
-    A patch q with albedo rho and the solid angle W of its pixels reflects the light rho * W. A surface at p
-    receives of it, per area, the form factor cos_p cos_q / (pi r² + A_q) of a disc of q's area A_q at
-    distance r; directly from the source it receives cos(incidence) / d_p². Here d_p and d_q are distances
+    view, and occlusion between two surfaces are left out (chosen here). The light source is at the camera. A
+    patch q with albedo rho and the solid angle W of its pixels reflects the light rho * W. Per area, a
+    surface at p receives of this light the form factor cos_p cos_q / (pi r² + A_q) of a disc of q's area A_q
+    at distance r. Directly from the source it receives cos(incidence) / d_p². Here d_p and d_q are distances
     from the camera. Indirect light seems (d_q + r - d_p) / 2 farther away. The sensor reports the
     light-weighted mean of distances, as for mixed pixels, with only its `multipath` share of indirect light.
     """
@@ -276,8 +276,9 @@ def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tu
     """Return one surface patch for every `step`th pixel of every `step`th row, and their (rows, columns).
 
     Returns:
-        (n, 9) float32: point in metres and unit normal, both in the camera's frame; reflected light; area in
-        m²; cosine of incidence. Light and area are 0 without a hit. And the number of rows and of columns.
+        The patches, (n, 9) float32: point in metres and unit normal, both in the camera's frame; reflected
+        light; area in m²; cosine of incidence. Light and area are 0 where nothing is hit. And the number of
+        rows and of columns of patches.
     """
     lens = (camera.fx, camera.fy, camera.cx, camera.cy)
     rows, columns = (len(range(step // 2, size, step)) for size in depth_m.shape)
@@ -366,7 +367,7 @@ def _spread(late_m, depth_m, step):  # type: ignore[no-untyped-def]
     """Interpolate the patches' errors to all pixels, mostly from neighbouring patches at similar depth.
 
     `late_m` (rows, columns) are the errors in metres of patches `step` pixels apart, `depth_m` the depth of
-    all pixels (height, width); the result has its shape.
+    all pixels (height, width). The result has the shape of `depth_m`.
     """
     rows, columns = late_m.shape
     height, width = depth_m.shape

@@ -48,8 +48,8 @@ class TrueCells:
         exact: the cell is in the exact solid, inside the true mesh.
         solid: the cell is in the seeable solid: in the exact solid, or in space that no camera could see,
             except slits.
-        judged: the cell is evaluated. Slits are not: gaps that only a finer sensor could see into, and walls
-            thinner than a voxel.
+        judged: the cell is evaluated. Slits are not evaluated: gaps that only a finer sensor could see into,
+            and walls thinner than a voxel.
     """
 
     exact: Bools
@@ -100,7 +100,7 @@ class Truth:
 
     @property
     def floor_plane_world(self) -> NDArray[np.float64]:
-        """The floor [a, b, c, d] with unit normal upwards: `a x + b y + c z + d` is the height in metres."""
+        """The floor plane [a, b, c, d] in the world: `a x + b y + c z + d` is a point's height in metres."""
         return floor_plane(self.T_world_object)
 
     def mask(self, index: int) -> NDArray[np.bool_]:
@@ -112,7 +112,7 @@ class Truth:
         return np.asarray(_image(self.folder / "masks" / f"{index:06d}.png") > 0)
 
     def depth_m(self, index: int) -> NDArray[np.float32] | None:
-        """Read noise-free depth of a frame in metres, 0 = none: (height, width) float32; None if not stored.
+        """Read a frame's noise-free depth: (height, width) float32, metres, 0 = none; None if not stored.
 
         Raises:
             RecordingError: the image is missing or damaged, although others are stored.
@@ -123,7 +123,10 @@ class Truth:
 
 
 def floor_plane(T_world_object: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the plane z = 0 of frame `object` (4, 4) as [a, b, c, d] in the world, unit normal upwards."""
+    """Return the plane z = 0 of the object's frame as [a, b, c, d] in the world frame.
+
+    Its normal is the object's z axis, a unit vector. `T_world_object` is (4, 4).
+    """
     up = T_world_object[:3, 2]
     return np.append(up, -up @ T_world_object[:3, 3])
 
@@ -145,9 +148,9 @@ def is_truth(folder: Path) -> bool:
 def added_files(folder: Path, recording: Path) -> list[str]:
     """Return the files and folders in a simulated recording's folder that its simulation did not write.
 
-    Hidden ones are ignored. An added folder is named without its content. Numbered files, such as those of
-    frames, are only counted: if there are more than were written, their name with # for the number is
-    returned once.
+    Hidden ones are ignored. An added folder is named without its content. Numbered files, such as images of
+    frames, are only counted. If there are more than the simulation wrote, their common name, with # for the
+    number, is returned once.
 
     Args:
         folder: the folder of the recording's truth; without a truth, the result is empty.
@@ -183,17 +186,18 @@ def _names_below(folder: Path) -> list[str]:
 
 
 def _numberless(name: str) -> str:
-    """Return a file's name with # in place of each number, such as a frame's."""
+    """Return a file's name with # in place of each number, such as a frame's index."""
     return re.sub(r"\d+", "#", name)
 
 
 def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = None) -> None:
     """Write everything but the images into the existing folder of the truth.
 
-    The files are truth.json (with the spec's JSON values and, if `recording` is a folder, the names below it,
-    with # for numbers, and their counts), frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt (the
-    same poses as TUM text, without frames of another scene), floor.json, object.ply (world frame) and
-    surface.npz (`points_world`, `normals_world`, `frames_seen`).
+    The files are truth.json, frames.npz (`stamps_ns`, `T_world_camera`), trajectory.txt (the same poses as
+    TUM text, without frames of another scene), floor.json, object.ply (world frame) and surface.npz
+    (`points_world`, `normals_world`, `frames_seen`). truth.json has the JSON values of `spec`. If `recording`
+    is a folder, truth.json also has the names of all files and folders below it, with # for numbers, and the
+    count of each name.
     """
     from kinectbench.core.trajectory.trajectory_file import trajectory_text
 
@@ -268,9 +272,9 @@ def read_truth(folder: Path) -> Truth:
 
 
 def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
-    """Return which cells of a grid have their centre inside a closed mesh in the world: bool (grid.shape).
+    """Mark the cells of a grid whose centre is inside a closed mesh: bool array of the grid's shape.
 
-    The number of cells along the grid's last axis must be a multiple of 8.
+    The mesh is in the world. The number of cells along the grid's last axis must be a multiple of 8.
     """
     from kinectbench.core.voxels.solid import voxelize_solid
 

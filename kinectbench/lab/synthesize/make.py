@@ -45,8 +45,8 @@ class Task:
     def groups(self) -> dict[str, int]:
         """Groups of views: {group: number of steps in a full turn, for each of roll, pitch and yaw}.
 
-        "sv" (same viewing) has the angles of training; "cv" (cross viewing), which only validation and test
-        have, has another step (paper). A group has all combinations of steps.
+        "sv" (same viewing) has the angles of training. "cv" (cross viewing) has another angle step (paper);
+        training has no such views. A group has all combinations of steps.
         """
         sv, cv = {"sv": self.settings.sv_steps}, {"cv": self.settings.cv_steps}
         return sv if self.split == "train" else sv | cv
@@ -94,7 +94,7 @@ def make_model(task: Task) -> None:
 
 
 def _drawn_views(task: Task, steps: int) -> tuple[ViewAngles, ...]:
-    """Return the views of one group: all, or `most_views` drawn at random by the model's name."""
+    """Return the views of one group: all, or `most_views` of them, drawn at random by the model's name."""
     views, most = all_views(steps), task.settings.most_views
     if most is None or most >= len(views):
         return views

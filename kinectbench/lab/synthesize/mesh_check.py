@@ -28,7 +28,7 @@ class CheckedMesh:
     Attributes:
         mesh: the mesh, in the model's own frame and unit, without duplicate vertices and collapsed triangles.
         rule: how its inside is found: "winding" (by winding number) if it is closed, else "six-rays" (the
-            paper authors' rule for open meshes); "seeable" with `seeable`.
+            paper authors' rule for open meshes); "seeable" if `seeable` is set.
         notes: remarks for the user, one line each.
         seeable: its seeable solid (`core.voxels.seeable`), which includes space that no camera could see;
             None: only the inside of the mesh is solid.
@@ -57,7 +57,7 @@ def load_model(model: Model, max_faces: int) -> CheckedMesh:
 
 
 def as_seeable(checked: CheckedMesh, up_axis: Literal["y", "z"]) -> CheckedMesh:
-    """Add the mesh's seeable solid (`core.voxels.seeable`): also space that no camera could see is solid.
+    """Add the mesh's seeable solid (`core.voxels.seeable`): space that no camera could see is solid, too.
 
     The model stands on a plane at its lowest point. An open mesh is returned unchanged, with a note.
 

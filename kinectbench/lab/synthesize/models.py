@@ -106,7 +106,9 @@ class LeftOut:
 
 
 def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
-    """Return parametric models of each family, seeds 0 to count - 1; by default of the paper's furniture.
+    """Return `count` parametric models of each family, with seeds 0 to count - 1.
+
+    If no categories are given, the families are those of the paper's furniture.
 
     Raises:
         SettingsError: unknown family.
@@ -118,7 +120,7 @@ def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
 
 
 def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model, ...], tuple[LeftOut, ...]]:
-    """Return the models in a folder, sorted, and the models left out for their name or a missing mesh file.
+    """Return a folder's models, sorted, and those left out because of their name or a missing mesh file.
 
     Layouts: `<synset>/<model>/models/model_normalized.obj` (ShapeNet v2), `<synset>/<model>/model.obj` (v1),
     `<category>/<name>.obj` (or .ply, .stl, .off, .glb). In each, the first folder may be a synset or a
@@ -156,7 +158,7 @@ def folder_models(folder: Path, categories: Sequence[str]) -> tuple[tuple[Model,
 
 
 def _entries(category: str, folder: Path) -> Iterator[Model | LeftOut]:
-    """Yield the models in one category's folder, and models left out for their name or a missing mesh."""
+    """Yield the models in a category's folder, and those left out because of their name or a missing mesh."""
     if problem := category_problem(category):
         yield LeftOut(folder.name, f"a category's name: {problem}")
         return
@@ -207,7 +209,7 @@ def deal(models: Sequence[Model], settings: SynthesisSettings, check: Check) -> 
     Args:
         models: the models, sorted.
         settings: `seed` and the numbers of models per category and split are used.
-        check: function from models to the reason why each cannot be used, or None.
+        check: function that returns for each of some models why it cannot be used, or None if it can.
 
     Returns:
         {category: its models with their splits}, sorted by category.
@@ -241,7 +243,8 @@ def _shuffled(models: Sequence[Model], category: str, seed: int) -> list[Model]:
 def shares(wanted: dict[Split, int], available: int) -> dict[Split, int]:
     """Return {split: number of models}: as requested, or if fewer are available, reduced in proportion.
 
-    Every requested split gets at least one; with fewer models than splits, test comes first, then train.
+    Every requested split gets at least one model. If there are fewer models than splits, test comes first,
+    then train.
     """
     total = sum(wanted.values())
     if available >= total:

@@ -24,10 +24,10 @@ def make_synthetic_pair(
 ) -> tuple[Pair, str | None]:
     """Render a model's depth in one view, and voxelise the visible part and the full shape in one cube.
 
-    In framing `object`, the paper's, the cube is placed around the full shape's box in the view's axes; in
-    framing `view`, around the visible part alone. The world frame is the model's own, in metres. All cells
-    are known, except, in a `SeeableSolid`, gaps that only a finer sensor could see into and walls thinner
-    than a voxel. `surface_sigma_m` is 0.
+    In framing `object` (the paper's), the cube is placed around the full shape's box in the view's axes; in
+    framing `view`, it is placed around the visible part alone. The world frame is the model's own, in metres.
+    All cells of a mesh are known. In a `SeeableSolid`, gaps that only a finer sensor could see into and walls
+    thinner than a voxel are unknown. `surface_sigma_m` is 0.
 
     Args:
         checked: the model.
@@ -37,7 +37,7 @@ def make_synthetic_pair(
         name: the model's name; name, view and seed determine the noise.
 
     Returns:
-        The pair; and the reason why it must not be used, None if it may be.
+        The pair, and the reason why it must not be used, or None if it may be used.
     """
     camera = eye.camera
     T_world_camera = camera_pose(eye.corners_world, view, camera, settings.up_axis)
@@ -76,7 +76,7 @@ def make_synthetic_pair(
 def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
     """Return two packed bit grids: the cells in the solid, and the known cells.
 
-    Unknown are gaps that only a finer sensor could see into, and walls thinner than a voxel (`slit`).
+    Gaps that only a finer sensor could see into, and walls thinner than a voxel (`slit`), are not known.
     """
     full = VOXELIZERS[checked.rule](checked.mesh.vertices, checked.mesh.faces, grid)
     if checked.seeable is None:
@@ -87,7 +87,10 @@ def _solid(checked: CheckedMesh, grid: Grid) -> tuple[Packed, Packed]:
 
 
 def _cut_share(grid: Grid, checked: CheckedMesh, whole: Grid) -> float:
-    """Return the share of the shape that lies outside a cube, 0 to 1."""
+    """Return the share of the shape that lies outside the cube `grid`, 0 to 1.
+
+    `whole` is a grid around the whole shape, on which the shape is sampled.
+    """
     corners = transform_points(grid.T_grid_world, checked.mesh.vertices)
     side_m = grid.shape[0] * grid.voxel_size_m
     if corners.min() >= 0 and corners.max() <= side_m:

@@ -78,7 +78,7 @@ def _ladder(draw: Draw, back: Back) -> Parts:
 
 
 def _between_rails(draw: Draw, back: Back) -> tuple[float, float, Parts]:
-    """Make a lower and an upper rail; return a height in each, to join bars between them, and the rails."""
+    """Make a lower and an upper rail. Return the heights where bars between them end, and both rails."""
     low = back.seat + draw.between(0.06, 0.14)
     crest = draw.between(0.05, 0.09)
     rails = [back.rail(low - 0.025, low + 0.015), back.rail(back.top - crest, back.top, 0.024, "crest")]

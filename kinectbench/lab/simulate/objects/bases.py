@@ -122,7 +122,7 @@ def stretchers(draw: Draw, half_m: Vector2, height_m: float, look: Look, rake_m:
 
 
 def apron(half_m: Vector2, head_m: float, high_m: float, look: Look) -> Parts:
-    """Make four boards, `high_m` high and up to the height `head_m`, between legs at (+-x, +-y), `half_m`."""
+    """Make four boards between legs at (+-x, +-y) of `half_m`, `high_m` high, whose top is at `head_m`."""
     return ring("apron", half_m, (head_m - high_m, head_m), 0.01, look)
 
 
@@ -173,7 +173,7 @@ def tube_legs(half_m: Vector2, head_m: float, radius_m: float, splay_m: float, l
 def sled(half_m: Vector2, head_m: float, radius_m: float, look: Look) -> Parts:
     """Make two tube loops that lie on the floor from front to back, and two bars between them.
 
-    `half_m` is x of the right loop, and half its length along y; `head_m` is its height.
+    `half_m` is x of the right loop, and half a loop's length along y. `head_m` is the height of the loops.
     """
     x, y, z = *half_m, head_m - radius_m
     for s in SIDES:
@@ -187,8 +187,8 @@ def sled(half_m: Vector2, head_m: float, radius_m: float, look: Look) -> Parts:
 def square_loops(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
     """Make two closed frames of square tube at the left and right ends.
 
-    `half_m` is x of the right frame, and half its length along y; `head_m` is its height, `thick_m` the
-    tube's thickness.
+    `half_m` is x of the right frame, and half a frame's length along y. `head_m` is the height of the frames,
+    `thick_m` the thickness of the tube.
     """
     x, y = half_m
     for s in SIDES:
@@ -268,7 +268,7 @@ def star(
 def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
     """Make an X of two legs at the left and right ends, and a bar that joins the crossings.
 
-    `half_m` is x of the right X, and y of the ends of its legs; `head_m` is its height.
+    `half_m` is x of the right X, and y of the ends of its legs. `head_m` is the height of the X.
     """
     x, y = half_m
     for s, way in CORNERS:
@@ -282,7 +282,7 @@ def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> 
 def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
     """Make two trestles (a post between foot and head beam, or an A of two legs), and a long stretcher.
 
-    `half_m` is x of the right trestle, and half its length along y; `head_m` is its height.
+    `half_m` is x of the right trestle, and half its length along y. `head_m` is the height of the trestles.
     """
     x, y, wide = *half_m, draw.between(0.045, 0.07)
     if draw.chance(0.5):
@@ -310,7 +310,7 @@ def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
 def panels(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> Parts:
     """Make two upright boards at the left and right ends.
 
-    `half_m` is x of the right board, and half its length along y; `head_m` is its height.
+    `half_m` is x of the right board, and half its length along y. `head_m` is the height of the boards.
     """
     x, y = half_m
     for s in SIDES:

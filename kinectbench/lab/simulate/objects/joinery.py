@@ -56,7 +56,7 @@ class Draw:
         return float(self.rng.uniform(low, high))
 
     def chance(self, probability: float) -> bool:
-        """Return True with that probability."""
+        """Return True with the given probability."""
         return bool(self.rng.random() < probability)
 
     def integer(self, low: int, above: int) -> int:
@@ -69,15 +69,16 @@ class Family:
     """A kind of objects, drawn at random.
 
     Rules and constants of the package are chosen on development families (`looked_at`) only. The results of
-    all other families stay unseen meanwhile, so that reported figures hold for new shapes. A family whose
+    all other families stay unseen meanwhile, so that reported results hold for new shapes. A family whose
     results were seen becomes a development family, and another one replaces it.
 
     Attributes:
         draw: draws the parts of one object.
         looked_at: whether this is a development family.
         furniture: whether benchmarks check its results against the thresholds for furniture.
-        closed_below: whether its parts leave no space behind the underside open to the air, so that the
-            setting `underside: closed` is true of it. Slats, trays, shells and vessels on feet are open.
+        closed_below: whether the setting `underside: closed` is true of its objects: there is no space behind
+            their underside that is open to the air. Slats, trays, shells and vessels on feet have such a
+            space.
     """
 
     draw: Callable[[Draw], Parts]

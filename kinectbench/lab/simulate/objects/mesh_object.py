@@ -31,17 +31,18 @@ SKIN_CELLS = 0.9
 def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
     """Load a mesh file as a subject: z up, on z = 0, with its bounding box centred at x = y = 0.
 
-    Closed bodies, and bodies with small holes, which are filled, become their exact union. Any other mesh is
-    voxelised by the paper authors' rule for open meshes (`voxelize_open`). If this changed the surface, the
-    camera sees the solid's surface instead, in the file's colours, so that images and truth agree.
+    If all bodies of the mesh are closed or have only small holes, the holes are filled, and the solid is the
+    exact union of the bodies. Any other mesh is voxelised by the paper authors' rule for open meshes
+    (`voxelize_open`). If closing the mesh changed its surface, the camera sees the solid's surface, in the
+    file's colours, so that images and truth agree.
 
     Args:
         path: obj, ply, stl, glb or off, in metres.
         up: the file's axis that points up.
 
     Returns:
-        The subject, with a piece for each colour of the file; without colours or materials it has one colour.
-        Its `origin` says how the solid was closed, with figures.
+        The subject, with a piece for each colour of the file. If the file has neither colours nor materials,
+        the subject has one default colour. Its `origin` states how the solid was closed, with numbers.
 
     Raises:
         RecordingError: the file is missing, unreadable or empty, has infinite vertices or no volume, or is
@@ -68,7 +69,7 @@ def load_mesh_object(path: Path, up: Literal["y", "z"]) -> Subject:
 
 
 def _closed_by_filling(whole: TriangleMesh) -> tuple[TriangleMesh, str, bool] | None:
-    """Return the union of a mesh's bodies; None unless each is closed or has only small holes.
+    """Return the union of a mesh's bodies; None if a body is open and has more than small holes.
 
     Returns:
         The union, one line on how it was closed, and whether the file's own faces show the same surface.
@@ -128,7 +129,7 @@ def _nearest(mesh: TriangleMesh, points: Float64) -> tuple[Float64, Int64]:
 
 
 def _painted(mesh: TriangleMesh, parts: list[tuple[TriangleMesh, Vector3]]) -> list[Piece]:
-    """Split a solid's surface into pieces of one colour; a face gets the colour of the part nearest to it."""
+    """Split a solid's surface into pieces of one colour: each face gets the colour of the nearest part."""
     drawn = join([part for part, _ in parts])
     owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part, _ in parts])
     _, nearest = _nearest(drawn, mesh.vertices[mesh.faces].mean(axis=1))

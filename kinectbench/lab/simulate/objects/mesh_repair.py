@@ -113,7 +113,7 @@ def united(parts: list[Body]) -> "Manifold":
 
 
 def _edges(faces: Int32) -> tuple[Int64, Int64]:
-    """Return all faces' edges as vertex pairs (3m, 2), and a key (3m,) that ignores an edge's direction."""
+    """Return the edges of all faces as vertex pairs (3m, 2), and keys (3m,) that ignore their direction."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
     return edges, edges.min(axis=1) * (int(faces.max(initial=0)) + 1) + edges.max(axis=1)
 
@@ -134,7 +134,10 @@ def _one_winding(part: TriangleMesh) -> Int32 | None:
 
 
 def _hole_loops(faces: Int32) -> list[Int64] | None:
-    """Return each hole's loop of vertex indices, in its patch's winding; None if two loops share a vertex."""
+    """Return the loop of vertex indices around each hole; None if two loops share a vertex.
+
+    A loop runs in the direction of the winding of the patch that fills the hole.
+    """
     edges, number = _edges(faces)
     _, edge, faces_at_edge = np.unique(number, return_inverse=True, return_counts=True)
     lone = edges[faces_at_edge[edge] == 1]
@@ -153,7 +156,10 @@ def _hole_loops(faces: Int32) -> list[Int64] | None:
 
 
 def _patch(vertices: Float64, loop: Int64, most_m2: float) -> Int32 | None:
-    """Return triangles (k, 3) that fill a loop, made in its mean plane; None if larger than `most_m2`."""
+    """Return triangles (k, 3) that fill a loop of vertices; None if its area exceeds `most_m2`.
+
+    The loop is triangulated in its mean plane.
+    """
     from manifold3d import triangulate
 
     points = vertices[loop] - vertices[loop].mean(axis=0)

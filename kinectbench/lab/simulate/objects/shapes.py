@@ -115,7 +115,7 @@ def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) ->
 def cushion(low_m: Vector3, high_m: Vector3, radius_m: float, crown_m: float = 0.0) -> "Manifold":
     """Make a box with rounded edges and corners, whose upper face bulges by `crown_m` in the middle.
 
-    `low_m` and `high_m` are opposite corners of the box, `radius_m` is that of the edges.
+    `low_m` and `high_m` are opposite corners of the box, `radius_m` is the radius of the edges.
     """
     from manifold3d import Manifold
 

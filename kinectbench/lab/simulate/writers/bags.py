@@ -39,9 +39,10 @@ class MessageMaker:
     """Makes the ROS messages of a recording, one frame at a time.
 
     If colour is registered, depth has topics below /camera/depth_registered and the frame_id of colour; else
-    topics below /camera/depth and its own frame_id. Headers of colour and its CameraInfo have colour's stamp,
-    those of poses the pose's stamp (`given_ns`), others depth's. PoseStamped is the depth camera's pose in
-    frame `world`, optical axes; a frame without a pose has no such message.
+    it has topics below /camera/depth and its own frame_id. Colour and its CameraInfo have the stamp of
+    colour, poses have the pose's stamp (`given_ns`), and all other messages have the stamp of depth.
+    PoseStamped is the depth camera's pose in frame `world`, optical axes; a frame without a pose has no such
+    message.
     """
 
     def __init__(
@@ -122,7 +123,7 @@ class MessageMaker:
         )
 
     def static_transforms(self, stamp_ns: int) -> list[tuple[str, str, Message]]:
-        """Return the /tf_static message: depth's pose in the colour camera's frame; [] if registered."""
+        """Return /tf_static: the depth camera's pose in the colour camera's frame; [] if registered."""
         if self._rig.color_registered:
             return []
         header = self.header(0, stamp_ns, COLOR_FRAME_ID)

@@ -102,7 +102,7 @@ def _add_stamped(folder: Path, name: str, stamp_ns: int, suffix: str, data: byte
 
 
 def log_rows(index: int, frame: RecordedFrame) -> list[str]:
-    """Return a frame's lines of Redwood's log: `i i i+1`, then the pose's four rows; [] without a pose."""
+    """Return a frame's lines of Redwood's log: `i i i+1` and the four rows of its pose; [] if it has none."""
     if frame.T_world_camera is None:
         return []
     return [f"{index} {index} {index + 1}", *matrix_rows(frame.T_world_camera)]
