@@ -31,7 +31,8 @@ class Undistortion:
     def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
         """Undistort depth (height, width) of the camera by the nearest pixel; 0 outside the distorted image.
 
-        Both methods return an image of another size unchanged: the checks of frames refuse it.
+        Like `color`, it returns an image of another size unchanged; the checks of frames refuse such an
+            image.
         """
         import cv2
 
