@@ -115,7 +115,7 @@ def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
 
 
 def grid_range_m(T_world_camera: Float64, grid: Grid, settings: FusionSettings) -> float:
-    """Return the largest depth to fuse into a grid, metres: that of the grid's farthest point, 3 to 8 m.
+    """Return the largest depth to fuse into a grid, metres: its farthest point's, clipped to 3 to 8 m.
 
     All depth inside the grid is useful: depth measured on the far wall of a cavity carves the cavity. The
     size of the grid limits the cost. If the settings give `fusion.max_depth_m`, that is returned instead.

@@ -98,8 +98,8 @@ def integrate(
     A voxel that lies behind the surface, along its normal, by more than max(1.5 sigma, half a voxel's
     diagonal) is hidden: it may be solid or empty. There the frame's weight falls within half a voxel to a
     thousandth, so that frames from other directions decide. The weight falls in the same way in front of the
-    surface, up to 2.5 sigma, because cutting noise on one side only would shift the mean. (For frames that
-    are not `closely`, it falls only behind the surface, beyond 2 sigma.)
+    surface, up to 2.5 sigma, because cutting noise on one side only would shift the mean. (If `closely` is
+    false for a frame, it falls only behind the surface, beyond 2 sigma.)
 
     A pixel with depth beyond `farthest_m` only updates voxels at least 0.25 m in front of it, as free.
 
@@ -210,10 +210,11 @@ def _integrate(  # type: ignore[no-untyped-def]
     through memory once for all frames.
 
     For f frames and n blocks: `seen` (f, n) as from `visible_blocks`; `blocks` (n, 3) block coordinates;
-    `tsdf`, `weight` and `votes` (n, 512), changed in place; `noise` (f, 9) as from `_noise_m`. `pixels` (f,
-    height, width, 2) float32 hold depth, metres, and weight of each pixel, in an empty border. `to_pixels`
-    (f, 3, 4) maps the volume's frame to camera axes, with x and y multiplied by fx and fy. `middle` (2,) is
-    the principal point, moved for the border and for rounding. `voxel` (edge) and `truncation` are in metres.
+    `tsdf`, `weight` and `votes` (n, 512), changed in place; `noise` (f, 9) as from `_noise_m`. For each
+    pixel, `pixels` (f, height, width, 2) float32 hold depth, metres, and weight; their border is empty.
+    `to_pixels` (f, 3, 4) maps the volume's frame to camera axes, with x and y multiplied by fx and fy.
+    `middle` (2,) is the principal point, moved for the border and for rounding. `voxel` (edge) and
+    `truncation` are in metres.
     """
     index = np.empty(BLOCK_CELLS, np.uint32)
     depths, weights = np.empty(BLOCK_CELLS, np.float32), np.empty(BLOCK_CELLS, np.float32)

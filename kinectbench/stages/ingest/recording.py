@@ -117,7 +117,8 @@ class Recording(ABC):
         looks_for: what a folder or file must contain to be recognised.
         suffixes: suffixes of such files; the id of a recording is its name without them.
         uses: names of the settings in `OF_SOME_FORMATS` that this reader applies; not all readers apply them.
-        evidence: the best data that the reader was tested on: real, licensed and real, or our own files.
+        evidence: the best data that the reader was tested on: real data, licensed real data, or our own
+            files.
         verified: a description of that data, such as files of other programs; "" if it is only our own files.
         up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
             None: unknown.

@@ -88,7 +88,7 @@ class SequenceWriter:
 
 
 def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
-    """Make a function that registers a frame's colour to depth; None if it is so already, or uncalibrated."""
+    """Make a function that registers a frame's colour to depth; None if it already is, or is uncalibrated."""
     if recording.color_calibration is None or recording.color_registered:
         return None
     register = ColorRegistration(recording.camera, recording.color_calibration)

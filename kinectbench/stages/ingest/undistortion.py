@@ -31,8 +31,7 @@ class Undistortion:
     def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
         """Undistort depth (height, width) of the camera by the nearest pixel; 0 outside the distorted image.
 
-        Like `color`, it returns an image of another size unchanged; the checks of frames refuse such an
-            image.
+        Like `color`, it returns an image of another size unchanged; the checks of frames refuse it later.
         """
         import cv2
 

@@ -181,7 +181,7 @@ class GivenMasks:
         return by_mask
 
     def of_image(self, view: str, frame: int, kind: str) -> str | None:
-        """Return the file name of the mask of a view or its frame, of this kind (`MaskName.kind`); or None.
+        """Return the name of the file with this kind (`MaskName.kind`) of mask for a view or frame; or None.
 
         Raises:
             SegmentationError: there are several such masks.

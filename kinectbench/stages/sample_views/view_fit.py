@@ -28,8 +28,8 @@ class ViewFit:
         visible_share: share of the rendered silhouette with valid depth of the object.
         border_share: share of the silhouette's pixels within 1 px of the image border.
         dropped_share: share of the valid depth inside the eroded silhouette that the mask leaves out.
-        containment: share of the occupied cells of the partial (64^3, from all depth inside the eroded
-            silhouette, without the mask) that lie in the full shape, dilated once.
+        containment: share of the partial's occupied cells that lie in the full shape, dilated once. The
+            partial (64^3) is made from all depth inside the eroded silhouette, without the mask.
         residual_m: median absolute difference of measured and rendered depth inside the eroded silhouette,
             metres.
         truncated_share: share of the object's full silhouette that lies outside the image.

@@ -60,8 +60,8 @@ class View:
         fit: how well depth fits the object, computed with the mask before the user's masks are applied. But
             in a view that was read from a file, `fit.pixels` counts the final mask.
         blur: blur of the colour relative to the recording, as in health.json; None if unknown.
-        pose_residual_m: residual of its depth to other frames' under the trajectory's poses, metres; None if
-            unknown.
+        pose_residual_m: residual between its depth and that of other frames, under the trajectory's poses,
+            metres; None if unknown.
         too_far_share: share of its depth pixels beyond the range of a 16-bit depth image in mm.
     """
 

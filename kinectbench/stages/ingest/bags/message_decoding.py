@@ -204,7 +204,7 @@ def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
 
 @dataclass
 class FoundMessages:
-    """Collects where the messages of the wanted `types` are in a bag's file: {connection number: places}."""
+    """Collects where a bag's file stores messages of the wanted `types`: {connection number: places}."""
 
     types: frozenset[str]
     connections: dict[int, BagTopic] = field(default_factory=dict)
@@ -219,7 +219,7 @@ class FoundMessages:
         *,
         whole: bool = False,
     ) -> None:
-        """Note where a message is stored and its stamp, unless its type is known to be an unwanted one.
+        """Record where a message is stored, and its stamp, unless its type is known to be unwanted.
 
         Args:
             connection: number of the message's connection.

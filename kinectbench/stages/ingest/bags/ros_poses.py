@@ -109,7 +109,10 @@ def read_transforms(bag: RosBag) -> TransformTree:
 
 
 def _by_stamp(stamps_ns: "array[int]", rows: "array[float]") -> tuple[Int64, Float64]:
-    """Sort transforms (seven numbers each) by stamp: (n,) and (n, 4, 4); of equal stamps the last is kept."""
+    """Return stamps (n,), sorted, and matrices (n, 4, 4) of transforms; of equal stamps the last is kept.
+
+    Each transform has seven numbers, as `_numbers_of` returns them.
+    """
     # In reverse, because unique takes the first of equal stamps.
     stamps, first = np.unique(np.array(stamps_ns, np.int64)[::-1], return_index=True)
     return stamps, _matrices(np.array(rows).reshape(-1, 7)[::-1][first])
@@ -142,9 +145,9 @@ def _moves(transforms: Float64) -> bool:
 
 
 def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
-    """Interpolate transforms, whose stamps are `own`, at `stamps`: (n, 4, 4), along the shortest rotation.
+    """Interpolate `transforms`, which have the stamps `own`, at `stamps`; return (n, 4, 4).
 
-    Before `own` the first transform holds, after it the last.
+    Rotations take the shortest way. Before `own` the first transform holds, after it the last.
     """
     after = np.clip(np.searchsorted(own, stamps), 0, len(own) - 1)
     before = np.maximum(after - 1, 0)

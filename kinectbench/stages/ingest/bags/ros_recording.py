@@ -275,7 +275,7 @@ def _depth_info(
     infos: list[NamedInfo],
     settings: CameraSettings,
 ) -> tuple[CameraInfo | None, list[str]]:
-    """Choose depth's CameraInfo among `infos`; warn if another differs, unless intrinsics are set."""
+    """Choose depth's CameraInfo among `infos`; warn if another differs, unless settings give intrinsics."""
     on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None

@@ -101,8 +101,9 @@ def every_image(bag: RosBag) -> list[ImageTopic]:
 def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, list[str]]:
     """Choose the depth topic; return it, and a warning if there was a choice.
 
-    These decide, the most important first: "depth" in the name, a name that says registered, integer values,
-    no compression, and the number of images. A topic whose name says infrared and not depth is left out.
+    These criteria decide, the most important first: "depth" in the name, a name that says registered, integer
+    values, no compression, and the number of images. A topic whose name says infrared and not depth is left
+    out.
 
     Args:
         bag: the bag to search.
@@ -141,8 +142,9 @@ def choose_color(
 ) -> tuple[ImageTopic | None, list[str]]:
     """Choose the colour topic; return it or None, and warnings.
 
-    These decide, the most important first: a name that says neither infrared nor depth, a name that says
-    colour, the camera of the depth topic, colours instead of grey, no compression, and the number of images.
+    These criteria decide, the most important first: a name that says neither infrared nor depth, a name that
+    says colour, the same camera as the depth topic's, colours instead of grey, no compression, and the number
+    of images.
 
     Args:
         bag: the bag to search.
@@ -218,10 +220,10 @@ def choose_camera_info(
 
     A message is a candidate if it has the images' frame_id, if its topic is in their namespace (where
     image_transport puts it), or if both topics' names start with the same parts, one of which contains a word
-    of `kind`. Of the candidates, these decide, the most important first: the images' size, their namespace,
-    their frame_id, and the number of common parts. The CameraInfo of `pixels_of`, if it has the images' size,
-    is taken instead in two cases: if there is no candidate; or if the best candidate has other values and the
-    images' name says that they are registered.
+    of `kind`. Of the candidates, these criteria decide, the most important first: the images' size, their
+    namespace, their frame_id, and the number of common parts. The CameraInfo of `pixels_of`, if it has the
+    images' size, is taken instead in two cases: if there is no candidate; or if the best candidate has other
+    values and the images' name says that they are registered.
 
     Args:
         image: the topic of the images.

@@ -3,8 +3,7 @@
 Messages are found by walking through the file's chunks. The walk needs no index, so it also reads the intact
 part of a bag that was truncated or never closed. In chunks without compression the walk reads only the
 headers of records. Afterwards messages can be read in any order. The package rosbags reads no bag without an
-index.
-Layout: http://wiki.ros.org/Bags/Format/2.0.
+index. Layout: http://wiki.ros.org/Bags/Format/2.0.
 """
 
 import os

@@ -1,8 +1,8 @@
 """Find the messages of an mcap file by walking through its records; a truncated file gives its intact part.
 
-Layout: https://mcap.dev/spec. Of the summary at the end only the channels are read, as the chunk that defines
-    a channel may be damaged. The package mcap is not used: it unpacks lz4 chunks of any size, and does not
-    say where a message is stored.
+Layout: https://mcap.dev/spec. Of the summary at the end only the channels are read, because the chunks that
+define them may be damaged. The package mcap is not used: it unpacks lz4 chunks of any size, and does not say
+where a message is stored.
 """
 
 import struct

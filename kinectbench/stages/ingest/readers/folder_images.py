@@ -103,7 +103,7 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder itself contains 16-bit depth and colour images, named by the words for these."""
+    """Whether a folder itself contains 16-bit depth and colour images whose names contain these words."""
     if not path.is_dir():
         return False
     depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))

@@ -136,7 +136,7 @@ class KlgRecording(PackedRecording):
 
 
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
-    """Replace implausible stamps; sort frames by stamp, without those that repeat a stamp.
+    """Replace implausible stamps; find the order of frames by stamp, without repeated stamps.
 
     Args:
         frames: in file order.

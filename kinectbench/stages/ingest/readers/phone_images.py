@@ -131,8 +131,8 @@ def intrinsics_of_depth(
 ) -> Intrinsics:
     """Scale colour's intrinsics (3, 3) to depth's size, and let the settings override them.
 
-    Without colour images, K is taken to be for images of the phone's usual size; or, if the settings give all
-    intrinsics, K is not used.
+    Without colour images, K is taken to be for images of the phone's usual size, unless the settings give all
+    intrinsics: then K is not used.
 
     Raises:
         RecordingError: the aspect ratios differ by more than a pixel of depth.

@@ -62,8 +62,8 @@ def read_pose_file(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read a file with the poses of all frames, camera to world.
 
-    A row of TUM belongs to the frame with its stamp. If the rows have stamps but the frames are only counted,
-    and there are as many rows as frames, they are matched in order. A row of RTAB-Map with an id belongs to
+    A row of TUM belongs to the frame with its stamp. If the frames' own stamps are only counted, and there
+    are as many rows as frames, rows and frames are matched in order. A row of RTAB-Map with an id belongs to
     the frame with that number. Matrices (12 or 16 values in a row, or in rows of four) are in the order of
     frames; with a number above each matrix, they belong to the frames with these indices, from 0.
 
