@@ -152,7 +152,7 @@ def _refusal(settings: PairSettings, cut_share: float, inside: float) -> str | N
             f"the cube of framing view cuts off {cut_share:.1%} of the shape, more than {MAX_CUT_SHARE:.0%}"
         )
     if inside < settings.min_containment:
-        # The view itself was accepted; its mask was drawn by a person, or the cube cuts the shape.
+        # The view itself was accepted; its mask was drawn by the user, or the cube cuts the shape.
         least = f"less than {settings.min_containment:.0%}"
         return f"only {inside:.1%} of the masked partial lies in the shape, {least}: see the view's mask"
     return None

@@ -43,7 +43,7 @@ from kinectbench.stages.fuse.mesh import color_vertices, extract_mesh
 from kinectbench.stages.fuse.visible_blocks import blocks_near_surface
 
 # Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
-# frames see at the steepest slant that still counts has about as much.
+# frames see at the steepest angle that still counts has about as much.
 LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
 # Depth is believed to be beyond the fused range up to so many times that, and up to 8 m, for which
 # integrate's quarter of a metre is enough.
