@@ -51,16 +51,16 @@ class MadePair:
 
 @dataclass(frozen=True)
 class FullShape:
-    """The data of an object that all its pairs share; computed once.
+    """The data that all pairs of one object share; computed once.
 
     Attributes:
         mesh: closed mesh of the object.
         volume_m3: volume of the mesh, cubic metres.
-        known: cells whose truth is known (not labelled UNKNOWN), on the object's fine grid and on the coarse
-            grid around it.
+        known: cells whose content is known (not labelled UNKNOWN), on the object's fine grid and
+            on the coarse grid around it.
         interior: the known cells labelled INTERIOR, which were not measured; none on the coarse grid.
-        said: the known cells that are known only by the user's statement about an unseen underside; none on
-            the coarse grid.
+        said: the known cells that are known only from the user's statement about an unseen underside; none
+            on the coarse grid.
         surface_sigma_m: standard deviation of the mesh's surface, metres.
     """
 
@@ -73,7 +73,7 @@ class FullShape:
 
 
 def full_shape(model: ObjectModel) -> FullShape:
-    """Compute the data of an object that all its pairs share."""
+    """Compute the data that all pairs of one object share."""
     mesh = model.shape.mesh
     shape, coarse = model.shape, model.surround_labels != Label.UNKNOWN
     known, interior = shape.labels != Label.UNKNOWN, shape.labels == Label.INTERIOR
@@ -152,7 +152,7 @@ def _refusal(settings: PairSettings, cut_share: float, inside: float) -> str | N
             f"the cube of framing view cuts off {cut_share:.1%} of the shape, more than {MAX_CUT_SHARE:.0%}"
         )
     if inside < settings.min_containment:
-        # The view itself was accepted; its mask was drawn by a person, or the cube cuts the shape.
+        # The view itself was accepted; its mask was drawn by the user, or the cube cuts the shape.
         least = f"less than {settings.min_containment:.0%}"
         return f"only {inside:.1%} of the masked partial lies in the shape, {least}: see the view's mask"
     return None

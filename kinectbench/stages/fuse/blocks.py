@@ -48,7 +48,7 @@ class BlockVolume:
 
     @property
     def surface(self) -> NDArray[np.uint16]:
-        """Number of frames that measured a surface at each voxel, or just before it: (n, 8, 8, 8) uint16."""
+        """Number of frames that measured a surface at each voxel, or just in front: (n, 8, 8, 8) uint16."""
         return (self.votes >> 16).astype(np.uint16)
 
     def dense(self, values: NDArray[Scalar], first_block: Int32, blocks: int) -> NDArray[Scalar]:
@@ -66,7 +66,7 @@ class BlockVolume:
 
 
 def empty_volume(blocks: Int32, voxel_size_m: float, T_world_grid: Float64) -> BlockVolume:
-    """A volume of the given blocks in which nothing has been observed yet."""
+    """Return a volume of the given blocks in which nothing has been observed yet."""
     shape = (len(blocks), BLOCK_VOXELS, BLOCK_VOXELS, BLOCK_VOXELS)
     return BlockVolume(
         blocks,
@@ -95,7 +95,10 @@ def in_cubes(blocks: Int32, values: NDArray[Scalar]) -> tuple[Int32, NDArray[Sca
 
 
 def blocks_of_grid(grid: Grid) -> Int32:
-    """The blocks of a dense grid, whose sides must be multiples of 8 cells: coordinates (n, 3), sorted."""
+    """Return the sorted coordinates (n, 3) of the blocks of a dense grid.
+
+    The grid's sides must be multiples of 8 cells.
+    """
     counts = [n // BLOCK_VOXELS for n in grid.shape]
     return np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), -1).reshape(-1, 3).astype(np.int32)
 
@@ -108,7 +111,7 @@ def dense_grid(values: NDArray[Scalar], shape: tuple[int, int, int]) -> NDArray[
 
 
 def unique_blocks(blocks: Int64) -> Int32:
-    """Sorted unique rows of (n, 3) block coordinates, each within +-2^20."""
+    """Return the sorted unique rows of (n, 3) block coordinates, each within +-2^20."""
     half = 1 << 20
     keys = ((blocks[:, 0] + half) << 42) | ((blocks[:, 1] + half) << 21) | (blocks[:, 2] + half)
     keys = np.unique(keys)

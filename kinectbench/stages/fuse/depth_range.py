@@ -1,9 +1,9 @@
-"""Choose the largest depth to fuse, enough for the cameras' target, unless the settings give it.
+"""Choose the largest depth to fuse so that it includes the cameras' target, unless the settings give it.
 
-The distance to what the cameras look at is taken as the larger of two: the distance to where the optical axes
-meet, and the 10th percentile of the depth in the middle of the images. The latter alone is meaningful where
-the axes do not meet, as along a shelf. What the cameras look at may extend farther back by the radius of a
-ball that fills the wider side of the image. This rule was chosen here. Its result is within 3 to 8 m.
+The target is what the cameras look at. Its distance is taken as the larger of two: the distance to where the
+optical axes meet, and the 10th percentile of the depth in the middle of the images. If the axes do not meet,
+as along a shelf, only the second is meaningful. The target may extend farther back, by the radius of a ball
+that fills the wider side of the image. This rule is our own. Its result is clipped to 3 to 8 m.
 """
 
 from collections.abc import Iterable
@@ -23,22 +23,23 @@ from kinectbench.settings.models import LEAST_RANGE_M, FusionSettings
 FARTHEST_M = 8.0
 # Rounded up to it, so that poses that differ by a hair give the same range.
 RANGE_STEP_M = 0.1
-# So many frames, evenly spread, and of their pixels one in so many along rows and columns tell.
+# Number of evenly spread frames to sample, and stride of the sampled pixels along rows and columns.
 SAMPLE_FRAMES, SAMPLE_STEP_PX = 40, 8
-# A tenth of the depth is no speck, and 95 % of the cameras leave out odd ones.
+# The 10th percentile of depth, because a tenth of the pixels is more than a speck. The 95th percentile over
+# the cameras, so that odd cameras do not count.
 NEAREST_SHARE, USUAL_SHARE = 0.1, 0.95
-# Of the depth in the middle of the images: a warning if more of it is missed.
+# A warning is given if a larger share of the depth in the middle of the images is missed.
 MAX_MISSED_SHARE = 0.05
 
 
 @dataclass(frozen=True)
 class SampledDepth:
-    """Measured depth of some frames, sampled.
+    """Depth measured in some frames, at a sample of their pixels.
 
     Attributes:
         whole_m: (n,) float32, depth of all sampled pixels, metres.
         middle_m: (m,) depth of the pixels in the middle third of rows and of columns, metres.
-        nearest_m: (k,) 10th percentile of that middle depth, for each frame that has any, metres.
+        nearest_m: (k,) 10th percentile of the middle depth of each frame that has any, metres.
     """
 
     whole_m: Float32
@@ -47,7 +48,7 @@ class SampledDepth:
 
 
 def sample_depth(depths_m: Iterable[Float32]) -> SampledDepth:
-    """Collect the measured depth of images (height, width) that are sampled already, metres, 0 = none."""
+    """Collect the measured depth of images (height, width) of sampled pixels, metres, 0 = none."""
     whole, middle = [np.zeros(0, np.float32)], [np.zeros(0, np.float32)]
     nearest = []
     for depth_m in depths_m:
@@ -61,14 +62,14 @@ def sample_depth(depths_m: Iterable[Float32]) -> SampledDepth:
 
 
 def some_frames(frames: Int64, most: int = SAMPLE_FRAMES) -> Int64:
-    """At most `most` of the frames (n,), evenly spread."""
+    """Return at most `most` of the frames (n,), evenly spread."""
     return frames[evenly(len(frames), most)]
 
 
 def depth_range_of(
     sequence: Sequence, frames: Int64, T_world_camera: Float64, settings: FusionSettings
 ) -> DepthRangePart:
-    """Choose the depth range (`depth_range`) for frames (n,) of a sequence, n > 0, with poses (n, 4, 4)."""
+    """Sample the depth of frames (n,), n > 0, with poses (n, 4, 4), and choose their `depth_range`."""
     sampled = sample_depth(sequence.depths_m(some_frames(frames), SAMPLE_STEP_PX))
     return depth_range(sequence.camera, T_world_camera, sampled, settings)
 
@@ -82,7 +83,7 @@ def depth_range(
         camera: intrinsics of the depth images.
         T_world_camera: (n, 4, 4), finite; n = 0 if no poses are known.
         sampled: depth of some frames.
-        settings: may give the largest depth, which then is not chosen.
+        settings: may give the largest depth; then it is not chosen.
     """
     looked_at_m = _looked_at_m(T_world_camera, sampled)
     reach_m = None if looked_at_m is None else (1 + _ball_share(camera)) * looked_at_m
@@ -101,7 +102,7 @@ def depth_range(
 
 
 def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
-    """A warning if the object of interest may lie beyond the largest fused depth."""
+    """Return a warning if the object of interest may lie beyond the largest fused depth, else ()."""
     if part.missed_share <= MAX_MISSED_SHARE:
         return ()
     remedy = "raise `fusion.max_depth_m`, or leave it out"
@@ -114,13 +115,13 @@ def range_warnings(part: DepthRangePart) -> tuple[str, ...]:
 
 
 def grid_range_m(T_world_camera: Float64, grid: Grid, settings: FusionSettings) -> float:
-    """The largest depth to fuse into a grid, metres: the depth of its farthest point, within 3 to 8 m.
+    """Return the largest depth to fuse into a grid, metres: its farthest point's, clipped to 3 to 8 m.
 
     All depth inside the grid is useful: depth measured on the far wall of a cavity carves the cavity. The
     size of the grid limits the cost. If the settings give `fusion.max_depth_m`, that is returned instead.
 
     Args:
-        T_world_camera: (n, 4, 4) of the frames, finite.
+        T_world_camera: (n, 4, 4), poses of the frames, finite.
         grid: the grid.
         settings: may give the largest depth.
     """
@@ -139,7 +140,7 @@ def _range_m(reach_m: float) -> float:
 
 
 def _looked_at_m(T_world_camera: Float64, sampled: SampledDepth) -> float | None:
-    """Typical distance along the optical axis to the cameras' target, metres; None without data."""
+    """Return a typical distance to the target along the optical axis, metres; None without any data."""
     distances_m = []
     if len(T_world_camera):
         towards = convergence_point(T_world_camera) - T_world_camera[:, :3, 3]
@@ -151,6 +152,6 @@ def _looked_at_m(T_world_camera: Float64, sampled: SampledDepth) -> float | None
 
 
 def _ball_share(camera: Camera) -> float:
-    """Radius of a ball that fills the wider side of the image, relative to the distance of its centre."""
+    """Return the radius of a ball that fills the image's wider side, divided by its centre's distance."""
     half_view = np.arctan(max(camera.width / camera.fx, camera.height / camera.fy) / 2)
     return float(np.sin(half_view))

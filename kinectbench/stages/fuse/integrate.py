@@ -29,11 +29,12 @@ BATCH_FRAMES = 8
 SURFACE_SIGMAS = 2.0
 BEHIND_SIGMAS = np.float32(BEHIND_SURFACE_SIGMAS)
 HIDDEN = np.float32(HIDDEN_SHARE)
-# What a frame measures counts in full within so many standard deviations of its depth, before the surface as
-# behind it, or zero would move; and again from so many before it on, where there is nothing. With 2 behind
-# and all before, a board of 12 mm that both sides see (simulated, true poses, a noise of 4.8 mm) comes out
-# 2.3 mm too thick; with 1.5, 1.4 mm; with 1.2, 1.0 mm, but what is measured well counts for less, too:
-# tracked, F at 5 mm of the same shelf is .991 with 2, .992 with 1.5, and .990 with 1.2.
+# A frame's weight is full within WINDOW_SIGMAS standard deviations of its depth, in front of the surface as
+# well as behind it, or the zero crossing would shift. In front, it is full again beyond CLEAR_SIGMAS, where
+# space is free. A simulated board of 12 mm that is seen from both sides (true poses, noise of 4.8 mm) comes
+# out 2.3 mm too thick with a window of 2 behind and no limit in front, 1.4 mm with 1.5, and 1.0 mm with 1.2.
+# But a narrow window also takes weight from good measurements: with tracked poses, F at 5 mm of the same
+# shelf is .991 with 2, .992 with 1.5, and .990 with 1.2.
 WINDOW_SIGMAS, CLEAR_SIGMAS = 1.5, 2.5
 # A frame's vote is one addition: a voxel's two counts lie in one integer.
 FREE_VOTE, SURFACE_VOTE, NO_VOTE = np.int32(1), np.int32(1 << 16), np.int32(0)
@@ -52,7 +53,7 @@ SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
 FAST = {"contract", "arcp", "nsz", "reassoc"}
 # What projects beside the image falls into its border, which has no depth.
 BORDER_PX = 1
-# The slant is taken from pixels so far to either side: a Kinect's noise is hardly correlated over four.
+# A surface's slope is taken from pixels so far to either side: a Kinect's noise hardly correlates over four.
 SLANT_REACH_PX = 2
 # Next to a depth edge, where pixels mix two surfaces, 1 / cos has no bound: 84 degrees.
 MAX_SLANT = 10.0
@@ -65,8 +66,8 @@ class DepthFrame:
     Attributes:
         depth_m: (height, width) float32, metres along z, 0 = none.
         T_world_camera: (4, 4).
-        pose_sigma_m: standard deviation of the pose for the frame's weight, metres.
-        vote_sigma_m: standard deviation of the pose for the range of `surface` votes, metres.
+        pose_sigma_m: pose error (standard deviation) that lowers the frame's weight, metres.
+        vote_sigma_m: pose error (standard deviation) that widens the range of `surface` votes, metres.
         closely: whether poses are accurate enough to reduce the weight close to the surface, on both sides.
     """
 
@@ -88,20 +89,19 @@ def integrate(
 
     A voxel at camera depth z whose nearest pixel measures d has the projective signed distance s = d - z
     (Curless & Levoy 1996). sigma is the standard deviation of s from the noise of depth and pose. s is
-    clipped to +-truncation and averaged with weight (cos / sigma)^2, cos being that of the angle between
-    the surface's normal and the viewing axis. Voxels behind the surface by more than the truncation, or two
-    standard deviations of the depth if these are more, are not updated; with less than these, the mean would
-    lie too deep. Each updated voxel gets a vote: `free` if s > max(2 sigma, half a voxel's diagonal), else
-    `surface`.
+    clipped to +-truncation and averaged with weight (cos / sigma)^2, where cos is the cosine of the angle
+    between the surface's normal and the viewing axis. Voxels are not updated if they lie behind the surface
+    by more than the larger of the truncation and two standard deviations of the depth. With a smaller limit,
+    the mean would lie too deep. Each updated voxel gets a vote: `free` if s > max(2 sigma, half a voxel's
+    diagonal), else `surface`.
 
     A voxel that lies behind the surface, along its normal, by more than max(1.5 sigma, half a voxel's
     diagonal) is hidden: it may be solid or empty. There the frame's weight falls within half a voxel to a
     thousandth, so that frames from other directions decide. The weight falls in the same way in front of the
-    surface, up to 2.5 sigma, because cutting noise on one side only would shift the mean. (For frames that
-    are not `closely`, it falls only behind the surface, beyond 2 sigma.)
+    surface, up to 2.5 sigma, because cutting noise on one side only would shift the mean. (If `closely` is
+    false for a frame, it falls only behind the surface, beyond 2 sigma.)
 
-    A pixel with depth beyond `farthest_m` only makes voxels free, at least a quarter of a metre in front of
-    it.
+    A pixel with depth beyond `farthest_m` only updates voxels at least 0.25 m in front of it, as free.
 
     Args:
         volume: blocks to fuse into.
@@ -167,12 +167,12 @@ def _integrate_batch(
 
 
 def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
-    """A frame's parameters (9,) for the kernels, in metres and 1/m.
+    """Return a frame's parameters (9,) for the kernels, in metres and 1/m.
 
     In this order: SIGMA_NEAR_M, SIGMA_GROWTH_PER_M and SIGMA_NEAR_DEPTH_M of the noise of depth;
     `pose_sigma_m` and `vote_sigma_m`; half a voxel's diagonal; 1 / the distance within which the weight falls
-    to its least; and two numbers of standard deviations from the surface: up to the first the weight is full,
-    on both sides, and beyond the second, in front, it is full again.
+    to its least; and two limits in standard deviations. The weight is full up to the first limit on both
+    sides of the surface, and again beyond the second limit in front of it.
     """
     depth = (SIGMA_NEAR_M, SIGMA_GROWTH_PER_M, SIGMA_NEAR_DEPTH_M)
     poses = (frame.pose_sigma_m, frame.vote_sigma_m)
@@ -184,9 +184,10 @@ def _noise_m(voxel_size_m: float, frame: DepthFrame) -> Float32:
 def _clear_m(
     frame: DepthFrame, voxel_size_m: float, truncation_m: float, farthest_m: float
 ) -> Callable[[Float32], Float32]:
-    """Make a function of measured depth: how far in front of that depth `_add_clear` equals `_add`.
+    """Make a function that returns how far in front of a measured depth `_add_clear` equals `_add`.
 
-    The function's argument and result are in metres. It holds for any slant of the surface.
+    The function's argument, the depth, and its result are in metres. The result holds for surfaces at any
+    angle.
     """
     least_m = max(truncation_m, HALF_DIAGONAL * voxel_size_m)
     sigmas = MAX_SLANT * CLEAR_SIGMAS if frame.closely else SURFACE_SIGMAS
@@ -205,14 +206,15 @@ def _integrate(  # type: ignore[no-untyped-def]
 ):
     """Update blocks start to stop: for each frame project, fetch and add up; then merge once for all frames.
 
-    As separate loops, all but the fetching can be vectorised by the compiler. Each block passes through
-    memory once for all frames.
+    These steps are separate loops, so that the compiler can vectorise all but the fetching. Each block passes
+    through memory once for all frames.
 
     For f frames and n blocks: `seen` (f, n) as from `visible_blocks`; `blocks` (n, 3) block coordinates;
-    `tsdf`, `weight` and `votes` (n, 512), changed in place; `noise` (f, 9) as from `_noise_m`. `pixels`
-    (f, height, width, 2) float32 have a depth, metres, and its weight, and an empty border. `to_pixels`
-    (f, 3, 4) maps the volume's frame to camera axes, with x and y multiplied by fx and fy. `middle` (2,) is
-    the principal point, moved for the border and for rounding. `voxel` (edge) and `truncation` are in metres.
+    `tsdf`, `weight` and `votes` (n, 512), changed in place; `noise` (f, 9) as from `_noise_m`. For each
+    pixel, `pixels` (f, height, width, 2) float32 hold depth, metres, and weight; their border is empty.
+    `to_pixels` (f, 3, 4) maps the volume's frame to camera axes, with x and y multiplied by fx and fy.
+    `middle` (2,) is the principal point, moved for the border and for rounding. `voxel` (edge) and
+    `truncation` are in metres.
     """
     index = np.empty(BLOCK_CELLS, np.uint32)
     depths, weights = np.empty(BLOCK_CELLS, np.float32), np.empty(BLOCK_CELLS, np.float32)
@@ -252,7 +254,7 @@ def _integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
-    """Set `inside` (3, 512): `to_pixels` (3, 4) applied to the offsets of voxels from a block's corner."""
+    """Set `inside` (3, 512): `to_pixels` (3, 4), rotation only, applied to voxels' offsets in a block."""
     for axis in range(3):
         for n in range(BLOCK_CELLS):
             i, j, k = n // SLAB_CELLS, n // BLOCK_VOXELS % BLOCK_VOXELS, n % BLOCK_VOXELS
@@ -262,11 +264,11 @@ def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _project(index, z, corner, inside, middle, width, height):  # type: ignore[no-untyped-def]
-    """Set `z` (512,) and `index` (512,): depth and pixel of each voxel of a block.
+    """Set `z` (512,) and `index` (512,): depth, metres, and flat pixel index of each voxel of a block.
 
-    Voxels outside the image get a pixel of the empty border. `corner` (3,) is the block's corner and `inside`
-    (3, 512) the voxels' offsets from it: camera axes, x and y multiplied by fx and fy. `middle` (2,) is the
-    principal point, moved for rounding; `width` and `height` include the border.
+    Voxels outside the image get a pixel of the empty border. `corner` (3,) is the block's corner, and
+    `inside` (3, 512) are the voxels' offsets from it; both in camera axes, with x and y multiplied by fx and
+    fy. `middle` (2,) is the principal point, moved for rounding; `width` and `height` include the border.
     """
     f32 = np.float32
     right, bottom, row_length = f32(width - 1), f32(height - 1), np.int32(width)
@@ -286,8 +288,9 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 def _add(new_total, new_weight, new_votes, depths, weights, z, truncation, noise):  # type: ignore[no-untyped-def]
     """Add a frame's weighted distances, weights and votes to a block's sums; return whether any was added.
 
-    The sums (512,) are of weight * distance, of weights, and of votes. `depths` and `weights` (512,) are of
-    each voxel's pixel, `z` (512,) is each voxel's depth, metres, `noise` (9,) is as from `_noise_m`.
+    The sums (512,) are of weight * distance, of weights, and of votes. `depths` and `weights` (512,) are
+    those of the pixel to which each voxel projects. `z` (512,) is each voxel's depth, metres. `noise` (9,) is
+    as from `_noise_m`.
     """
     f32 = np.float32
     near, growth, near_depth, pose, vote_pose = noise[0], noise[1], noise[2], noise[3], noise[4]
@@ -360,15 +363,15 @@ def _set_pixels(pixels, depth_m, slope, noise, farthest):  # type: ignore[no-unt
     """Set depth and weight of every pixel inside the border.
 
     The weight is 1 / (sigma / cos)^2 in 1/mm^2, and 0 where nothing was measured. sigma is the noise of depth
-    and pose. cos is that of the angle between the surface's normal and the viewing axis: an error of x along
-    the normal is x / cos along the axis. 1 / cos is computed from pixels two to either side, and is at most
-    10, because it has no bound at depth edges, where pixels mix two surfaces. Beyond `farthest` the weight is
-    negative, which means that the pixel only makes voxels well in front of it free.
+    and pose. cos is the cosine of the angle between the surface's normal and the viewing axis: an error of x
+    along the normal is x / cos along the axis. 1 / cos is computed from the pixels two to either side. It is
+    limited to 10, because it has no bound at depth edges, where pixels mix two surfaces. Beyond `farthest`
+    the weight is negative, which means that the pixel only marks voxels well in front of it as free.
 
     It works row by row on slices, because indices that may be negative stop the compiler from vectorising.
 
     `pixels` (height + 2, width + 2, 2) float32 are set; `depth_m` is (height, width), 0 = none. `slope` (2,)
-    is fx and fy divided by the 4 pixels over which the slant is measured; `noise` (9,) as from `_noise_m`.
+    is fx and fy divided by the 4 pixels over which 1 / cos is measured; `noise` (9,) as from `_noise_m`.
     """
     f32 = np.float32
     height, width = depth_m.shape

@@ -38,7 +38,7 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
     free_votes, surface_votes = volume.free, volume.surface
 
     def surface_of(brick: Int32) -> tuple[Int32, TriangleMesh]:
-        """The first block (3,) of a brick (a cube of blocks), and the surface in it, in voxels from there."""
+        """Return a brick's first block (3,), and the surface in the brick, in voxels from its first voxel."""
         first = (brick * BRICK_BLOCKS).astype(np.int32)
         # One block more than the brick on the far sides: cells across the border belong to this brick.
         side = BRICK_BLOCKS * BLOCK_VOXELS + 1
@@ -65,9 +65,9 @@ def extract_mesh(volume: BlockVolume, min_weight: float, trust: float = 1.0) -> 
 
 
 def _edge_keys(vertices: Float64, first: Int64) -> Int64:
-    """An integer for each vertex (n, 3) of marching cubes, equal for vertices on the same edge of the grid.
+    """Return an integer for each vertex (n, 3) of marching cubes; vertices on one grid edge get the same.
 
-    Vertices are in voxels from the voxel `first` (3,); one on a corner of the grid gets the corner's integer.
+    Vertices are in voxels from the voxel `first` (3,). A vertex on a grid corner gets that corner's integer.
     """
     low = np.floor(vertices)
     axis = np.argmax(vertices - low, axis=1)
@@ -79,9 +79,10 @@ def _edge_keys(vertices: Float64, first: Int64) -> Int64:
 
 
 def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajectory) -> TriangleMesh:
-    """Give each vertex its mean colour in those of some 24 frames whose depth agrees with it within 30 mm.
+    """Give each vertex the mean of its colours in up to 24 frames, evenly spread.
 
-    Without colour registered to depth the mesh is returned unchanged; vertices that no frame sees are grey.
+    Only frames whose depth agrees with the vertex within 30 mm count; a vertex without such a frame is grey.
+    If colour is not registered to depth, the mesh is returned unchanged.
     """
     if not sequence.color_registered or len(mesh.vertices) == 0:
         return mesh
@@ -103,7 +104,7 @@ def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajector
 def _add_colors(  # type: ignore[no-untyped-def]
     total, count, vertices, depth_m, color, T, intrinsics
 ):
-    """Add the colour of the nearest pixel to each vertex whose depth that pixel measured.
+    """For each vertex, add the colour of the pixel it projects to, if that pixel's depth agrees.
 
     `total` (n, 3) and `count` (n,) are the sums to add to, for `vertices` (n, 3) in the world frame, metres.
     `T` (4, 4) maps the world to the camera.

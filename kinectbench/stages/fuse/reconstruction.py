@@ -43,7 +43,7 @@ from kinectbench.stages.fuse.mesh import color_vertices, extract_mesh
 from kinectbench.stages.fuse.visible_blocks import blocks_near_surface
 
 # Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
-# frames see at the steepest slant that still counts has about as much.
+# frames see at the steepest angle that still counts has about as much.
 LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
 # Depth is believed to be beyond the fused range up to so many times that, and up to 8 m, for which
 # integrate's quarter of a metre is enough.
@@ -83,7 +83,7 @@ def fuse(
 ) -> Reconstruction:
     """Fuse good frames (Curless & Levoy 1996, block-sparse) and extract the surface.
 
-    Of more than 300 frames, only 300, or a tenth if that is more, are fused, evenly spread. Unless the
+    At most 300 frames, or a tenth of the good frames if that is more, are fused, evenly spread. Unless the
     settings give the largest depth, it is chosen from the recording (`depth_range`).
 
     Raises:
@@ -115,12 +115,12 @@ def fuse(
 
 
 def scene_voxel_size_m(ray_width_m: float) -> float:
-    """Edge of the scene's voxels, metres, for rays of this width, metres (`ray_width_m`)."""
+    """Return the edge of the scene's voxels, metres: 7.5 mm if rays are narrower than that, else 10 mm."""
     return FINE_VOXEL_M if ray_width_m < FINE_VOXEL_M else COARSE_VOXEL_M
 
 
 def write_reconstruction(reconstruction: Reconstruction, folder: Path) -> None:
-    """Write mesh.ply, reconstruction.json, and volume.npz, its blocks joined to cubes of 16^3 voxels.
+    """Write mesh.ply, reconstruction.json, and volume.npz with blocks joined to cubes of 16^3 voxels.
 
     volume.npz: `blocks` (n, 3) int32, `tsdf` and `weight` (n, 16, 16, 16) float16 in metres and 1/mm^2,
     `free` and `surface` (n, 16, 16, 16) uint16 votes, `voxel_size_m`, `T_world_grid` (4, 4).
@@ -184,7 +184,7 @@ def observe(
 
 
 def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: FusionSettings) -> float:
-    """Median of some frames' median depths, metres; 0 without depth."""
+    """Return the median of some frames' median depths, metres; 0 if none of these frames has depth."""
     chosen = frames[np.unique(np.linspace(0, len(frames) - 1, DISTANCE_FRAMES).round().astype(int))]
     depths_m = ahead(lambda index: usable_depth_m(sequence, int(index), settings), chosen)
     medians_m = [np.median(depth_m[depth_m > 0]) for depth_m in depths_m if depth_m.any()]
@@ -192,7 +192,10 @@ def _usual_distance_m(sequence: Sequence, frames: NDArray[np.int64], settings: F
 
 
 def usable_depth_m(sequence: Sequence, index: int, settings: FusionSettings, far: bool = False) -> Float32:
-    """Depth of a frame, metres, 0 outside the fused range; with `far`, up to twice the range, at most 8 m."""
+    """Return the depth of a frame, metres, 0 outside the fused range.
+
+    With `far`, depth is kept up to twice the end of that range, but not beyond 8 m.
+    """
     depth_m, farthest_m = sequence.depth_m(index), _max_depth_m(settings)
     if far:
         farthest_m = max(farthest_m, min(FAR_RANGES * farthest_m, FARTHEST_M))
@@ -205,7 +208,7 @@ def _max_depth_m(settings: FusionSettings) -> float:
 
 
 def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionSettings) -> float:
-    """Truncation of the TSDF, metres: some voxels, but at least three standard deviations of the poses.
+    """Return the truncation of the TSDF, metres: some voxels, but at least three sigma of the poses.
 
     If poses were off by more than the truncation, their surfaces would not be averaged but remain as double
     surfaces. Poses that were not checked do not widen it: see `pose_reach_m`.
@@ -214,12 +217,13 @@ def _truncation_m(trajectory: Trajectory, voxel_size_m: float, settings: FusionS
 
 
 def _pose_sigmas_m(trajectory: Trajectory, frame: int) -> tuple[float, float]:
-    """Standard deviations of a frame's pose, metres: for its weight, and for the range of `surface` votes.
+    """Return two standard deviations of a frame's pose, metres: for its weight, and for `surface` votes.
 
-    For the weight, an unchecked pose gets the largest plausible error. For the votes that would cancel `free`
-    votes near the surface, so it gets that of a usual checked pose. If no pose was checked, both are 0 and
-    only the noise of depth counts: with 20 mm for all poses, near pixels would count no more than far ones,
-    and the box around a simulated object of half a metre would be 4 to 11 mm larger on each axis.
+    For the weight, an unchecked pose gets the largest plausible error. In the votes, such an error would
+    cancel `free` votes near the surface, so an unchecked pose gets the median error of the checked poses. If
+    no pose was checked, both are 0 and only the noise of depth counts: with 20 mm for all poses, near pixels
+    would count no more than far ones, and the box around a simulated object of half a metre would be 4 to 11
+    mm larger on each axis.
     """
     usual_m = trajectory.median_pose_sigma_m
     if trajectory.pose_sigma_m is None or usual_m is None:

@@ -38,10 +38,10 @@ def blocks_near_surface(
     margin_m: float,
     voxel_size_m: float,
 ) -> Int32:
-    """World-aligned blocks within `margin_m` of a frame's depth, along the viewing rays.
+    """Find the world-aligned blocks within `margin_m` of a frame's depth, along the viewing rays.
 
-    Pixels are sampled, at least every fourth. At the 90th percentile of depth, neighbouring samples are at
-    most 0.4 blocks apart, unless every pixel is sampled already.
+    At least every fourth pixel along rows and columns is sampled. At the 90th percentile of depth,
+    neighbouring samples are at most 0.4 blocks apart, unless every pixel is sampled already.
 
     Returns:
         (n, 3) int32, unique, sorted.
@@ -58,7 +58,7 @@ def blocks_near_surface(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _blocks_on_rays(depth, step, intrinsics, T, offsets):  # type: ignore[no-untyped-def]
-    """Blocks (n, 3) int64 around the points of every `step`-th pixel; consecutive repeats are left out.
+    """Return blocks (n, 3) int64 around the points of every `step`-th pixel, without consecutive repeats.
 
     `T` (3, 4) maps the camera frame, metres, to block coordinates. A block is taken at each of the `offsets`
     from a pixel's depth, metres.
@@ -95,11 +95,11 @@ def visible_blocks(
     truncation_m: float,
     clear_m: Callable[[Float32], Float32],
 ) -> NDArray[np.uint8]:
-    """How a frame sees each block: (n,) uint8; 0, `SEEN`, or `CLEAR` if all voxels in it can only be free.
+    """Return how a frame sees each block, (n,) uint8: 0 (not), `SEEN`, or `CLEAR` (can only be free).
 
-    0 is for blocks that project outside the image, or lie behind all depth measured where they project.
-    `CLEAR` is for blocks that lie in front of all this depth by at least `clear_m(depth)`, metres, a convex
-    function.
+    A block is not seen if it projects outside the image, or lies behind all depth measured where it projects.
+    It is `CLEAR` if it lies in front of all this depth by at least `clear_m(depth)`, metres. `clear_m` must
+    be convex.
     """
     block_m = BLOCK_VOXELS * volume.voxel_size_m
     nearest_m, farthest_m = _of_tiles(depth_m)
@@ -118,7 +118,7 @@ def visible_blocks(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _of_tiles(depth):  # type: ignore[no-untyped-def]
-    """The smallest and the largest depth in each tile of pixels; infinity and 0 in tiles without depth."""
+    """Return the smallest and the largest depth in each tile of pixels; infinity and 0 without depth."""
     height, width = depth.shape
     shape = (height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1
     nearest, farthest = np.full(shape, np.float32(np.inf)), np.zeros(shape, np.float32)
@@ -144,9 +144,9 @@ def _visible(  # type: ignore[no-untyped-def]
 ):
     """Compute `visible_blocks` from an axis-aligned box around each block in the camera frame.
 
-    `clear_to` is, for each tile of pixels, the depth up to which voxels can only be free, and `farthest` that
-    of the farthest surface that updates voxels (0: none), metres. `T` (4, 4) maps the volume's frame to the
-    camera.
+    Both `clear_to` and `farthest` have a value for each tile of pixels, metres: the depth up to which voxels
+    can only be free, and the depth of the farthest surface that updates voxels (0: none). `T` (4, 4) maps the
+    volume's frame to the camera.
     """
     seen = np.zeros(len(blocks), np.uint8)
     fx, fy, cx, cy = intrinsics
@@ -177,7 +177,7 @@ def _visible(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-untyped-def]
-    """First and last tile, along one image axis, of the pixels to which a box projects.
+    """Return the first and last tile, along one image axis, of the pixels to which a box projects.
 
     The box lies at `low` to `high` along that axis, metres; `by_near` and `by_far` are 1 / its nearest and
     farthest z. `middle` is the principal point, `count` the width or height of the image, pixels.

@@ -1,10 +1,10 @@
 """A lossless code for depth in the sequence folder: smaller than PNG, and several times as fast to read.
 
-A file contains `KBD1`, uint16 width and height, a byte for the layout, and a zstd frame. Layout 1: a pixel
-without depth is 0, any other is 1 + zigzag of its difference to the last depth above it in its column (at
-first 0), modulo 65536; the low bytes of these 16-bit codes come first, then the high bytes. Columns are
-independent, so a whole row is decoded at once. Layout 0: plain little-endian pixels, for images with the one
-difference that layout 1 cannot code.
+A file contains `KBD1`, uint16 width and height, a byte for the layout, and a zstd frame. In layout 1 each
+pixel is a 16-bit code: 0 if it has no depth, else 1 + zigzag(difference). The difference is to the last depth
+above the pixel in its column (0 at first), modulo 65536. The low bytes of all codes come first, then the high
+bytes. Columns are independent, so a whole row is decoded at once. Layout 0 has plain little-endian pixels; it
+is used for images with the difference -32768, which layout 1 cannot code.
 """
 
 import struct
@@ -63,7 +63,7 @@ def decode_depth(data: bytes) -> NDArray[np.uint16]:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _to_planes(depth: NDArray[np.uint16], low: NDArray[np.uint8], high: NDArray[np.uint8]) -> bool:
-    """Fill the low and high bytes of the codes; return False if a difference has no code."""
+    """Fill the low and high bytes of layout 1's codes; return False if a difference has no code."""
     height, width = depth.shape
     last = np.zeros(width, np.int64)
     for row in range(height):

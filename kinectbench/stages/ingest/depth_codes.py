@@ -54,13 +54,13 @@ def read_by_code(code: DepthCode, depth: UInt16, camera: Camera) -> UInt16:
 
 
 def float16_m(depth: UInt16) -> NDArray[np.float32]:
-    """Depth in metres from the bits of a float16, as CO3D stores it; any shape; 0 = none."""
+    """Return depth in metres, 0 = none, from uint16 with the bits of float16 (as in CO3D), any shape."""
     metres = depth.view(np.float16).astype(np.float32)
     return np.where(np.isfinite(metres) & (metres > 0), metres, np.float32(0))
 
 
 def ray_lengths(camera: Camera) -> NDArray[np.float64]:
-    """Ratio of the ray's length to the axial depth at each pixel: (height, width), at least 1."""
+    """Return the ratio of the ray's length to the axial depth at each pixel: (height, width), at least 1."""
     return np.asarray(np.linalg.norm(camera.rays(), axis=-1))
 
 
@@ -68,9 +68,9 @@ class Pattern(NamedTuple):
     """Whether the values of depth images appear to have rotated bits.
 
     Attributes:
-        possible: nearly all values are multiples of eight; sufficient in a layout that usually has rotated
-            bits.
-        found: the values have all properties of rotated depth; plain depth in steps of 8 mm has them, too.
+        possible: nearly all values are multiples of eight. This suffices as evidence in a layout that usually
+            has rotated bits.
+        found: the values have all properties of rotated depth. Plain depth in steps of 8 mm has them, too.
         likely: `found`, and the values, read as plain depth, would be farther than a room is deep.
     """
 
@@ -80,17 +80,17 @@ class Pattern(NamedTuple):
 
 
 def unrotated(depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """Undo the rotation of bits: depth in mm, any shape, uint16; 0 stays 0."""
+    """Undo the rotation of bits: return depth in mm, uint16, of the same shape; 0 stays 0."""
     return np.asarray((depth >> np.uint16(BITS)) | (depth << np.uint16(16 - BITS)), np.uint16)
 
 
 def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
     """Check whether depth images (height, width) uint16, 0 = none, have rotated bits.
 
-    In rotated depth, at least 95 % of the values are multiples of eight, some of them odd ones. All others
-    have the low three bits 001 (8.2 to 16.4 m). There are larger and more different values than in an 8-bit
-    picture. Plain depth in steps of 8 mm has these properties, too, so the median decides: read as plain
-    depth, it is beyond 4.24 m if the bits are rotated.
+    In rotated depth, at least 95 % of the values are multiples of eight, some of them odd multiples. In all
+    other values the low three bits are 001 (8.2 to 16.4 m). The values are larger and more varied than in an
+    8-bit picture. Plain depth in steps of 8 mm has these properties, too, so the median decides: if the bits
+    are rotated, the median, read as plain depth, is beyond 4.24 m.
     """
     values = _sampled(images)
     if not len(values):
@@ -109,7 +109,7 @@ def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
 
 
 def _sampled(images: Iterable[NDArray[np.uint16]]) -> NDArray[np.uint16]:
-    """The measured values at every third pixel of every third row; images after an error are left out."""
+    """Return the measured values at every third pixel of every third row, from the images before an error."""
     samples = [np.zeros(0, np.uint16)]
     with suppress(RecordingError):
         for image in images:

@@ -80,7 +80,7 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
 
 
 def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
-    """Width and height of a depth image, pixels; raises as `decode_depth_file` does."""
+    """Return width and height of a depth image, pixels; raise errors as `decode_depth_file` does."""
     if _is_array(data, name):
         height, width = _array(data, name).shape
         return width, height
@@ -94,12 +94,12 @@ def _is_array(data: bytes, name: str) -> bool:
 
 
 def kind_of(depth: UInt16 | Float32) -> str:
-    """The type of a depth image's values, in words: "whole numbers" or "floats"."""
+    """Return the type of a depth image's values, in words: "whole numbers" or "floats"."""
     return "whole numbers" if depth.dtype == np.uint16 else "floats"
 
 
 def units_a_metre(depth: UInt16 | Float32) -> float | None:
-    """Units per metre of a float image: 1 for metres, 1000 for millimetres; None for whole numbers.
+    """Return the units per metre of a float image, judged by its median: 1 or 1000; None for whole numbers.
 
     An image without any measurement counts as one in metres.
     """
@@ -110,12 +110,12 @@ def units_a_metre(depth: UInt16 | Float32) -> float | None:
 
 
 def is_measured(depth: UInt16 | Float32) -> Bools:
-    """The pixels that have a depth: (height, width) bool, finite and above 0."""
+    """Return the mask of pixels whose depth is finite and above 0: (height, width) bool."""
     return np.asarray(np.isfinite(depth) & (depth > 0))
 
 
 def packed_channels(data: bytes, name: str) -> Channels | None:
-    """The two channels (of B, G, R) of a PNG that hold depth's high and low byte; None if there are none.
+    """Find the two channels (of B, G, R) of a PNG that hold the high and low byte of depth; None if none do.
 
     Raises:
         DamagedImageError: a colour PNG with 8 bits is damaged.
@@ -190,7 +190,7 @@ def _stored(data: bytes, name: str) -> NDArray[np.generic]:
 
 
 def _of_npz(data: bytes, name: str) -> NDArray[np.generic]:
-    """The array `depth` of a .npz file, or its only image."""
+    """Return the array `depth` of a .npz file, or else its only image."""
     file = io.BytesIO(data)
     with open_npz(file, UNPACKED_BYTES) as archive:
         keys = sorted(entry.filename.removesuffix(".npy") for entry in archive.infolist())
@@ -211,7 +211,7 @@ def _sides(array: NDArray[np.generic]) -> tuple[int, ...]:
 
 
 def _tiff_size_px(data: bytes, name: str) -> tuple[int, int]:
-    """Width and height from the first directory of a TIFF, pixels."""
+    """Return width and height from the first directory of a TIFF, pixels."""
     order = TIFF_MAGICS[data[:4]]
     try:
         (place,) = struct.unpack_from(order + "I", data, 4)
@@ -233,7 +233,7 @@ def _tiff_size_px(data: bytes, name: str) -> tuple[int, int]:
 def hdf5_arrays(
     data: bytes, name: str, keys: Iterable[str], most_values: int
 ) -> dict[str, NDArray[np.generic]]:
-    """Read the arrays of `keys` that an HDF5 file has: {key: array}.
+    """Read the arrays under those `keys` that an HDF5 file has; return {key: array}.
 
     Args:
         data: bytes of the file.

@@ -34,15 +34,16 @@ MOST_MM_A_UNIT = 100.0
 def scale_of_keys(
     stated: Mapping[str, object], path: Path, *, of_bop: bool
 ) -> tuple[float | None, tuple[str, ...]]:
-    """The units per metre of depth that a file states, and warnings.
+    """Return the depth units per metre that a file states, and warnings.
 
-    A depth_scale below 100 beside `cam_K` is BOP's, mm per unit; another one below 1 is in metres per unit,
-    as in librealsense, because no unit of depth images is longer.
+    The meaning of `depth_scale` depends on its value. Beside `cam_K`, a value below 100 is BOP's, in mm per
+    unit. Otherwise, a value below 1 is in metres per unit, as in librealsense, because as units per metre it
+    would mean a unit longer than 1 m. Any other value is in units per metre.
 
     Args:
         stated: names and values of the file; only names in `MEANINGS` are looked at.
         path: the file, for the warnings.
-        of_bop: whether it has `cam_K`.
+        of_bop: whether the file has `cam_K`.
 
     Returns:
         Units per metre; None without such a name, or if none of the values is a unit of 16-bit depth.
@@ -65,10 +66,10 @@ def scale_of_keys(
 
 
 def yaml_scale(text: str, path: Path, *, of_bop: bool) -> tuple[float | None, tuple[str, ...]]:
-    """The units per metre of depth that a YAML text states, and warnings; see `scale_of_keys`.
+    """Return the depth units per metre that a YAML text states, and warnings; see `scale_of_keys`.
 
-    A scale below 10 is not used: it is of depth in floats (ORB-SLAM's examples for ROS have 1), or of
-    something else. Neither is a name that repeats with another value.
+    A scale below 10 units per metre is not used: it is for float depth (1 in ORB-SLAM's examples for ROS), or
+    for something else. A name that occurs again with another value is not used either.
     """
     values = dict[str, object]()
     for name, word in YAML_UNIT.findall(text):
@@ -82,7 +83,7 @@ def yaml_scale(text: str, path: Path, *, of_bop: bool) -> tuple[float | None, tu
 
 
 def _positive(value: object) -> float | None:
-    """A parsed value as a positive, finite number; None if it is none."""
+    """Return a parsed value as a float if it is a positive, finite number, else None."""
     with suppress(OverflowError):  # an integer may be too large
         if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf:
             return float(value)
@@ -97,7 +98,7 @@ def _number_or_text(word: str) -> float | str:
 
 
 def _units_a_metre(stated: float, meaning: str, *, of_bop: bool) -> tuple[float, str]:
-    """Convert a stated unit to units per metre; return also the assumed unit if it was converted, else ""."""
+    """Return a stated unit as units per metre; and, if converted, the unit it was taken for, else ""."""
     if meaning == BY_SIZE and of_bop and stated < MOST_MM_A_UNIT:
         return MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
     if meaning == METRES_A_UNIT or (meaning == BY_SIZE and stated < 1):

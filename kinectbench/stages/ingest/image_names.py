@@ -44,13 +44,13 @@ STEPS_OF_UNITS = ((3e6, UNITS_NS[3]), (3e3, UNITS_NS[2]), (3.0, UNITS_NS[1]))
 
 
 def counting_key(stem: str) -> list[tuple[int, str]]:
-    """A sort key for names that compares the numbers in them by value: 2 before 10."""
+    """Return a sort key for names that compares the numbers in them by value: 2 before 10."""
     # Names in an index may have any length, and Python refuses numbers of 4300 digits.
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d{1,18})", stem)]
 
 
 def frame_key(stem: str) -> str:
-    """The key by which depth and colour are paired: the frame number without leading zeros, else the name."""
+    """Return the key that pairs depth and colour: the frame number without leading zeros, else the name."""
     redwood = NUMBER_AND_STAMP.fullmatch(stem)
     if redwood:
         return str(int(redwood[1]))
@@ -58,10 +58,10 @@ def frame_key(stem: str) -> str:
 
 
 def frame_numbers(stems: Sequence[str]) -> list[int] | None:
-    """The frame number in each name: the last number that differs between names.
+    """Return the frame number in each name: the last number that differs between names.
 
-    None if there is no such number, or if it does not rise from name to name. A number that restarts, as in
-    each second or scene, is not a frame number.
+    Return None if there is no such number, or if it does not rise from name to name. A number that restarts,
+    such as in each second or scene, is not a frame number.
 
     Args:
         stems: names of one stream without suffix, such as depth_0001, depth_0002.
@@ -75,12 +75,14 @@ def frame_numbers(stems: Sequence[str]) -> list[int] | None:
 
 
 def times_of_names(stems: Sequence[str]) -> list[int] | None:
-    """Stamps in nanoseconds from the names of a stream; None if the names contain none.
+    """Return stamps in nanoseconds from the names of a stream; None if the names contain none.
 
-    Supported are Redwood's NUMBER-MICROSECONDS; a date with the time of day, and optionally a fraction of a
-    second, such as 20240115_103045_160407; seconds since 1970 with a fraction, which is a count of ms, us or
-    ns or the decimals, such as 1305031102_160407000; and one number that rises from name to name, in the unit
-    that its size and steps suggest. A number that restarts is only a part of a time.
+    Names of four kinds contain stamps:
+    - Redwood's NUMBER-MICROSECONDS;
+    - a date with the time of day, optionally with a fraction of a second, such as 20240115_103045_160407;
+    - seconds since 1970 and a fraction, such as 1305031102_160407000 (see `_with_parts`);
+    - one number that rises from name to name; its size and steps suggest the unit. A number that restarts is
+      only a part of a time.
 
     Args:
         stems: names of the images of one stream, without suffix.
@@ -106,7 +108,7 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
 
 
 def stamps_of_names(stems: Sequence[str]) -> list[int]:
-    """Stamps in ns from times in the names; else frame numbers, or else positions, count as seconds."""
+    """Return stamps in ns from times in names; else frame numbers, or else positions, count as seconds."""
     times_ns = times_of_names(stems)
     if times_ns is not None:
         return times_ns
@@ -116,9 +118,9 @@ def stamps_of_names(stems: Sequence[str]) -> list[int]:
 
 
 def _columns(stems: Sequence[str]) -> list[list[str]]:
-    """The numbers in the names, one list for each position in a name.
+    """Return the numbers in the names: a list for each of the places where names have a number.
 
-    Empty if the names differ in more than numbers, or have none or more than 16.
+    It is empty if the names differ in more than their numbers, or have no number or more than 16.
     """
     if not stems or len({NUMBER.sub("#", stem) for stem in stems}) > 1:
         return []
@@ -129,7 +131,7 @@ def _columns(stems: Sequence[str]) -> list[list[str]]:
 
 
 def _rises(values: Sequence[int], left: Sequence[Sequence[str]]) -> bool:
-    """Whether a column's values rise strictly once the names are sorted by the columns to its left."""
+    """Whether a column's values rise strictly if names are sorted by the columns `left` of it, then by it."""
     names = zip(*([Decimal(text) for text in column] for column in left), values, strict=True)
     return all(first < second for (*_, first), (*_, second) in pairwise(sorted(names)))
 
@@ -139,7 +141,7 @@ def _are_parts(texts: Sequence[str]) -> bool:
 
 
 def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
-    """Stamps in nanoseconds from matches of DATE; empty if a date is invalid."""
+    """Return stamps in nanoseconds from matches of DATE; empty if a date is invalid."""
     try:
         times = [
             datetime(int(m[1]), int(m[3]), int(m[4]), int(m[5]), int(m[7]), int(m[8]), tzinfo=UTC)
@@ -151,16 +153,16 @@ def _of_dates(dated: Sequence[re.Match[str]]) -> list[int]:
 
 
 def _with_parts(whole: Sequence[int], fractions: Sequence[str]) -> list[int]:
-    """Stamps in nanoseconds from whole seconds and fractions, which are counts of a unit or decimals.
+    """Return stamps in nanoseconds from whole seconds and fractions, either decimals or counts of a unit.
 
     A fraction of 5 is 0.5 s as decimals, and 5 ms, us or ns as a count. Fractions are decimals if all have
-    the same length, or one starts with a zero. Otherwise they are counts if as decimals they could not be
-    times, or if one has nine digits and the seconds count from 1970 (no float has so many digits). Otherwise
-    they are whichever makes the steps between stamps more regular.
+    the same length, or if one starts with a zero. Otherwise they are counts if they could not be times as
+    decimals, or if one has nine digits and the seconds count from 1970 (no float has so many digits).
+    Otherwise they are counts only if this makes the steps between stamps clearly more regular.
 
     Args:
         whole: whole seconds of each stamp.
-        fractions: its fraction, up to 9 digits.
+        fractions: fraction of each stamp, up to 9 digits.
     """
     longest = max(map(len, fractions))
     unit_ns = 10 ** (PART_DIGITS - 3 * -(-longest // 3))
@@ -181,7 +183,7 @@ def _largest_step(stamps_ns: Sequence[int]) -> int:
 
 
 def _of_one_number(column: Sequence[str]) -> list[int] | None:
-    """Stamps in nanoseconds if the numbers of a column are times; else None."""
+    """Return stamps in nanoseconds if the numbers of a column are times; else None."""
     if max(map(len, column)) > MOST_DIGITS:
         return None
     values, points = [Decimal(text) for text in column], [text.partition(".") for text in column]
@@ -194,13 +196,13 @@ def _of_one_number(column: Sequence[str]) -> list[int] | None:
 
 
 def _if_times(stamps_ns: list[int]) -> list[int] | None:
-    """The stamps, in any order, if all differ and can be times of frames; else None."""
+    """Return the stamps, in any order, if all differ and can be times of frames; else None."""
     usable = 0 < len(set(stamps_ns)) == len(stamps_ns) and max(stamps_ns) < LIMIT_NS
     return stamps_ns if usable and not no_times(sorted(stamps_ns)) else None
 
 
 def _if_parts(stamps_ns: list[int]) -> list[int] | None:
-    """The stamps if they can be times with a typical step of at least `LEAST_PART_STEP_NS`; else None."""
+    """Return the stamps if they can be times, at least `LEAST_PART_STEP_NS` apart typically; else None."""
     stamps = _if_times(stamps_ns)
     period_ns = typical_period_ns(np.array(sorted(stamps or []), np.int64))
     return stamps if not period_ns or period_ns >= LEAST_PART_STEP_NS else None
@@ -209,7 +211,8 @@ def _if_parts(stamps_ns: list[int]) -> list[int] | None:
 def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
     """Guess the unit, in nanoseconds, of numbers in file names from their size and typical step.
 
-    The result is None if they cannot be times. `decimals`: whether any has a decimal point, so all are times.
+    Return None if they cannot be times. `decimals`: whether any number has a decimal point, so that all must
+    be times.
     """
     step = _step(values)
     for unit_ns in UNITS_NS:
@@ -223,7 +226,7 @@ def _unit_ns(values: list[Decimal], *, decimals: bool) -> int | None:
 
 
 def _step(values: list[Decimal]) -> float:
-    """The typical step between the sorted numbers; 0 for a single number."""
+    """Return the typical step between the sorted numbers; 0 for a single number."""
     # In thousandths and relative to the first, because numbers of 19 digits overflow 64-bit integers.
     first = min(values)
     thousandths = np.array(sorted(int((value - first) * 1000) for value in values), object)

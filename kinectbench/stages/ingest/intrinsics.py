@@ -57,12 +57,12 @@ class Intrinsics:
 
     @classmethod
     def of_matrix(cls, K: Float64, depth_scale: float | None = None) -> "Intrinsics":
-        """Intrinsics from a pinhole matrix, at least (3, 3), in pixels; with a depth scale if given."""
+        """Make intrinsics from a pinhole matrix, at least (3, 3), in pixels, and a depth scale if given."""
         fx, fy, cx, cy = (float(K[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
         return cls(fx=fx, fy=fy, cx=cx, cy=cy, depth_scale=depth_scale)
 
     def overridden_by(self, settings: CameraSettings) -> "Intrinsics":
-        """A copy in which the settings replace values of the recording.
+        """Return a copy in which the settings replace values of the recording.
 
         If the settings give all of fx, fy, cx and cy, the recording's image size is dropped, because it
         belongs to the replaced intrinsics.
@@ -74,7 +74,7 @@ class Intrinsics:
     def camera(
         self, size_px: tuple[int, int], path: Path, beside: Callable[[Path], str] | None = None
     ) -> Camera:
-        """The camera, if the values are complete and fit the images.
+        """Return the camera after checking that the values are complete and fit the images.
 
         Args:
             size_px: width and height of the depth images.
@@ -122,12 +122,12 @@ def gives_intrinsics(settings: CameraSettings) -> bool:
 
 
 def said_warnings(path: Path, recorded: Intrinsics, settings: CameraSettings) -> list[str]:
-    """The recording's warnings on its intrinsics, and one if the settings state another depth scale."""
+    """Return the recording's warnings on intrinsics, and one if the settings state another depth scale."""
     return [*recorded.notes, *scale_warnings(path, recorded.depth_scale, settings)]
 
 
 def scale_warnings(path: Path, said_scale: float | None, settings: CameraSettings) -> list[str]:
-    """A warning if the settings and the recording state different depth scales."""
+    """Return a warning if the settings and the recording state different depth scales, else []."""
     given = settings.depth_scale
     if said_scale is None or given is None or math.isclose(said_scale, given, rel_tol=1e-6):
         return []
@@ -141,9 +141,9 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
     """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), color_registered, and a unit (`scale_of_keys`).
-    Instead of fx ... cy a matrix: `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K` or `k`: three rows, or
-    nine numbers, column-major (as by Open3D) or row-major (the zeros show which); or an object with these
-    as `data`.
+    Instead of fx, fy, cx and cy there may be a matrix under `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K`
+    or `k`: three rows, nine numbers, or an object with either as `data`. The zeros show whether nine numbers
+    are column-major (as in Open3D) or row-major.
 
     Raises:
         RecordingError: not JSON, a value of the wrong type or out of range, no pinhole matrix, or values that
@@ -211,7 +211,7 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
 
 
 def json_numbers(value: object) -> Float64:
-    """The numbers of a (nested) JSON list, or of one number, shape (); null is NaN; else shape (0,)."""
+    """Return a JSON number (shape ()) or nested list as an array, null as NaN; any other as shape (0,)."""
     try:
         return np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):  # an integer may be too large
@@ -237,10 +237,10 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
 
 
 def of_four_numbers(numbers: Sequence[float], path: Path) -> Intrinsics:
-    """Intrinsics from [fx, fy, cx, cy]; or from [fx, cx, fy, cy], as OpenLORIS has them, with a warning.
+    """Make intrinsics from [fx, fy, cx, cy]; or, with a warning, from [fx, cx, fy, cy], as in OpenLORIS.
 
-    The latter are recognised by a first and a third number that are nearly equal, unlike the second: in the
-    usual order, pixels would not be square, and the principal point as far from the edge as fx is long.
+    The second order is recognised if the first and third numbers are nearly equal, and the second differs.
+    Read in the usual order, such numbers would mean pixels that are not square, and a cx as large as fx.
     """
     first, second, third, fourth = numbers
     near, far = SAME_FOCAL * abs(first), NOT_SQUARE * abs(first)
@@ -276,10 +276,10 @@ def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: 
 def rig_calibration(
     color: Intrinsics, color_px: tuple[int, int], color_to_rig: Float64, depth_to_rig: Float64, path: Path
 ) -> ColorCalibration | None:
-    """Calibration of colour relative to depth, from ScanNet's poses of both cameras in their rig.
+    """Compute the calibration of colour relative to depth from ScanNet's poses of both cameras in their rig.
 
-    The poses `color_to_rig` and `depth_to_rig` are (4, 4), metres. None if one is not rigid, there is no
-    colour (its size is 0), or colour's intrinsics do not fit the size of its images.
+    The poses `color_to_rig` and `depth_to_rig` are (4, 4), metres. Return None if one of them is not rigid,
+    if there is no colour (its size is 0), or if colour's intrinsics do not fit the size of its images.
     """
     T_rig_color, T_rig_depth = rigid_or_none(color_to_rig), rigid_or_none(depth_to_rig)
     if T_rig_color is None or T_rig_depth is None or not all(color_px):
@@ -318,10 +318,11 @@ def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dic
 
 
 def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, object] | None:
-    """Read the values of `keys` from a frame's JSON file, and its path as "file"; None if it does not exist.
+    """Read the values of `keys` from a frame's JSON file, and add the file's path as "file".
 
-    A list becomes an array, empty if it has other values than numbers; an object becomes an empty array. As
-    nested Python lists, the values of all frames would take many times the memory of their text.
+    A missing file gives None. A list of numbers becomes an array, because nested Python lists for all frames
+    would need far more memory than the JSON text. Any other list, and a JSON object, becomes an empty array.
+    `what` is the expected content, for messages.
 
     Raises:
         RecordingError: the file is too large, not valid JSON, or no object.
@@ -353,7 +354,7 @@ def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
 
 
 def number_of(value: object, where: str) -> float:
-    """Check that a JSON value is a finite number; `where` (file and key) is for the error message.
+    """Return a JSON value as a float if it is a finite number; `where` (file and key) is for the message.
 
     Raises:
         RecordingError: the value is not a finite number.
@@ -365,7 +366,7 @@ def number_of(value: object, where: str) -> float:
 
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
-    """A JSON matrix (3, 3): three rows, or nine numbers, column-major (row-major if 7th and 8th are 0)."""
+    """Read a JSON matrix (3, 3): three rows, or nine numbers, column-major (row-major if 7th, 8th are 0)."""
     numbers = json_numbers(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):
         return numbers
@@ -380,7 +381,7 @@ def _is_matrix(value: object) -> bool:
 
 
 def pinhole(K: Float64, path: Path) -> Intrinsics:
-    """Intrinsics from a pinhole matrix (3, 3), pixels.
+    """Make intrinsics from a pinhole matrix (3, 3), pixels.
 
     Raises:
         RecordingError: the matrix is no pinhole matrix.

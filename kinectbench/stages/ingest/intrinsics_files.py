@@ -1,4 +1,4 @@
-"""Find intrinsics in files beside the images, and mention files that only look like intrinsics."""
+"""Find intrinsics in files beside the images; for messages, name files that only look like intrinsics."""
 
 import math
 import re
@@ -76,9 +76,10 @@ def find_intrinsics(
 
     Args:
         path: the folder.
-        settings: intrinsics given by a person. If they are complete, files with ambiguous names are not read,
+        settings: intrinsics given by the user. If they are complete, files with ambiguous names are not read,
             because these may describe another camera.
-        usual_scale: units per metre of depth in the recording's format; no warning is needed on the same.
+        usual_scale: depth units per metre that are usual in the recording's format. If the other file states
+            the same, there is no warning.
 
     Returns:
         The intrinsics as far as found; and the JSON file that they are from, or None.
@@ -94,9 +95,10 @@ def find_intrinsics(
 
 
 def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[str, ...]]:
-    """The units per metre of depth that a folder's JSON and YAML files state, and warnings.
+    """Return the depth units per metre that a folder's JSON and YAML files state, and warnings.
 
-    Implausible values, and files that cannot be read, are passed over: they are of other programs.
+    If files contradict each other, none is used. Implausible values and files that cannot be read are
+    ignored, because they belong to other programs.
     """
     by_file = dict[Path, float]()
     for file in sorted(listed_paths(path, wanted=UNIT_NAMES.fullmatch))[:MOST_UNIT_FILES]:
@@ -140,15 +142,16 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
 
 
 def named_like_intrinsics(path: Path) -> str:
-    """The end of an error message that names files which may contain intrinsics; "" if there are none."""
+    """Return the end of an error message with files that may contain intrinsics; "" if there are none."""
     return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:
-    """The end of an error message with the names of files that `wanted` accepts; "" without such files.
+    """Return the end of an error message with names of files that `wanted` accepts; "" without such files.
 
     Args:
-        path: the recording's folder; it and its direct subfolders are searched; "" is returned for a file.
+        path: the recording's folder, which is searched with its direct subfolders; for a file, "" is
+            returned.
         wanted: predicate on names.
         how: words before the names.
         by_folder: whether the predicate gets names with their subfolder, such as pose/000000.npy.
@@ -165,7 +168,7 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_fold
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
-    """A warning that files with these `names` beside `read` were not read; empty without such files."""
+    """Return a warning that files with these `names` beside `read` were not read; () without such files."""
     others = [name for name in names if name != read.name and (read.parent / name).is_file()]
     if not others:
         return ()
@@ -173,7 +176,7 @@ def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
 
 
 def _of_yaml(files: list[Path]) -> Intrinsics:
-    """The camera of these YAML files, without values if none has one; only `MOST_YAML` files are read.
+    """Read the camera from YAML files, at most `MOST_YAML`; without values if no file has one.
 
     Raises:
         RecordingError: two files have different cameras.
@@ -200,7 +203,7 @@ def _differ(first: Intrinsics, second: Intrinsics) -> bool:
 
 
 def _read_yaml(file: Path) -> Intrinsics | None:
-    """Read the pinhole camera from a YAML file of OpenCV, ROS or others; None if it has none."""
+    """Read the pinhole camera from a YAML file of OpenCV, ROS or others; return None if it has none."""
     text = read_text(file, YAML_BYTES)
     values = _yaml_numbers(text, (*YAML_MATRICES, *YAML_DISTORTIONS), file)
     sizes: dict[str, Any] = {key: int(value) for key, value in YAML_SIZE.findall(text)}
@@ -234,7 +237,7 @@ def _read_yaml(file: Path) -> Intrinsics | None:
 
 
 def _number(word: str) -> float | None:
-    """Parse a number; None if the word is not one."""
+    """Parse a number; return None if the word is not one."""
     try:
         return parse_floats([word], "")[0]
     except RecordingError:
@@ -249,7 +252,9 @@ def _two_cameras(file: Path, key: str) -> RecordingError:
 
 
 def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, list[float] | None]:
-    """{key: numbers} of the wanted keys in a YAML text, from lists or OpenCV's `data`; None: not all numbers.
+    """Read {key: numbers} of the wanted keys in a YAML text, from lists or from OpenCV's `data`.
+
+    A value that does not consist of numbers alone is None.
 
     Raises:
         RecordingError: the key of a matrix repeats with other numbers.

@@ -26,12 +26,12 @@ class Partners:
 
 
 def pair_by_time(depth_ns: Sequence[int], color_ns: Sequence[int], *, delay_s: float, where: str) -> Partners:
-    """Pair two streams by stamps at most `pairing_tolerance_ns` apart: about half a frame, up to 20 ms.
+    """Pair images whose stamps are at most `pairing_tolerance_ns` apart: about half a frame, up to 20 ms.
 
     Args:
         depth_ns: stamps of depth, nanoseconds, strictly increasing.
         color_ns: stamps of colour, nanoseconds, strictly increasing.
-        delay_s: how late colour's stamps are, by the settings, seconds; subtracted from them.
+        delay_s: delay of colour's stamps, from the settings, seconds; it is subtracted from them.
         where: file or topic, for warnings.
     """
     delay_ns = round(delay_s * NS_PER_S)
@@ -49,16 +49,16 @@ def pair_images(
 
     They are paired by time if the names of both streams contain stamps. Otherwise they are paired by name if
     any names agree, else by the frame numbers in the names if any agree, else by order if both streams have
-    as many images.
+    the same number of images.
 
     Args:
         depth: names of the depth images without suffix, in any order.
         color: names of the colour images without suffix, in numeric order.
-        delay_s: how late colour's stamps are, by the settings, seconds; subtracted from them.
+        delay_s: delay of colour's stamps, from the settings, seconds; it is subtracted from them.
         where: folder or file, for messages.
 
     Returns:
-        The partners; and, if paired by time, the stamps of colour in the names, nanoseconds.
+        The partners; and, if paired by time, the stamps in the names of colour, nanoseconds, else ().
 
     Raises:
         RecordingError: the names allow no pairing.
@@ -70,14 +70,14 @@ def pair_images(
 
 
 def _lone(partners: Sequence[int | None], colors: int, how: str, where: str) -> tuple[str, ...]:
-    """A warning with the number of depth frames without colour; empty if it is 0, or there is no colour."""
+    """Return a warning with the number of depth frames without colour; () if 0, or without any colour."""
     alone = sum(partner is None for partner in partners)
     line = f"{where}: {alone} of {len(partners)} depth frames have no colour {how}"
     return (line,) if colors and alone else ()
 
 
 def _by_times(depth_ns: Sequence[int], color_ns: Sequence[int], delay_s: float, where: str) -> Partners:
-    """Pair as `pair_by_time`, but with stamps in any order."""
+    """Pair as `pair_by_time` does, but with stamps in any order."""
     depth_order, color_order = (
         sorted(range(len(stamps_ns)), key=stamps_ns.__getitem__) for stamps_ns in (depth_ns, color_ns)
     )
@@ -115,13 +115,13 @@ def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partner
 
 
 def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None, ...]:
-    """For each depth key the index of the colour image with the same key, used at most once; else None."""
+    """Return, for each depth key, the index of the colour image with this key (only once), or None."""
     index = {key: place for place, key in enumerate(color)}
     return tuple(index.pop(key, None) for key in depth)
 
 
 def _apart(depth: Sequence[str], color: Sequence[str]) -> str:
-    """A hint, for a warning, that the two streams are numbered differently; "" if not, or without numbers."""
+    """Return a hint for a warning if two streams have different numbers; "" if not, or without numbers."""
     depth_numbers, color_numbers = frame_numbers(depth), frame_numbers(color)
     if depth_numbers is None or color_numbers is None:
         return ""

@@ -41,7 +41,7 @@ _ask: ContextVar[Ask | None] = ContextVar("partial_sequence", default=None)
 
 @contextmanager
 def using_partial_sequence(ask: Ask) -> Iterator[None]:
-    """Within the block, let the next recording that is stored reuse the frames of `ask()` if they match."""
+    """Within the block, let the next recording that is stored reuse the frames of `ask()`, if they match."""
     token = _ask.set(ask)
     try:
         yield
@@ -50,7 +50,7 @@ def using_partial_sequence(ask: Ask) -> Iterator[None]:
 
 
 def partial_sequence() -> PartialSequence | None:
-    """The sequence of the enclosing `using_partial_sequence`, or None; after the first call always None."""
+    """Return the sequence of the enclosing `using_partial_sequence`, or None; in later calls always None."""
     ask = _ask.get()
     _ask.set(None)
     return ask() if ask else None
@@ -108,7 +108,7 @@ def _is_of(partial: PartialSequence, recording: Recording) -> bool:
 
 
 def stored_by(recording: Recording) -> tuple[object, ...]:
-    """The values, besides its files, that determine how a frame is stored, such as camera, scales and path.
+    """Return the values that, besides the files, determine how frames are stored: camera, scales, path etc.
 
     Settings that only one format has are not included, such as the lowest confidence of a phone's depth.
     """

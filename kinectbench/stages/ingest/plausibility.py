@@ -59,7 +59,7 @@ class FrameChecks:
         return suffix
 
     def leave_out(self, why: str) -> None:
-        """Note that the caller leaves out a damaged frame; `why` names the frame and the damage."""
+        """Record that the caller leaves out a damaged frame; `why` names the frame and the damage."""
         self._left_out.append(why)
 
     def verdict(self) -> list[str]:
@@ -120,7 +120,7 @@ class FrameChecks:
 
 
 def scale_problem(median: float, depth_scale: float) -> str:
-    """An error message if the median depth (native units) is implausible for a room at this scale, or ""."""
+    """Return an error if the median depth (native units) is implausible indoors at this scale, else ""."""
     if NEAREST_M <= median / depth_scale <= FARTHEST_M:
         return ""
     return (
@@ -130,7 +130,7 @@ def scale_problem(median: float, depth_scale: float) -> str:
 
 
 def suggested_scale(median: float) -> float:
-    """The common depth scale, units per metre, that brings a median depth (in units) nearest to 1.5 m."""
+    """Return the common depth scale, units per metre, that brings a median (in units) nearest to 1.5 m."""
     return min(COMMON_SCALES, key=lambda scale: abs(math.log(median / scale / TYPICAL_M)))
 
 
@@ -149,7 +149,7 @@ def check_size(frame: RawFrame, recording: Recording) -> None:
 
 
 def check_color(frame: RawFrame, recording: Recording) -> str | None:
-    """The suffix that a frame's colour image should have; None without colour.
+    """Check a frame's colour image; return the suffix that its file should have, None without colour.
 
     Raises:
         DamagedImageError: the colour image is damaged.
@@ -168,7 +168,7 @@ def check_color(frame: RawFrame, recording: Recording) -> str | None:
 
 
 def trajectory_problem(recording: Recording) -> str:
-    """Why a recording's trajectory cannot be used, in one line; "" if it can, or if there is none."""
+    """Return why a recording's trajectory cannot be used, in one line; "" if it can, or if there is none."""
     trajectory, stamps_ns = recording.given_trajectory, recording.stamps_ns
     if trajectory is None or not len(stamps_ns):
         return recording.trajectory_error

@@ -39,7 +39,7 @@ Pixel = TypeVar("Pixel", bound=np.generic)
 # What a reader was tested on: a real recording, one with a licence to copy it, or files that a writer of this
 # project made from the format's description.
 Evidence = Literal["recording", "copy", "writer"]
-# Folder of a person's masks beside the folders of a recording's images.
+# Folder of the user's masks beside the folders of a recording's images.
 MASKS_FOLDER = "masks"
 
 # Settings of a camera that only some formats have a use for; others warn of them.
@@ -90,7 +90,7 @@ class ColorCalibration:
     T_color_depth: Float64
 
     def lies_on(self, depth: Camera) -> bool:
-        """Whether colour has the depth camera's pixels, so that colour is already registered."""
+        """Whether both cameras coincide and colour is not distorted, so that it is already registered."""
         return (
             self.camera == depth
             and not self.distortion
@@ -116,9 +116,9 @@ class Recording(ABC):
         format: name of the format, as in FORMATS.
         looks_for: what a folder or file must contain to be recognised.
         suffixes: suffixes of such files; the id of a recording is its name without them.
-        uses: names of the settings that this reader applies, among those in `OF_SOME_FORMATS`, which not all
-            readers apply.
-        evidence: what the reader was tested on at best: real data, licensed real data, or our own files.
+        uses: names of the settings in `OF_SOME_FORMATS` that this reader applies; not all readers apply them.
+        evidence: the best data that the reader was tested on: real data, licensed real data, or our own
+            files.
         verified: a description of that data, such as files of other programs; "" if it is only our own files.
         up_world: (3,) unit: up in the frame of the given trajectory, if the format aligns it with gravity;
             None: unknown.
@@ -130,8 +130,8 @@ class Recording(ABC):
         color_calibration: calibration of unregistered colour relative to depth, or None if unknown.
         given_trajectory: the trajectory that came with the recording, or None.
         trajectory_error: why the trajectory that came with the recording cannot be used, or "".
-        color_delay_s: delay that was subtracted from the stamps of colour, by the settings, seconds.
-        trajectory_delay_s: delay that was subtracted from the stamps of given poses, by the settings,
+        color_delay_s: delay, from the settings, that was subtracted from the stamps of colour, seconds.
+        trajectory_delay_s: delay, from the settings, that was subtracted from the stamps of given poses,
             seconds.
         warnings: lines for the user.
         recorded: stamps of depth and of colour in the order of recording, nanoseconds; None: as in `places`.
@@ -167,7 +167,7 @@ class Recording(ABC):
 
     @classmethod
     def files_beside(cls, path: Path) -> tuple[Path, ...]:
-        """Files outside the folder that belong to the recording, such as intrinsics shared by sequences."""
+        """Return files of the recording outside its folder, such as intrinsics that sequences share."""
         return ()
 
     @classmethod
@@ -273,24 +273,24 @@ class FileRecording(Recording):
         return decode_mask(read_image_file(file), str(file))
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame as encoded in its file: (suffix, bytes), or None."""
+        """Return the colour of a frame as encoded in its file: (suffix, bytes), or None."""
         file = self.places[index].color
         return None if file is None else (file.suffix, read_image_file(file))
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
-        """Correct a frame's depth after it is read; a hook for formats, which here changes nothing.
+        """Correct a frame's depth after it is read; by default, change nothing.
 
-        Formats set invalid or unreliable pixels to 0, or remove lens distortion.
+        Readers override it to set invalid or unreliable pixels to 0, or to remove lens distortion.
         """
         return depth
 
     def placed(self, image: NDArray[Pixel], index: int) -> NDArray[Pixel]:
-        """Map an image (height, width, ...) of a frame to the pixels of the recording's camera."""
+        """Map an image (height, width, ...) of a frame to the camera's pixels; by default, change nothing."""
         return image
 
 
 def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A warning if some frames, but not all, have no colour image with their name; else empty."""
+    """Return a warning if some frames, but not all, have no colour image with their name; else ()."""
     alone = sum(frame.color is None for frame in files)
     line = f"{path}: {alone} of {len(files)} depth frames have no colour of their name"
     return (line,) if 0 < alone < len(files) else ()
@@ -315,7 +315,7 @@ def read_image_file(path: Path) -> bytes:
 
 
 def mask_beside(depth: Path, recording: Path) -> Path | None:
-    """The mask that a person drew for a depth image: NAME.png in masks/ next to the image's folder; or None.
+    """Return the user's mask for a depth image: NAME.png in masks/ beside the image's folder; or None.
 
     Args:
         depth: path of the image.
@@ -327,7 +327,7 @@ def mask_beside(depth: Path, recording: Path) -> Path | None:
 
 
 def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """A warning with the number of images in masks/ that belong to no frame; empty if there are none."""
+    """Return a warning with the number of images in masks/ that belong to no frame; () if there are none."""
     used = {frame.mask for frame in files}
     others = sorted(mask for mask in visible(path / MASKS_FOLDER, "*.png") if mask not in used)
     if not others:
@@ -338,7 +338,7 @@ def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
 
 
 def visible(folder: Path, pattern: str) -> list[Path]:
-    """The files of a folder that match a pattern, except hidden files, which are no part of a recording."""
+    """List files in a folder that match a pattern, without hidden files, which no recording includes."""
 
     def matches(name: str) -> bool:
         return fnmatchcase(name, pattern) and not name.startswith(".")
@@ -347,7 +347,7 @@ def visible(folder: Path, pattern: str) -> list[Path]:
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:
-    """The first existing file of several paths, or None."""
+    """Return the first existing file of several paths, or None."""
     return next((file for file in candidates if file.is_file()), None)
 
 
@@ -367,12 +367,12 @@ def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result
 
 
 def tried(count: int) -> str:
-    """The number of images that `first_whole` tries, as text for a message: all, or "first" and the limit."""
+    """Return how many of `count` images `first_whole` tries, as text: all, or "first" and the limit."""
     return str(count) if count <= MOST_TRIED else f"first {MOST_TRIED}"
 
 
 def first_color_size(files: Sequence[FrameFiles]) -> tuple[int, int] | None:
-    """Width and height in pixels of the first undamaged colour image, or None."""
+    """Return width and height in pixels of the first undamaged colour image, or None."""
     with suppress(DamagedImageError):
         colors = (frame.color for frame in files if frame.color is not None)
         return first_whole(lambda file: image_header(read_image_file(file), str(file))[1:], colors)
@@ -380,7 +380,7 @@ def first_color_size(files: Sequence[FrameFiles]) -> tuple[int, int] | None:
 
 
 def first_depth_size(files: Sequence[FrameFiles]) -> tuple[int, int]:
-    """Width and height in pixels of the first undamaged depth image.
+    """Return width and height in pixels of the first undamaged depth image.
 
     Raises:
         RecordingError: all images are damaged; the message is about the first.

@@ -57,8 +57,8 @@ def write_sequence(
         progress: called with (finished frames, all frames) after each frame.
         needs_trajectory: whether to refuse a recording whose given trajectory is broken or overlaps no frame
             in time; otherwise the trajectory is dropped with a warning.
-        watch: gets each undamaged frame as recorded, and adds warnings.
-        partial: an earlier sequence of the first frames; used if it is of this recording.
+        watch: receives each undamaged frame as recorded, and adds warnings.
+        partial: first frames that were stored earlier; they are used if they belong to this recording.
 
     Returns:
         Warnings, one line each; camera.json has them, too.
@@ -110,7 +110,7 @@ def _show_stored(writer: SequenceWriter, watch: Watch) -> None:
 def _head(
     recording: Recording, frames: int, warnings: list[str], scale_warnings: list[str], trajectory_error: str
 ) -> CameraFile:
-    """The content of camera.json for a sequence of `frames` frames; empty optional keys are left out."""
+    """Return the content of camera.json for `frames` frames; empty optional keys are left out."""
     calibrated = recording.color_calibration is not None
     others: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
     if scale_warnings:
@@ -171,7 +171,7 @@ class FolderFrames:
     rows: tuple[FrameRow, ...]
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Depth of one frame: (height, width) uint16, 0 = no measurement.
+        """Return the depth of one frame: (height, width) uint16, 0 = no measurement.
 
         Raises:
             StorageError: the image is missing or damaged.
@@ -184,7 +184,7 @@ class FolderFrames:
             raise StorageError(f"{name}: is damaged ({error}); {AGAIN}") from error
 
     def mask(self, index: int) -> Bools | None:
-        """The mask of a frame that came with the recording: (height, width) bool, or None.
+        """Return the mask that came with the recording for a frame: (height, width) bool, or None.
 
         Raises:
             StorageError: the image is missing or damaged.
@@ -198,7 +198,7 @@ class FolderFrames:
             raise StorageError(f"{self.folder / name}: is damaged; {AGAIN}") from error
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame as encoded: (suffix, bytes), or None.
+        """Return the colour of one frame as encoded: (suffix, bytes), or None.
 
         Raises:
             StorageError: the image is missing.
@@ -207,7 +207,7 @@ class FolderFrames:
         return None if name is None else (Path(name).suffix, self._bytes(name))
 
     def digest(self, index: int) -> bytes:
-        """A digest of a frame's stored depth and colour, equal for equal bytes.
+        """Return a digest of a frame's stored depth and colour, equal for equal bytes.
 
         Raises:
             StorageError: an image is missing.

@@ -34,11 +34,11 @@ class Watch(Protocol):
         ...
 
     def warnings(self) -> list[str]:
-        """Warnings after the last frame, one line each."""
+        """Return warnings after the last frame, one line each."""
         ...
 
     def scale_warnings(self) -> list[str]:
-        """Evidence against the depth scale and the intrinsics, one line each."""
+        """Return evidence against the depth scale and the intrinsics, one line each."""
         ...
 
 
@@ -88,7 +88,7 @@ class SequenceWriter:
 
 
 def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
-    """Make a function that registers a frame's colour to depth; None if that is done, or not calibrated."""
+    """Make a function that registers a frame's colour to depth; None if it already is, or is uncalibrated."""
     if recording.color_calibration is None or recording.color_registered:
         return None
     register = ColorRegistration(recording.camera, recording.color_calibration)
@@ -96,7 +96,7 @@ def onto_depth(recording: Recording) -> Callable[[RawFrame], RawFrame] | None:
 
 
 def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame) -> RawFrame:
-    """The frame with its colour registered to depth."""
+    """Return the frame with its colour registered to depth."""
     if frame.color is None:
         return frame
     bgr = decode_color_bgr(frame.color[1], f"colour of {frame.name}")
@@ -138,7 +138,7 @@ class _Checked:
 def _checked_frames(
     checks: FrameChecks, indices: Iterable[int], progress: Progress | None
 ) -> Iterator[_Checked | _Damaged]:
-    """Read and check the frames of these indices; yield each in order, or its damage."""
+    """Read and check the frames of these indices; yield in order each frame, or what damage it has."""
     recording = checks.recording
     for index in indices:
         try:

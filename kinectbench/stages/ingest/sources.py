@@ -97,13 +97,13 @@ def check_link(path: Path, *, follow_links: bool) -> None:
 def _entries(
     folder: Path, above: frozenset[tuple[int, int]], follow_links: bool, links: Iterator[int]
 ) -> Iterator[tuple[Path, bool]]:
-    """Yield everything in a folder and below it, sorted, with whether it is a plain file.
+    """Yield (path, whether it is a plain file) for everything in a folder and below it, sorted.
 
     Args:
         folder: the folder to list.
         above: the folders that contain it, by device and inode.
         follow_links: whether to follow links.
-        links: has one item left for each link to a folder that may still be followed.
+        links: yields one item for each link to a folder that may still be followed.
     """
     status = folder.stat()
     identity = status.st_dev, status.st_ino

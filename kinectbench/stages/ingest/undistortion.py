@@ -31,7 +31,7 @@ class Undistortion:
     def depth(self, image: NDArray[Pixel]) -> NDArray[Pixel]:
         """Undistort depth (height, width) of the camera by the nearest pixel; 0 outside the distorted image.
 
-        Both methods return an image of another size unchanged: the checks of frames refuse it.
+        Like `color`, it returns an image of another size unchanged; the checks of frames refuse it later.
         """
         import cv2
 

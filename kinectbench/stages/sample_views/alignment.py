@@ -49,25 +49,27 @@ MAX_SIGMAS = 2.5
 
 @dataclass(frozen=True)
 class OrientedPoints:
-    """Points of a frame, camera frame: (m, 3) metres, unit normals (m, 3), sigma of depth (m,) metres."""
+    """Points (m, 3) in the camera frame, metres, unit normals (m, 3), and sigma of depth (m,), metres."""
 
     points: Float64
     normals: Float64
     sigma_m: Float64
 
     def every_second(self, start: int) -> "OrientedPoints":
-        """Every second point, from the first on (start 0) or from the second on (start 1)."""
+        """Return every second point, from the first on (start 0) or from the second on (start 1)."""
         return OrientedPoints(self.points[start::2], self.normals[start::2], self.sigma_m[start::2])
 
 
 def oriented_points(depth_m: Float32, camera: Camera, stride_px: int) -> OrientedPoints:
     """Compute points with normals from a depth image, in the camera frame.
 
+    A point's normal comes from the four pixels that are four rows or four columns away. Pixels beyond 3.5 m
+    or at a depth edge are left out.
+
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         camera: intrinsics.
-        stride_px: stride along rows and columns; normals come from the pixels four to either side. Pixels
-            beyond 3.5 m or at a depth edge are left out.
+        stride_px: stride along rows and columns.
     """
     reach = NORMAL_REACH_PX
     points = camera.backproject(depth_m)
@@ -145,10 +147,10 @@ def align_view(
 ) -> ViewAlignment:
     """Correct a view's pose by ICP of its depth against the object.
 
-    Every second point on the object is used for the fit, with the trajectory's pose as a prior, so that
-    motions that the object does not constrain stay near zero. The corrected pose is accepted only if the mean
-    residual of the other points falls below 90 % of that before, and the median displacement of all points is
-    at most 2.5 times `pose_sigma_m` (taken as at least 1 mm). Fewer than 100 other points correct nothing.
+    The fit uses every second point on the object. The trajectory's pose is a prior: it keeps motions that
+    the object does not constrain near zero. The corrected pose is accepted only if the mean residual of the
+    other points falls below 90 % of its value before, and the median displacement of all points is at most
+    2.5 times `pose_sigma_m` (taken as at least 1 mm). With fewer than 100 other points, nothing is corrected.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.

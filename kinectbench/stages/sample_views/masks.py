@@ -1,4 +1,4 @@
-"""The object's mask in a view: from rendered depth, from the recording, or drawn by a person."""
+"""The object's mask in a view: from rendered depth, from the recording, or drawn by the user."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,7 @@ CLEAR_SIGMAS = 3.0
 # A point lower than this is on the floor: the solid's feet are square to the floor, and round feet are
 # narrower there.
 FLOOR_M = 0.002
-# Endings of the names of a person's PNGs, in the order in which they are applied.
+# Endings of the names of the user's PNGs, in the order in which they are applied.
 KINDS = ("", ".include", ".exclude")
 MASK_NAME = re.compile(r"(frame_)?([0-9]{1,9})(|\.include|\.exclude)\.(?i:png)")
 # A view's number has at least this many digits; a frame's number any.
@@ -34,10 +34,10 @@ MOST_NAMED = 5
 
 
 def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float, beside_px: int = 0) -> Bools:
-    """The pixels whose depth is within max(5 sigma, tolerance) of the rendered depth at or near them.
+    """Find the pixels whose depth is within max(5 sigma, tolerance) of the rendered depth at or near them.
 
-    The tolerance is wide on purpose: a tight mask would remove noisy pixels from the input, and so leak the
-    true shape into it.
+    The tolerance is wide on purpose: a tight mask would remove noisy pixels from the network's input, and so
+    reveal the true shape.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
@@ -76,7 +76,7 @@ def object_mask(
     tolerance_m: float,
     clear_m: float,
 ) -> Bools:
-    """The object's mask in a view: pixels whose depth agrees with the rendered object at or near them.
+    """Find the object's mask in a view: pixels whose depth agrees with the rendered object at or near them.
 
     Depth at edges is off by a pixel or two, and a solid made from noisy depth is often a pixel too narrow. So
     a pixel inside the rendered silhouette may agree with a rendered pixel up to two pixels away. A pixel
@@ -104,10 +104,10 @@ def recorded_mask(
     box: OrientedBox,
     margin_m: float,
 ) -> Bools:
-    """The object's mask in a view, from the mask that came with the recording.
+    """Make the object's mask in a view from the mask that came with the recording.
 
-    It contains those pixels of the recorded mask whose points are inside the object's box, because at its
-    outline a recorded mask also covers pixels with the background's depth.
+    Only pixels whose points lie inside the object's box are kept, because at its outline a recorded mask also
+    covers pixels that have the depth of the background.
 
     Args:
         measured_m: (height, width) metres, 0 = none.
@@ -121,7 +121,7 @@ def recorded_mask(
 
 
 def inner_silhouette(rendered_m: Float32) -> Bools:
-    """The rendered silhouette, eroded by 2 pixels, so that depth inside it should be the object's."""
+    """Erode the rendered silhouette by 2 pixels, so that depth inside it should belong to the object."""
     import cv2
 
     silhouette = (rendered_m > 0).astype(np.uint8)
@@ -130,11 +130,12 @@ def inner_silhouette(rendered_m: Float32) -> Bools:
 
 
 class MaskName(NamedTuple):
-    """The parsed file name of a person's mask.
+    """The parsed file name of a mask given by the user.
 
     Attributes:
         number: index of the frame in the sequence, or number of the view.
-        of_frame: whether the number is a frame's. Older masks are named by views, whose numbers may change.
+        of_frame: whether the number is a frame's, not a view's. Older masks are named by views, whose numbers
+            may change.
         kind: "" replaces the automatic mask, ".include" adds to it, ".exclude" removes from it.
     """
 
@@ -144,12 +145,12 @@ class MaskName(NamedTuple):
 
 
 def mask_name(file: str, *, plain_of_frame: bool = False) -> MaskName | None:
-    """Parse a name such as frame_000024.exclude.png; None if the file is no mask.
+    """Parse the name of a mask such as frame_000024.exclude.png; return None if it is no mask's name.
 
     Args:
         file: name of the file.
-        plain_of_frame: whether a number without "frame_" is a frame's, as with `segment_by: masks`, or a
-            view's.
+        plain_of_frame: whether a number without "frame_" means a frame, as with `segment_by: masks`. If not,
+            it means a view.
     """
     match = MASK_NAME.fullmatch(file)
     if match is None or not (match[1] or plain_of_frame or len(match[2]) >= VIEW_DIGITS):
@@ -159,7 +160,7 @@ def mask_name(file: str, *, plain_of_frame: bool = False) -> MaskName | None:
 
 @dataclass(frozen=True)
 class GivenMasks:
-    """A person's masks, named by frame (`frame_<index>.png`, `.include.png`, `.exclude.png`) or by view.
+    """Masks given by the user, named by frame (`frame_<index>.png`, `.include.png`, `.exclude.png`) or view.
 
     Attributes:
         folder: the folder, for messages.
@@ -180,7 +181,7 @@ class GivenMasks:
         return by_mask
 
     def of_image(self, view: str, frame: int, kind: str) -> str | None:
-        """The name of the mask of this kind for a view or its frame; None if there is none.
+        """Return the name of the file with this kind (`MaskName.kind`) of mask for a view or frame; or None.
 
         Raises:
             SegmentationError: there are several such masks.
@@ -198,13 +199,13 @@ class GivenMasks:
 
 
 def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bools:
-    """Apply a person's masks, if any, to the automatic mask of a view.
+    """Apply the user's masks, if any, to the automatic mask of a view.
 
     `frame_<index>.png` replaces the mask; `.include.png` adds its pixels, `.exclude.png` removes them.
 
     Args:
         mask: (height, width), the automatic mask.
-        given: the person's masks.
+        given: the user's masks.
         view: name of the view.
         frame: index of the view's frame in the sequence.
 
@@ -228,10 +229,10 @@ def override_mask(mask: Bools, given: GivenMasks, view: str, frame: int) -> Bool
 
 
 def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
-    """Warnings about unused files: the file's name is not that of a mask, or its frame is not a view.
+    """Return warnings about unused files: the name is not that of a mask, or its frame is not a view.
 
     Args:
-        given: a person's masks.
+        given: the user's masks.
         views: {name of the view: index of its frame}.
     """
     frames, lines, waiting = set(views.values()), [], []
@@ -251,6 +252,6 @@ def unused_masks(given: GivenMasks, views: Mapping[str, int]) -> list[str]:
 
 
 def first_of(names: Sequence[str]) -> str:
-    """A line with the first `MOST_NAMED` names, and the number of further names."""
+    """Return a line with the first `MOST_NAMED` names, and the number of further names."""
     more = len(names) - MOST_NAMED
     return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

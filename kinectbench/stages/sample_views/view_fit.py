@@ -28,8 +28,8 @@ class ViewFit:
         visible_share: share of the rendered silhouette with valid depth of the object.
         border_share: share of the silhouette's pixels within 1 px of the image border.
         dropped_share: share of the valid depth inside the eroded silhouette that the mask leaves out.
-        containment: share of the occupied cells of the partial (64^3, from all depth inside the eroded
-            silhouette, without the mask) that lie in the full shape, dilated once.
+        containment: share of the partial's occupied cells that lie in the full shape, dilated once. The
+            partial (64^3) is made from all depth inside the eroded silhouette, without the mask.
         residual_m: median absolute difference of measured and rendered depth inside the eroded silhouette,
             metres.
         truncated_share: share of the object's full silhouette that lies outside the image.
@@ -53,12 +53,13 @@ def fit_of_view(
     model: ObjectModel,
     renderer: DepthRenderer,
 ) -> ViewFit:
-    """Measure the fit of a view's depth to the object; without depth on it, the residual is infinite.
+    """Measure the fit of a view's depth to the object; if no depth lies on it, the residual is infinite.
 
     Args:
         depth_m: (height, width) float32, metres, 0 = none.
         rendered_m: (height, width) float32, depth of the rendered object, 0 = not on it.
-        mask: (height, width) bool, the object by depth or by the recording's mask, before a person's masks.
+        mask: (height, width) bool, the object's pixels, found from depth or from the recording's mask, before
+            the user's masks are applied.
         sequence: the recording.
         T_world_camera: (4, 4), the view's pose.
         model: the object.
@@ -86,7 +87,7 @@ def fit_of_view(
 
 
 def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRenderer) -> float:
-    """The share of an object's silhouette that lies outside the image.
+    """Return the share of an object's silhouette that lies outside the image.
 
     The silhouette is sampled at every 8th pixel of an image three times as wide and high, centred on the
     camera's.
@@ -115,7 +116,7 @@ def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRend
 
 
 def refusal(fit: ViewFit, settings: ViewSettings, pairs: FitLimits) -> str | None:
-    """Why a frame is not usable as a view, by the limits in `settings` and `pairs`; None if it is usable."""
+    """Return why a frame is not usable as a view, by the limits in `settings` and `pairs`, or None."""
     if fit.pixels < settings.min_pixels:
         return f"only {fit.pixels} pixels on the object, less than {settings.min_pixels}"
     if fit.residual_m > pairs.max_residual_m:

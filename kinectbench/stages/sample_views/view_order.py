@@ -33,10 +33,11 @@ def frame_order(
 ) -> list[tuple[int, str]]:
     """Order all good frames for trying them as views; return each frame with the reason for its rank.
 
-    `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: frames are grouped by sectors of 30 degrees
-    around the object, within a sector by heights of 15 degrees, and within a height by three classes of the
-    visible share (below 50 %, below 80 %, more). Sectors take turns; within each sector its heights take
-    turns, and within each height its classes. Frames of one class are in the order of `random`.
+    `random` (paper, Sec. 3.6): a seeded permutation. `coverage`: frames are grouped by azimuth around the
+    object in sectors of 30 degrees, within a sector by elevation in bands of 15 degrees ("height"), and
+    within a band by three classes of the visible share (below 50 %, below 80 %, more). Sectors take turns;
+    within each sector its bands take turns, and within each band its classes. Frames of one class are in the
+    order of `random`.
     """
     order = np.random.default_rng(settings.seed).permutation(trajectory.good_frames).tolist()
     if settings.strategy == "random":
@@ -53,9 +54,9 @@ def frame_order(
 
 
 def direction(T_world_camera: Float64, model: ObjectModel) -> tuple[int, int]:
-    """The 30-degree sector (0 to 11) and 15-degree height band (-6 to 5) of a camera, around the object.
+    """Return a camera's azimuth sector (0 to 11, 30 degrees) and elevation band (-6 to 5, 15 degrees).
 
-    Sectors count from the floor's x axis.
+    Both are seen from the centre of the object's box. Sectors count from the floor's x axis.
     """
     x, y, z = transform_points(model.floor.T_floor_world, T_world_camera[:3, 3]) - model.box.center_m
     azimuth_rad, height_rad = np.arctan2(y, x) % (2 * np.pi), np.arctan2(z, np.hypot(x, y))
@@ -71,7 +72,7 @@ def visible_share(
     renderer: DepthRenderer,
     segmentation: MaskCuts,
 ) -> float:
-    """The visible share of a view (`ViewFit`), estimated at every 8th pixel before the pose is corrected."""
+    """Estimate the visible share of a view (`ViewFit`) at every 8th pixel, before the pose is corrected."""
     depth_m = sequence.depth_m(frame)[::STRIDE_PX, ::STRIDE_PX]
     rendered_m = renderer.depth_m(sequence.camera.every(STRIDE_PX), T_world_camera)
     silhouette = int((rendered_m > 0).sum())
@@ -80,7 +81,7 @@ def visible_share(
 
 
 def share_class(share: float) -> int:
-    """The class of a visible share, given in [0, 1]: 0 below 50 %, 1 below 80 %, else 2."""
+    """Return the class of a visible share, given in [0, 1]: 0 below 50 %, 1 below 80 %, else 2."""
     return int(np.searchsorted(SHARES[1:-1], share, side="right"))
 
 
@@ -95,7 +96,7 @@ def stratum_text(stratum: Stratum) -> str:
 
 
 def taking_turns(frames: Rows[int], strata: dict[int, Stratum], depth: int = 0) -> list[int]:
-    """Order frames so that sectors take turns, in them heights, and in these visibility classes.
+    """Order frames: sectors take turns, within each sector its heights, and within each height its classes.
 
     Args:
         frames: the frames to order.

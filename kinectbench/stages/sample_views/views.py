@@ -42,7 +42,7 @@ from kinectbench.stages.segment.object_model import ObjectModel
 JPEG_QUALITY = 90
 # The image border cuts a view's object if more than these shares of it are cut off, or of its mask lie there.
 CUT_OFF, AT_BORDER = 0.02, 0.01
-# Figures of a view's fit that have the same names in views.json.
+# Values of a view's fit that have the same names in views.json.
 FIT_FIGURES = tuple(field.name for field in fields(ViewFit) if field.name != "pixels")
 
 
@@ -57,12 +57,12 @@ class View:
         reason: why the frame was tried at this point of the order.
         alignment: its pose, corrected by aligning its depth with the object.
         mask: (height, width) bool, the object, in depth pixels.
-        fit: how well depth fits the object, with the mask before a person's masks are applied; but if the
-            view was read from a file, `fit.pixels` counts the final mask.
+        fit: how well depth fits the object, computed with the mask before the user's masks are applied. But
+            in a view that was read from a file, `fit.pixels` counts the final mask.
         blur: blur of the colour relative to the recording, as in health.json; None if unknown.
-        pose_residual_m: residual of its depth to other frames' under the trajectory's poses, metres; None if
-            unknown.
-        too_far_share: share of its depth pixels beyond the range of the depth image.
+        pose_residual_m: residual between its depth and that of other frames, under the trajectory's poses,
+            metres; None if unknown.
+        too_far_share: share of its depth pixels beyond the range of a 16-bit depth image in mm.
     """
 
     name: str
@@ -105,15 +105,15 @@ def sample_views(
         sequence: the recording.
         trajectory: poses of the frames.
         model: the object: floor and closed mesh.
-        settings: number of views, strategy and seed; and whether masks that came with the recording are the
-            object's, in the frames that have one.
+        settings: number of views, strategy and seed; and whether to use the masks that came with the
+            recording, in the frames that have one.
         segmentation: tolerance of the masks, and their least height above the floor.
         pairs: least containment, largest residual, least visible share.
-        masks: a person's masks, or None.
+        masks: the user's masks, or None.
         progress: called with (views found, views wanted).
 
     Raises:
-        SegmentationError: no frame fits, or a person's mask is unusable.
+        SegmentationError: no frame fits, or a mask given by the user is unusable.
     """
     renderer = DepthRenderer(model.shape.mesh)
     order = frame_order(sequence, trajectory, model, renderer, settings, segmentation)
@@ -154,7 +154,7 @@ def _look(
     segmentation: MaskCuts,
     chosen: tuple[int, str],
 ) -> View:
-    """Make a view from a frame and the reason for its rank, without name and person's mask."""
+    """Make a view from `chosen` (frame, reason for its rank), without a name and without the user's masks."""
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
@@ -226,7 +226,7 @@ def write_views(views: Views, sequence: Sequence, folder: Path) -> None:
 
 
 def pictures_of(sequence: Sequence, frame: int) -> dict[str, bytes]:
-    """The images of a view: {"depth.png": PNG file (uint16 mm), "color.jpg": JPEG file if there is colour}.
+    """Return a view's images: {"depth.png": PNG file (uint16 mm), "color.jpg": JPEG file if it has colour}.
 
     Raises:
         StorageError: depth is missing or damaged, or colour is damaged.
@@ -303,9 +303,10 @@ def read_pictures(folder: Path, view: str) -> dict[str, bytes]:
 
 
 def picture_digest(pictures: Mapping[str, bytes]) -> str:
-    """SHA-256 (hex) of a view's images: the shape and pixels of depth in mm, and any colour file.
+    """Return the SHA-256 (hex) of a view's images: the shape and pixels of depth in mm, and any colour file.
 
-    The depth file itself may differ with the version of zlib; colour is usually that of the recording.
+    Depth is hashed by pixels, because its PNG may differ with the version of zlib. The colour file is usually
+    that of the recording.
 
     Args:
         pictures: {"depth.png": PNG file, "color.jpg": JPEG file if there is one}.
@@ -325,7 +326,7 @@ def picture_digest(pictures: Mapping[str, bytes]) -> str:
 
 
 def read_masks(folder: Path) -> GivenMasks:
-    """A person's masks in a folder: PNGs, nonzero where the object is; each is read on request."""
+    """Return the user's masks in a folder: PNGs, nonzero on the object. Each is read on request."""
 
     def read(name: str) -> Bools:
         """Read a mask (height, width) by the name of its file."""
@@ -341,7 +342,7 @@ def read_masks(folder: Path) -> GivenMasks:
 
 
 def _read_mask(path: Path) -> Bools | None:
-    """Read a picture's nonzero pixels as a mask; None if the picture is missing or damaged."""
+    """Read an image's nonzero pixels as a mask; return None if it is missing or damaged."""
     try:
         data = read_plain(path, IMAGE_BYTES)
         image_head(data)
@@ -351,9 +352,9 @@ def _read_mask(path: Path) -> Bools | None:
 
 
 def _jpeg(suffix: str, data: bytes) -> bytes:
-    """Colour as a JPEG: a recorded JPEG without its metadata, its pixels as they are; else encoded here.
+    """Return colour as a JPEG: a recorded JPEG without its metadata, pixels unchanged; else encoded here.
 
-    A JPEG whose metadata cannot be separated from its pixels is encoded here, too. EXIF's orientation is
+    A JPEG whose metadata cannot be separated from its pixels is also encoded here. EXIF's orientation is
     dropped, because depth and mask are not rotated by it.
 
     Raises:

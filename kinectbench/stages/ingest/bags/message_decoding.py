@@ -134,19 +134,19 @@ class RosBag:
             raise DamagedImageError(f"{topic.name}, message {index}: cannot be decoded ({error})") from error
 
     def whole(self, topic: BagTopic, most: int | None = None) -> Iterator[Message]:
-        """Yield the messages of a topic that decode, among its first `most` (None: among all)."""
+        """Yield those of a topic's first `most` messages that decode (None: of all messages)."""
         for index in range(len(topic.messages[:most])):
             with suppress(DamagedImageError):
                 yield self.decode(topic, index)
 
     def first(self, topic: BagTopic) -> Message | None:
-        """The first message of a topic that decodes; None if none of its first thousand does."""
+        """Return the first message of a topic that decodes; None if none of its first thousand does."""
         return next(self.whole(topic, FIRST_TRIED), None)
 
 
 @cache
 def _ros1_decoder(own: tuple[tuple[str, str], ...]) -> Callable[[bytes, str], Message]:
-    """Make a decoder of ROS 1 messages, also of the bag's types (`own`: pairs of type and definition)."""
+    """Make a decoder for ROS 1's types and the bag's own types (`own`: pairs of type and definition)."""
     from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -170,17 +170,17 @@ def _ros2_decoder() -> Callable[[bytes, str], Message]:
 
 
 def long_type(name: str) -> str:
-    """The name of a type in ROS 2's spelling: "sensor_msgs/msg/Image"."""
+    """Return the name of a type in ROS 2's spelling: "sensor_msgs/msg/Image"."""
     return name if "/msg/" in name else name.replace("/", "/msg/")
 
 
 def short_type(name: str) -> str:
-    """The name of a type in ROS 1's spelling: "sensor_msgs/Image"."""
+    """Return the name of a type in ROS 1's spelling: "sensor_msgs/Image"."""
     return name.replace("/msg/", "/")
 
 
 def header_stamp_ns(start: bytes, type_: str, encoding: Encoding) -> int:
-    """The stamp of a message's Header, nanoseconds; 0 without a Header, or if the message is too short.
+    """Return the stamp of a message's Header, ns; 0 without a Header, or if the message is too short.
 
     Args:
         start: at least the first 16 bytes of the message.
@@ -204,7 +204,7 @@ def by_stamp(places: Iterable[MessagePlace]) -> tuple[MessagePlace, ...]:
 
 @dataclass
 class FoundMessages:
-    """Collects where the messages of the wanted `types` are in a bag's file: {connection number: places}."""
+    """Collects where a bag's file stores messages of the wanted `types`: {connection number: places}."""
 
     types: frozenset[str]
     connections: dict[int, BagTopic] = field(default_factory=dict)
@@ -219,7 +219,7 @@ class FoundMessages:
         *,
         whole: bool = False,
     ) -> None:
-        """Note where a message is stored and its stamp, unless its type is known to be an unwanted one.
+        """Record where a message is stored, and its stamp, unless its type is known to be unwanted.
 
         Args:
             connection: number of the message's connection.
@@ -249,7 +249,7 @@ class FoundMessages:
         self.places.setdefault(connection, []).append(MessagePlace(stamp_ns, *place))
 
     def topics(self) -> tuple[BagTopic, ...]:
-        """The topics that have messages, sorted by name; connections of the same name and type are joined."""
+        """Return the topics with messages, sorted by name; connections of one name and type are joined."""
         joined: dict[BagTopic, list[MessagePlace]] = {}
         for number, places in self.places.items():
             connection = self.connections.get(number)
@@ -329,7 +329,7 @@ def unpacked_message(data: bytes) -> bytes:
 
 
 def known_types(name: str, definition: str, store: "Typestore") -> "Typesdict":
-    """Parse a definition: the types that the message uses and the store lacks, ready to register.
+    """Parse a definition; return the types that the message uses and the store lacks, for registering.
 
     Args:
         name: name of the message's type, in ROS 2's spelling.

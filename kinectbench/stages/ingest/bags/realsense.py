@@ -64,31 +64,31 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
-        """False, because librealsense gives every stream the frame_id "0", registered or not."""
+        """Return False, because librealsense gives every stream the frame_id "0", registered or not."""
         return False
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """Native depth units per metre: 1 / Depth Units (metres), an option of the depth sensor; or None."""
+        """Return depth units per metre: 1 / Depth Units (metres, an option of the depth sensor); or None."""
         return depth_units_scale(bag, depth)
 
     @classmethod
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth` (4, 4), depth to colour camera; None unless both have the same reference frame."""
+        """Return `T_color_depth` (4, 4), depth to colour camera; None if their reference frames differ."""
         return between_streams(bag, color.name, depth.name)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu` (4, 4), IMU to depth camera; None unless both have the same reference frame."""
+        """Return `T_depth_imu` (4, 4), IMU to depth camera; None if their reference frames differ."""
         return between_streams(bag, depth.name, imu.name)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:
-        """Pairs (topic's name, CameraInfo message); in version 1 also from stream_info messages."""
+        """Return pairs (topic's name, CameraInfo message); in version 1 also from stream_info messages."""
         return super().camera_infos(bag) + [
             (
                 f"/camera/{message.stream_type}/camera_info/{topic.name.rpartition('/')[2]}",
@@ -99,7 +99,7 @@ class RealsenseRecording(Rosbag1Recording):
 
 
 def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
-    """Native units per metre, by the depth sensor's option Depth Units; None if the bag lacks it."""
+    """Return native units per metre from the depth sensor's option Depth Units; None if the bag lacks it."""
     found = STREAM.fullmatch(depth.name)
     prefix = found[1] if found else "/"
     for topic in bag.topics:
@@ -112,7 +112,7 @@ def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
 
 
 def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
-    """Depth Units, metres, from the topic of options (file versions 3, 4) or properties (2); None without."""
+    """Return Depth Units, metres, from a topic of options (file versions 3, 4) or properties (2); or None."""
     for message in bag.whole(topic):
         if topic.type == FLOAT and message.data > 0:
             return float(message.data)
@@ -124,7 +124,7 @@ def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
 
 
 def _positive(text: str) -> float | None:
-    """Parse a number above 0; None if the text is anything else."""
+    """Parse a number above 0; return None if the text is anything else."""
     try:
         number = float(text)
     except ValueError:
@@ -133,7 +133,7 @@ def _positive(text: str) -> float | None:
 
 
 def between_streams(bag: RosBag, to: str, of: str) -> Float64 | None:
-    """`T_to_of` (4, 4), from stream `of` to stream `to`, given by their topics' names; None if unknown."""
+    """Return `T_to_of` (4, 4), from stream `of` to stream `to` (names of topics); None if unknown."""
     T_to, T_of = _place_of_stream(bag, to), _place_of_stream(bag, of)
     if T_to is None or T_of is None or T_to[0] != T_of[0]:
         return None
@@ -141,7 +141,7 @@ def between_streams(bag: RosBag, to: str, of: str) -> Float64 | None:
 
 
 def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
-    """The name of the reference frame of a stream's extrinsics, and `T_stream_reference`; None if unknown."""
+    """Return the name of a stream's reference frame, and `T_stream_reference` (4, 4); None if unknown."""
     stream = ANY_STREAM.match(name)
     places = f"{stream[0]}tf/" if stream else "/"
     for topic in bag.topics if stream else ():
@@ -159,7 +159,7 @@ def _place_of_stream(bag: RosBag, name: str) -> tuple[str, Float64] | None:
 
 
 def _matrix_of_text(message: Message) -> Float64 | None:
-    """Parse extrinsics that are stored as text into a rigid transform (4, 4); None if the text holds none."""
+    """Parse extrinsics stored as text into a rigid transform (4, 4); return None if the text has none."""
     said = EXTRINSICS.fullmatch(message.data)
     try:
         rotation, translation_m = (
@@ -173,7 +173,7 @@ def _matrix_of_text(message: Message) -> Float64 | None:
 
 
 def _rigid_by_columns(rotation: ArrayLike, translation_m: ArrayLike) -> Float64 | None:
-    """The rigid transform (4, 4) from a column-major rotation, as librealsense has it; None if invalid."""
+    """Make a rigid transform (4, 4) from a column-major rotation, as in librealsense; None if invalid."""
     R, t_m = np.asarray(rotation, np.float64).reshape(3, 3).T, np.asarray(translation_m, np.float64)
     if not np.abs(R).max() <= 2 or abs(np.linalg.det(R) - 1) > 0.01:  # true for NaN, too
         return None
@@ -181,7 +181,7 @@ def _rigid_by_columns(rotation: ArrayLike, translation_m: ArrayLike) -> Float64 
 
 
 def _old_stream_info(bag: RosBag, name: str) -> Message | None:
-    """The stream_info message of version 1 for a stream such as /camera/DEPTH/image_raw/0; or None."""
+    """Return the stream_info message (version 1) of a stream such as /camera/DEPTH/image_raw/0; or None."""
     match = OLD_STREAM.fullmatch(name)
     if not match:
         return None

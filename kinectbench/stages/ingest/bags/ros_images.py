@@ -58,7 +58,7 @@ def is_compressed(message: Message) -> bool:
 
 
 def depth_encoding(message: Message) -> str | None:
-    """The encoding of depth in an image message, such as "16UC1"; None if the image is not depth."""
+    """Return the encoding of depth in an image message, such as "16UC1"; None if the image is not depth."""
     if not is_compressed(message):
         return message.encoding if message.encoding in DEPTH_ENCODINGS else None
     first = message.format.split(";")[0].strip()
@@ -68,7 +68,7 @@ def depth_encoding(message: Message) -> str | None:
 
 
 def color_encoding(message: Message) -> str | None:
-    """The encoding of colour in an image message, "compressed" for PNG and JPEG; None without colour."""
+    """Return the encoding of colour in an image message, "compressed" for PNG and JPEG; else None."""
     if not is_compressed(message):
         known = message.encoding in COLOR_CHANNELS or message.encoding.lower() in CONVERSIONS
         return message.encoding if known else None
@@ -126,7 +126,7 @@ def depth_of(message: Message, name: str, float_units_per_m: float = 1.0) -> NDA
 
 
 def color_of(message: Message, name: str) -> tuple[str, bytes]:
-    """Encoded colour of an Image or CompressedImage message: (suffix, bytes); raw pixels become PNG.
+    """Return encoded colour of an Image or CompressedImage: (suffix, bytes); raw pixels become PNG.
 
     Raises:
         DamagedImageError: the image is damaged, or its encoding is not that of colour.
@@ -154,7 +154,7 @@ def color_of(message: Message, name: str) -> tuple[str, bytes]:
 
 
 def _pixels(message: Message, name: str, dtype: np.dtype[_Value], channels: int) -> NDArray[_Value]:
-    """A raw image's pixels (height, width, channels), `dtype` in its byte order, without row padding."""
+    """Return pixels (height, width, channels) of a raw image: `dtype` in its byte order, no row padding."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     if is_too_large(width, height):
         raise DamagedImageError(

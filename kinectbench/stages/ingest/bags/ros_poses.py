@@ -38,14 +38,14 @@ class TransformTree:
     edges: dict[str, tuple[str, Int64, Float64]]
 
     def path(self, frame: str) -> list[str]:
-        """The frame, its parent, and so on up to the root."""
+        """Return the frame, its parent, and so on up to the root."""
         chain = [frame]
         while chain[-1] in self.edges and self.edges[chain[-1]][0] not in chain:
             chain.append(self.edges[chain[-1]][0])
         return chain
 
     def fixed(self, to_frame: str, from_frame: str) -> Float64 | None:
-        """`T_to_from` (4, 4) between two frames that do not move relative to each other; None if unknown."""
+        """Return `T_to_from` (4, 4) between two frames, if it is known and does not change; else None."""
         if not (to_frame and from_frame):
             return None
         up, down = self.path(from_frame), self.path(to_frame)
@@ -59,10 +59,11 @@ class TransformTree:
         return np.asarray(np.linalg.inv(T_common_to) @ T_common_from)
 
     def moving(self, frame: str) -> GivenTrajectory | None:
-        """The motion of a frame relative to the root of its tree, the world.
+        """Return the motion of a frame relative to the root of its tree, the world.
 
-        Its stamps are those of the moving transform on the path to the root that has the most; the others are
-        interpolated. None if no transform on this path moves, or their times do not overlap.
+        Of the moving transforms on the path to the root, the one with the most stamps gives the stamps. The
+        others are interpolated. Return None if no transform on this path moves, or their times do not
+        overlap.
         """
         links = [self.edges[name] for name in self.path(frame)[:-1]]
         moving = [own for _, own, transforms in links if _moves(transforms)]
@@ -108,20 +109,23 @@ def read_transforms(bag: RosBag) -> TransformTree:
 
 
 def _by_stamp(stamps_ns: "array[int]", rows: "array[float]") -> tuple[Int64, Float64]:
-    """Sort transforms (seven numbers each) by stamp: (n,) and (n, 4, 4); of equal stamps the last is kept."""
+    """Return stamps (n,), sorted, and matrices (n, 4, 4) of transforms; of equal stamps the last is kept.
+
+    Each transform has seven numbers, as `_numbers_of` returns them.
+    """
     # In reverse, because unique takes the first of equal stamps.
     stamps, first = np.unique(np.array(stamps_ns, np.int64)[::-1], return_index=True)
     return stamps, _matrices(np.array(rows).reshape(-1, 7)[::-1][first])
 
 
 def matrix_of(transform: Message) -> Float64 | None:
-    """The matrix (4, 4) of a geometry_msgs/Transform; None if not finite, too large or of zero quaternion."""
+    """Return the matrix (4, 4) of a geometry_msgs/Transform; None if its numbers are not usable."""
     numbers = _numbers_of(transform)
     return None if numbers is None else _matrices(np.array([numbers]))[0]
 
 
 def _numbers_of(transform: Message) -> tuple[float, ...] | None:
-    """Translation x y z and quaternion x y z w; None if not finite, too large, or of zero quaternion."""
+    """Return translation x y z, quaternion x y z w; None if not finite, too large, or zero quaternion."""
     t, q = transform.translation, transform.rotation
     numbers = (t.x, t.y, t.z, q.x, q.y, q.z, q.w)
     if not all(abs(number) <= FARTHEST_M for number in numbers):  # false for NaN, too
@@ -130,7 +134,7 @@ def _numbers_of(transform: Message) -> tuple[float, ...] | None:
 
 
 def _matrices(rows: Float64) -> Float64:
-    """The matrices (n, 4, 4) of rows (n, 7): translation x y z, quaternion x y z w."""
+    """Return the matrices (n, 4, 4) of rows (n, 7): translation x y z, quaternion x y z w."""
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = rotation_from_quaternion_xyzw(rows[:, 3:]), rows[:, :3]
     return T
@@ -141,9 +145,9 @@ def _moves(transforms: Float64) -> bool:
 
 
 def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
-    """Interpolate transforms, whose stamps are `own`, at `stamps`: (n, 4, 4), along the shortest rotation.
+    """Interpolate `transforms`, which have the stamps `own`, at `stamps`; return (n, 4, 4).
 
-    Before `own` the first transform holds, after it the last.
+    Rotations take the shortest way. Before `own` the first transform holds, after it the last.
     """
     after = np.clip(np.searchsorted(own, stamps), 0, len(own) - 1)
     before = np.maximum(after - 1, 0)
@@ -156,10 +160,10 @@ def _at(own: Int64, transforms: Float64, stamps: Int64) -> Float64:
 def read_ros_poses(bag: RosBag, tree: TransformTree, depth: ImageTopic, named: str | None) -> MaybeGiven:
     """Read the depth camera's trajectory: (camera to world or None, warnings, why it is unusable or "").
 
-    The source is the topic that the settings name (`named`; "tf" for the tree of frames). If they name none,
-    it is the only topic of PoseStamped or Odometry (of several none is used, with a warning), or without such
-    a topic tf. If Odometry describes another frame than the camera's, the poses are converted to the camera's
-    by tf; if tf lacks the transform between them, they are used as they are, with a warning.
+    The settings may name the topic to read (`named`), or "tf", the tree of frames. If they name none, the
+    bag's only topic of PoseStamped or Odometry is read. If there are several, none is read, with a warning;
+    if there is none, tf is read. Odometry of another frame than the camera's is converted to the camera's by
+    tf. If tf lacks the transform between the two, the poses are used as they are, with a warning.
 
     Raises:
         RecordingError: the named topic, or tf if it is named, holds no poses of the camera.

@@ -94,31 +94,31 @@ class RosRecording(Recording):
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
-        """Whether an equal frame_id of depth and colour means that they are registered, pixel by pixel."""
+        """Whether equal frame_ids of depth and colour mean that they are registered, pixel by pixel."""
         return True
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """Native units per metre of integer depth; None if the bag does not state it."""
+        """Return native units per metre of integer depth; None if the bag does not state it."""
         return None
 
     @classmethod
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """`T_color_depth` (4, 4), depth camera to colour camera; None if the bag does not have it."""
+        """Return `T_color_depth` (4, 4), depth camera to colour camera; None if the bag lacks it."""
         return tree.fixed(color.frame_id, depth.frame_id)
 
     @classmethod
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """`T_depth_imu` (4, 4), accelerometer (its frame: `frame_id`) to depth camera; None if unknown."""
+        """Return `T_depth_imu` (4, 4), accelerometer (frame `frame_id`) to depth camera; None if unknown."""
         return tree.fixed(depth.frame_id, frame_id)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[NamedInfo]:
-        """Pairs (topic's name, its first readable CameraInfo message)."""
+        """Return pairs (topic's name, its first readable CameraInfo message)."""
         infos = ((t.name, bag.first(t)) for t in bag.topics if t.type == CAMERA_INFO)
         return [(name, message) for name, message in infos if message is not None]
 
@@ -207,7 +207,7 @@ def _message_name(bag: RosBag, image: ImageTopic, index: int) -> str:
 
 
 def _in_file_order(image: ImageTopic | None) -> tuple[int, ...]:
-    """Stamps of a topic's messages, nanoseconds, in the order of recording."""
+    """Return the stamps of a topic's messages, nanoseconds, in the order of recording."""
 
     def position(place: MessagePlace) -> tuple[int, int, int]:
         return place.file, place.offset if place.chunk < 0 else place.chunk, place.offset
@@ -231,7 +231,7 @@ def _first_depth_size(bag: RosBag, depth: ImageTopic) -> tuple[int, int]:
 def _pair(
     depth: ImageTopic, color: ImageTopic | None, settings: CameraSettings
 ) -> tuple[tuple[MessagePair, ...], list[str]]:
-    """Pair depth messages of distinct stamps with colour messages; also return warnings."""
+    """Pair depth messages, without repeated stamps, with colour messages; also return warnings."""
     depth_ns = [place.stamp_ns for place in depth.topic.messages]
     order, warnings = first_by_stamp(depth_ns, depth.name, "messages")
     if color is None:
@@ -253,7 +253,7 @@ def _pair(
 def _is_registered(
     bag: RosBag, depth: ImageTopic, color: ImageTopic | None, size_px: tuple[int, int]
 ) -> tuple[bool, list[str]]:
-    """Whether colour is registered to depth by name or frame_id and has its size, `size_px`; and warnings."""
+    """Return whether colour is registered by name or frame_id, and has depth's `size_px`; and warnings."""
     if color is None:
         return False, []
     if not (_same_frame(depth, color) or is_named_registered(depth)):
@@ -275,7 +275,7 @@ def _depth_info(
     infos: list[NamedInfo],
     settings: CameraSettings,
 ) -> tuple[CameraInfo | None, list[str]]:
-    """Choose depth's CameraInfo among `infos`; warn if another differs, unless intrinsics are set."""
+    """Choose depth's CameraInfo among `infos`; warn if another differs, unless settings give intrinsics."""
     on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None
@@ -297,7 +297,7 @@ def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
 def _calibration(
     bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[NamedInfo]
 ) -> tuple[ColorCalibration | None, list[str]]:
-    """Colour's calibration by the best of `infos`, None if unknown or unfit for the images; and warnings."""
+    """Return colour's calibration by the best of `infos`, None without one that fits; and warnings."""
     size_px = _first_color_size(bag, color)
     info, info_warnings = choose_camera_info(color, COLOR_KIND, size_px, infos, every_image(bag))
     if T_color_depth is None or info is None:
@@ -311,7 +311,7 @@ def _calibration(
 
 
 def measured_up(bag: RosBag, stamps_ns: Sequence[int], place: PlaceOfImu) -> tuple[UpSample, ...]:
-    """The up direction in the depth camera's axes, at frames where an accelerometer measures gravity alone.
+    """Find up in the depth camera's axes, at frames where an accelerometer measures gravity alone.
 
     The first IMU topic with known extrinsics and at least one such frame is used; () if there is none.
 

@@ -83,7 +83,7 @@ COLOR_KIND = ImageKind(
 
 
 def image_topics(bag: RosBag, encoding_of: Callable[[Message], str | None]) -> list[ImageTopic]:
-    """The image topics for whose first readable message `encoding_of` returns an encoding, not None."""
+    """Return image topics whose first readable message has an encoding by `encoding_of`, not None."""
     topics = []
     for topic in bag.topics:
         message = bag.first(topic) if topic.type in (IMAGE, COMPRESSED_IMAGE) else None
@@ -94,15 +94,16 @@ def image_topics(bag: RosBag, encoding_of: Callable[[Message], str | None]) -> l
 
 
 def every_image(bag: RosBag) -> list[ImageTopic]:
-    """The image topics that contain a readable message, with any encoding."""
+    """Return the image topics that contain a readable message, with any encoding."""
     return image_topics(bag, lambda m: m.format if is_compressed(m) else m.encoding)
 
 
 def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, list[str]]:
     """Choose the depth topic; return it, and a warning if there was a choice.
 
-    These decide, the most important first: "depth" in the name, a name that says registered, integer values,
-    no compression, and the number of images. A topic whose name says infrared and not depth is left out.
+    These criteria decide, the most important first: "depth" in the name, a name that says registered, integer
+    values, no compression, and the number of images. A topic whose name says infrared and not depth is left
+    out.
 
     Args:
         bag: the bag to search.
@@ -141,8 +142,9 @@ def choose_color(
 ) -> tuple[ImageTopic | None, list[str]]:
     """Choose the colour topic; return it or None, and warnings.
 
-    These decide, the most important first: a name that says neither infrared nor depth, a name that says
-    colour, the camera of the depth topic, colours instead of grey, no compression, and the number of images.
+    These criteria decide, the most important first: a name that says neither infrared nor depth, a name that
+    says colour, the same camera as the depth topic's, colours instead of grey, no compression, and the number
+    of images.
 
     Args:
         bag: the bag to search.
@@ -177,7 +179,7 @@ def is_named_registered(depth: ImageTopic) -> bool:
 
 
 def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> ImageTopic:
-    """The topic called `named` among `topics`; without it an error that names the setting `key`."""
+    """Return the topic called `named` from `topics`; without it, raise an error about the setting `key`."""
     for topic in topics:
         if topic.name == named:
             return topic
@@ -189,7 +191,7 @@ def _named(bag: RosBag, key: str, named: str, topics: list[ImageTopic]) -> Image
 
 
 def _first_folder(image: ImageTopic) -> str:
-    """The first part of a topic's name, by which drivers name the camera."""
+    """Return the first part of a topic's name, by which drivers name the camera."""
     return image.name.strip("/").split("/")[0]
 
 
@@ -201,7 +203,7 @@ def _choice(bag: RosBag, what: str, best: ImageTopic, topics: list[ImageTopic]) 
 
 
 def values_of(info: CameraInfo, name: str) -> tuple[float, ...]:
-    """The numbers of a CameraInfo field K, D or P, which ROS 2 spells k, d and p."""
+    """Return the numbers of a CameraInfo field K, D or P, which ROS 2 spells k, d and p."""
     values = getattr(info, name, None)
     return tuple(float(v) for v in (getattr(info, name.lower()) if values is None else values))
 
@@ -216,11 +218,12 @@ def choose_camera_info(
 ) -> tuple[CameraInfo | None, str]:
     """Choose the CameraInfo message that describes the images of a topic.
 
-    A candidate has the images' frame_id, is in their namespace (as image_transport puts it), or its name
-    starts with parts of theirs, one of which contains a word of `kind`. These decide, the most important
-    first: the images' size, their namespace, their frame_id, and the number of common parts. The CameraInfo
-    of `pixels_of`, if it is of the images' size, is taken if there is no candidate, or if the best one has
-    other values and the images' name says that they are registered.
+    A message is a candidate if it has the images' frame_id, if its topic is in their namespace (where
+    image_transport puts it), or if both topics' names start with the same parts, one of which contains a word
+    of `kind`. Of the candidates, these criteria decide, the most important first: the images' size, their
+    namespace, their frame_id, and the number of common parts. The CameraInfo of `pixels_of`, if it has the
+    images' size, is taken instead in two cases: if there is no candidate; or if the best candidate has other
+    values and the images' name says that they are registered.
 
     Args:
         image: the topic of the images.
@@ -286,7 +289,7 @@ def _differ(first: NamedInfo, second: NamedInfo, image: ImageTopic) -> bool:
 
 
 def _contradicted(taken: NamedInfo, other: NamedInfo, image: ImageTopic, advice: str) -> str:
-    """A warning that two CameraInfo differ, with their values, and the remedy if `other` is the right one."""
+    """Return a warning that two CameraInfo differ, with their values, and what to do if `other` is right."""
     first, second = (_in_words(info, image) for _, info in (taken, other))
     return (
         f"{image.name}: {taken[0]} ({first}) and {other[0]} ({second}) contradict each other; the first is "
@@ -300,7 +303,7 @@ def _in_words(info: CameraInfo, image: ImageTopic) -> str:
 
 
 def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
-    """Intrinsics of images: K, or for rectified images the left 3x3 of P (see sensor_msgs/CameraInfo)."""
+    """Make intrinsics from K, or for rectified images from the left 3x3 of P (see sensor_msgs/CameraInfo)."""
     if info is None:
         return Intrinsics()
     k, p = values_of(info, "K"), values_of(info, "P")
@@ -310,7 +313,7 @@ def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
 
 
 def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tuple[float, ...]:
-    """The coefficients of Brown's distortion model of images, in OpenCV's order; empty without distortion.
+    """Return the coefficients of Brown's distortion model in OpenCV's order; empty without distortion.
 
     Raises:
         RecordingError: the distortion model is not Brown's, or has not 4, 5 or 8 coefficients.

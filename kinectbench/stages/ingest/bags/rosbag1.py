@@ -1,9 +1,9 @@
 """ROS 1 bags (format 2.0): raw and compressed images, lz4 and bz2 chunks, complete or truncated files.
 
 Messages are found by walking through the file's chunks. The walk needs no index, so it also reads the intact
-part of a bag that was truncated or never closed. Afterwards messages can be read in any order. In chunks
-without compression it reads only the headers of records. The package rosbags reads no bag without an index.
-Layout: http://wiki.ros.org/Bags/Format/2.0.
+part of a bag that was truncated or never closed. In chunks without compression the walk reads only the
+headers of records. Afterwards messages can be read in any order. The package rosbags reads no bag without an
+index. Layout: http://wiki.ros.org/Bags/Format/2.0.
 """
 
 import os

@@ -54,19 +54,19 @@ class Rosbag2Recording(RosRecording):
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
-        """False for a bag by librealsense: if converted from ROS 1, it has one frame_id for all streams."""
+        """Return False for a bag by librealsense: converted from ROS 1, all its streams have one frame_id."""
         return not STREAM.fullmatch(depth.name)
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """Native depth units per metre, which bags by librealsense state; None for other bags."""
+        """Return native depth units per metre, which bags by librealsense state; None for other bags."""
         return depth_units_scale(bag, depth) if STREAM.fullmatch(depth.name) else None
 
     @classmethod
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """Depth to colour camera (4, 4), by the extrinsics in a bag by librealsense, else by tf; or None."""
+        """Return `T_color_depth` (4, 4), by the extrinsics in a bag by librealsense, else by tf; or None."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, color.name, depth.name)
         return super().color_place(bag, tree, depth, color)
@@ -75,7 +75,7 @@ class Rosbag2Recording(RosRecording):
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """Accelerometer to depth camera (4, 4), by the extrinsics of librealsense, else by tf; or None."""
+        """Return `T_depth_imu` (4, 4), by the extrinsics in a bag by librealsense, else by tf; or None."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, depth.name, imu.name)
         return super().imu_place(bag, tree, depth, imu, frame_id)
@@ -99,7 +99,7 @@ class Rosbag2Recording(RosRecording):
 
 
 def _bag_files(folder: Path) -> list[Path]:
-    """Files that may belong to a bag, in the order of recording: NAME_2 before NAME_10."""
+    """Return the files that may belong to a bag, in the order of recording: NAME_2 before NAME_10."""
 
     def matches(name: str) -> bool:
         return name.endswith(Rosbag2Recording.suffixes) and not name.startswith(".")

@@ -1,8 +1,8 @@
 """Find the messages of an mcap file by walking through its records; a truncated file gives its intact part.
 
-Layout: https://mcap.dev/spec. Of the summary at the end only the channels are read, as the chunk that defines
-them may be damaged. The package mcap is not used: it unpacks lz4 chunks of any size, and does not say where a
-message is stored.
+Layout: https://mcap.dev/spec. Of the summary at the end only the channels are read, because the chunks that
+define them may be damaged. The package mcap is not used: it unpacks lz4 chunks of any size, and does not say
+where a message is stored.
 """
 
 import struct
@@ -178,7 +178,7 @@ def _string(data: bytes, position: int) -> tuple[str, int]:
 
 
 def _name(data: bytes, position: int) -> tuple[str, int]:
-    """Read a string at a byte position: (string, its end); too long a one is refused, to limit memory."""
+    """Read a string at a byte position: (string, its end). A long one is refused, to limit memory."""
     name, end = _string(data, position)
     if len(name) > LONGEST_NAME:
         raise DamagedRecordError
@@ -186,7 +186,7 @@ def _name(data: bytes, position: int) -> tuple[str, int]:
 
 
 def _chunk_parts(file: BinaryIO, end: int) -> _ChunkParts:
-    """The parts of the chunk whose body starts at the file's position and ends at `end`."""
+    """Return the parts of the chunk whose body starts at the file's position and ends at `end`."""
     start = file.tell()
     data = file.read(min(end - start, CHUNK_HEAD.size + 64))
     try:

@@ -80,7 +80,7 @@ def walk_sqlite(path: Path, types: frozenset[str], budget: WalkBudget) -> RosBag
 
 
 def _unread_log(path: Path) -> str:
-    """Advice on the write-ahead log that a killed recorder leaves beside the file; "" without one."""
+    """Return advice on the write-ahead log that a killed recorder leaves beside the file; "" without one."""
     log = path.with_name(f"{path.name}-wal")
     if not log.is_file() or not log.stat().st_size:
         return ""
@@ -126,7 +126,7 @@ class _Reader:
         return database
 
     def __call__(self, place: MessagePlace) -> bytes:
-        """Read the serialised message in a row; empty, which counts as damaged, if unreadable."""
+        """Read the serialised message in a row; if unreadable, return no bytes, which counts as damaged."""
         try:
             if self._database is None:
                 self._database = self.connect()
@@ -155,7 +155,7 @@ def _check_tables(database: sqlite3.Connection) -> None:
 
 
 def _page_bytes_if_cut_off(path: Path) -> int:
-    """The page size, bytes, if the file is shorter than its header states, else 0 (SQLite's format, 1.3)."""
+    """Return the page size, bytes, if the file is shorter than its header states, else 0 (format, 1.3)."""
     with open_plain(path) as file:
         head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     if len(head) < HEAD_BYTES:
@@ -166,7 +166,7 @@ def _page_bytes_if_cut_off(path: Path) -> int:
 
 
 def _leave_out_torn(messages: FoundMessages, page_bytes: int) -> None:
-    """Drop the last of the messages longer than a page: sqlite would fill its torn page with zeros."""
+    """Drop the last message that is longer than a page: sqlite would fill its incomplete page with zeros."""
     every = messages.places.values()
     long = (place for places in every for place in places if place.size > page_bytes - CELL_BYTES)
     last = max(long, key=lambda place: place.offset, default=None)
@@ -181,8 +181,9 @@ def _take_messages(
     """Note where the messages are stored; with `all_of_them`, read each completely to check it.
 
     Raises:
-        DamagedRecordError: one message, or the sum of all, is larger than the file. Rows may share pages, so
-            reading each would take the number of rows times the file.
+        DamagedRecordError: one message is larger than the file, or all messages together are (with
+            `all_of_them`: than four times the file). Rows may share pages, so reading each could cost as much
+            as the file times the number of rows.
     """
     query = (
         "SELECT rowid, topic_id, timestamp, length(data) FROM messages WHERE typeof(data) = 'blob' "

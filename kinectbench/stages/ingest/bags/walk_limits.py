@@ -79,7 +79,7 @@ class BagReader:
             self._chunks[position] = data
 
     def start_reading(self, messages: int) -> None:
-        """Limit unpacking to `PASSES` times all chunks, and once more per `messages` messages read."""
+        """Limit unpacking to `PASSES` times all chunks, plus once more for every `messages` messages read."""
         self._bytes_left = PASSES * self._whole_bytes
         self._bytes_a_read = self._whole_bytes / max(messages, 1)
 

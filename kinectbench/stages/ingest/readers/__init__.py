@@ -57,26 +57,26 @@ MM_SCALE = 1000.0
 
 @cache
 def reader_of(name: str) -> type[Recording]:
-    """The class of the reader with this name in FORMATS."""
+    """Return the class of the reader with this name in FORMATS."""
     module, _, class_name = FORMATS[name].partition(":")
     reader: type[Recording] = getattr(importlib.import_module(module), class_name)
     return reader
 
 
 def name_suffixes() -> tuple[str, ...]:
-    """The suffixes that recordings' names may have, such as ".bag"."""
+    """Return the suffixes that recordings' names may have, such as ".bag"."""
     return tuple(sorted({suffix for name in FORMATS for suffix in reader_of(name).suffixes}))
 
 
 def format_of(path: Path) -> str | None:
-    """The name of a folder's or file's format, by layout and first bytes; None if unknown."""
+    """Return the name of a folder's or file's format, by layout and first bytes; None if unknown."""
     return next((name for name in FORMATS if reader_of(name).recognises(path)), None)
 
 
 def says_intrinsics(path: Path) -> bool:
     """Whether a recording's format can store intrinsics; False for klg, redwood_zip and unknown formats.
 
-    Without intrinsics, the readers of these two take those of their format's usual camera.
+    The readers of klg and redwood_zip use the intrinsics of the format's usual camera.
     """
     return format_of(path) not in (None, "klg", "redwood_zip")
 
@@ -110,7 +110,7 @@ def open_recording(
 
 
 def _known_format(path: Path) -> str:
-    """The name of a folder's or file's format; see `format_of`."""
+    """Return the name of a folder's or file's format (`format_of`), or raise an error that helps the user."""
     check_there(path)
     if not (path.is_dir() or path.is_file()):
         raise RecordingError(
@@ -123,7 +123,7 @@ def _known_format(path: Path) -> str:
 
 
 def source_files(path: Path, *, follow_links: bool = False) -> list[Path]:
-    """List every file of a recording, sorted: the path itself, or all files of the folder but hidden ones.
+    """List every file of a recording, sorted: the path itself, or all files of the folder except hidden ones.
 
     The file with the point clicked on the object is not included, because it is a setting. Files outside the
     folder that belong to the recording come last. A folder is listed only once its format is known.
@@ -169,7 +169,7 @@ def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str
 
 
 def recordings_inside(recording: Path, read: Collection[Path]) -> list[tuple[Path, str]]:
-    """Find further recordings in subfolders of a recording's folder, which its own reader does not read.
+    """Find further recordings in those subfolders of a recording that its own reader does not read.
 
     Args:
         recording: the folder or file of a recording; hidden subfolders and results are skipped.
@@ -195,7 +195,7 @@ def recordings_inside(recording: Path, read: Collection[Path]) -> list[tuple[Pat
 
 
 def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Path, str]]:
-    """Search like `find_recordings`, but end when `numbers` ends: each visited path takes one item."""
+    """Search as `find_recordings` does; each visited path takes an item of `numbers`, until it has none."""
     if next(numbers, None) is None:
         return
     try:
@@ -214,7 +214,7 @@ def _recordings_below(folder: Path, numbers: Iterator[int]) -> Iterator[tuple[Pa
 
 
 def _is_built(folder: Path) -> bool:
-    """Whether a stage made the folder; a manifest.json of another program is no sign of that."""
+    """Whether a stage made the folder; a manifest.json of another program does not count."""
     try:
         return Manifest.read_if_there(folder) is not None
     except StorageError:
@@ -231,7 +231,7 @@ def _check_scale(path: Path, scale: float) -> None:
 
 
 def _with_unused(recording: Recording, camera: CameraSettings) -> Recording:
-    """The recording, with a warning on settings that are given but do not apply to its format."""
+    """Return the recording, with a warning on settings that are given but do not apply to its format."""
     silent, given = CameraSettings(), (name for name in OF_SOME_FORMATS if name not in recording.uses)
     unused = [f"`{name}`" for name in given if getattr(camera, name) != getattr(silent, name)]
     if not unused:
@@ -268,7 +268,7 @@ def _unknown(path: Path) -> str:
 
 
 def _with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
-    """The recording with its depth code set: the code that the settings give, or the one that is detected.
+    """Set the recording's depth code: the one that the settings give, or else the one that is detected.
 
     Rotated bits are searched for if depth is PNG in mm and the settings give no `depth_scale`. In a layout
     that usually has rotated bits (`often_rotated`), multiples of eight suffice as evidence, without a
@@ -303,7 +303,7 @@ def _with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
 
 
 def _some_depth(recording: FileRecording) -> Iterator[NDArray[np.uint16]]:
-    """Some depth images as stored, evenly spread over the recording; codes for no measurement become 0."""
+    """Yield some depth images as stored, evenly spread; codes for no measurement become 0."""
     count = len(recording)
     for index in evenly(count, SAMPLED_IMAGES).tolist():
         file = recording.places[index].depth

@@ -33,7 +33,7 @@ class Archive:
         return Archive, (self.path,)
 
     def names(self) -> list[str]:
-        """The names of all members.
+        """Return the names of all members.
 
         Raises:
             RecordingError: the archive is damaged or truncated, or its members' names lead out of it.

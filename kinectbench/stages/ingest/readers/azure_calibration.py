@@ -81,7 +81,7 @@ class AzureCalibration:
         return cls(placed[DEPTH_LOCATION], placed.get(COLOR_LOCATION))
 
     def depth(self, size_px: tuple[int, int], path: Path) -> tuple[Intrinsics, tuple[float, ...]]:
-        """Intrinsics, and distortion in OpenCV's order, for depth images of this size.
+        """Return intrinsics, and distortion in OpenCV's order, for depth images of this size.
 
         Raises:
             RecordingError: no depth mode has this size.
@@ -99,7 +99,7 @@ class AzureCalibration:
         return _in_pixels(camera, size_px, (0, 0)), camera.distortion
 
     def color(self, size_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-        """Calibration of colour images of this size relative to depth; None without colour camera.
+        """Return the calibration of colour images of this size relative to depth; None without colour camera.
 
         Raises:
             RecordingError: the intrinsics do not fit images of this size.
@@ -113,7 +113,7 @@ class AzureCalibration:
         return ColorCalibration(used.camera(size_px, path), self.of_color.distortion if distorted else (), T)
 
     def beyond_radius(self, camera: Camera) -> Bools:
-        """The pixels of undistorted depth where the distortion model is undefined: (height, width) bool."""
+        """Find pixels of undistorted depth where the distortion model is undefined: (height, width) bool."""
         rays = camera.rays()
         return np.asarray(np.hypot(rays[..., 0], rays[..., 1]) > self.of_depth.radius)
 
@@ -121,7 +121,7 @@ class AzureCalibration:
 def _in_pixels(
     camera: AzureCamera, image_px: tuple[float, float], crop_px: tuple[float, float]
 ) -> Intrinsics:
-    """Intrinsics in pixels: the sensor is scaled to `image_px`, then `crop_px` are cut off left and above."""
+    """Convert to pixels: the sensor is scaled to `image_px`, then `crop_px` are cut off left and above."""
     fx, fy = (share * px for share, px in zip(camera.focal, image_px, strict=True))
     cx, cy = (c * px - crop - 0.5 for c, px, crop in zip(camera.center, image_px, crop_px, strict=True))
     return Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy)
@@ -168,7 +168,7 @@ def _camera(raw: dict[str, object], where: str) -> AzureCamera:
 
 
 def _place(raw: dict[str, object], where: str) -> Float64:
-    """Transform (4, 4) from rig to camera, metres, from Rotation (nine row-major numbers) and Translation."""
+    """Read rig to camera (4, 4), metres, from Rotation (nine row-major numbers) and Translation."""
     R, t_m = json_numbers(raw.get("Rotation")), json_numbers(raw.get("Translation"))
     if R.size == 9 and t_m.size == 3:
         T = rigid_or_none(rigid(R.reshape(3, 3), t_m.reshape(3)))

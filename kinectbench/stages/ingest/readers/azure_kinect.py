@@ -174,7 +174,7 @@ class AzureKinectRecording(Recording):
             return file.read(place.length)
 
     def _color(self, place: Place | None) -> tuple[str, bytes] | None:
-        """Colour as encoded, or as PNG if raw; None if missing, uncalibrated, or raw and of wrong length."""
+        """Return colour as encoded, or raw colour as PNG; None if missing, uncalibrated or incomplete."""
         if place is None or not (self.color_calibration or self.color_registered):
             return None
         data = self._bytes(place)
@@ -210,7 +210,7 @@ def _opened(path: Path) -> Iterator["InputContainer"]:
 
 
 def _tracks(container: "InputContainer") -> dict[str, "VideoStream"]:
-    """The video tracks by k4arecorder's names DEPTH, COLOR and IR."""
+    """Return the video tracks by k4arecorder's names DEPTH, COLOR and IR."""
     named = {str(track.metadata.get("title", "")).upper(): track for track in container.streams.video}
     numbered = {str(track.id): track for track in container.streams.video}
     by_tag = {name: numbered.get(container.metadata.get(f"K4A_{name}_TRACK", "")) for name in TRACKS}
@@ -219,7 +219,7 @@ def _tracks(container: "InputContainer") -> dict[str, "VideoStream"]:
 
 
 def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
-    """Width and height of a track's images, pixels.
+    """Return width and height of a track's images, pixels.
 
     Raises:
         RecordingError: the size is 0, or so large that the file must be damaged.
@@ -234,13 +234,13 @@ def _size_px(track: "VideoStream", path: Path) -> tuple[int, int]:
 
 
 def _color_mode(track: "VideoStream") -> str:
-    """The format of colour, such as MJPG."""
+    """Return the format of colour, such as MJPG."""
     mode = str(track.metadata.get("K4A_COLOR_MODE", "")).partition("_")[0]
     return mode or {"nv12": "NV12", "yuyv422": "YUY2", "bgra": "BGRA"}.get(str(track.pix_fmt), "MJPG")
 
 
 def _attached(container: "InputContainer", path: Path) -> dict[str, object]:
-    """The calibration that is attached to the file, as a JSON object."""
+    """Read the calibration that is attached to the file, as a JSON object."""
     for attachment in container.streams.attachments:
         if attachment.name == CALIBRATION_FILE and attachment.data:
             return object_of(
@@ -255,7 +255,7 @@ def _attached(container: "InputContainer", path: Path) -> dict[str, object]:
 def _find_images(
     container: "InputContainer", names: dict[int, str], path: Path
 ) -> tuple[dict[str, list[Place]], list[str]]:
-    """Find where the images are stored: {"DEPTH", "COLOR", "IR": list in file order}; and the file's faults.
+    """Find where images are stored: a list in file order for "DEPTH", "COLOR", "IR"; and the file's faults.
 
     `names` is {index of track: name}. The list of "IR" stays empty. Images of impossible times are left out.
     """
@@ -284,7 +284,7 @@ def _find_images(
 
 
 def _cut(path: Path, frames: int) -> list[str]:
-    """A warning if the file is truncated, with the number of frames that are read."""
+    """Return a warning if the file is truncated, with the number of frames that are read."""
     with open_plain(path) as file:
         head, file_bytes = file.read(HEAD_BYTES), size_of(file)
     start = head.find(SEGMENT) + len(SEGMENT)

@@ -40,9 +40,9 @@ MATRIX_TOLERANCE, PARTS_PX = 1e-6, 0.05
 class BopRecording(FileRecording):
     """A BOP scene; colour is registered to depth, as the format requires; image numbers count as seconds.
 
-    If the images were cut out of larger images of one camera, as T-LESS' training images, their principal
-    points differ by whole pixels. Each image is then shifted on a larger canvas, so that all have the same
-    principal point.
+    If the images were cut out of larger images of one camera, as T-LESS' training images were, their
+    principal points differ by whole pixels. Each image is then shifted on a larger canvas, so that all have
+    the same principal point.
 
     Attributes:
         moved_px: for each image its shift (to the right, down), pixels; empty: no image is shifted.
@@ -113,7 +113,7 @@ class BopRecording(FileRecording):
         return _moved(image, self.moved_px[index], self.camera) if self.moved_px else image
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame; if it is shifted, it is encoded again."""
+        """Return the colour of a frame; if it is shifted, it is encoded again."""
         encoded = super().color(index)
         if encoded is None or not self.moved_px:
             return encoded
@@ -143,7 +143,7 @@ def _read_by_image(file: Path) -> dict[int, Any]:
 def _shared(
     path: Path, cameras: dict[int, dict[str, Any]]
 ) -> tuple[Float64, float, tuple[tuple[int, int], ...]]:
-    """The camera matrix and depth scale (mm per unit) of all images, and the shift of each image, pixels."""
+    """Return the matrix and depth scale (mm per unit) of all images, and the shift of each image, pixels."""
     file = path / "scene_camera.json"
     of_images = [_matrix_and_scale(file, number, camera) for number, camera in sorted(cameras.items())]
     K, scales = np.stack([matrix for matrix, _ in of_images]), np.array([scale for _, scale in of_images])
@@ -165,7 +165,7 @@ def _shared(
 
 
 def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[Float64, float]:
-    """The matrix (3, 3) and depth scale (mm per unit) of image `number`, from its entry `camera`."""
+    """Read the matrix (3, 3) and depth scale (mm per unit) of image `number` from its entry `camera`."""
     try:
         K, scale = np.array(camera["cam_K"], np.float64).reshape(3, 3), float(camera["depth_scale"])
     except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -177,7 +177,7 @@ def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[
 
 
 def _pose(camera: dict[str, object]) -> Float64 | None:
-    """Camera to world (4, 4), metres, from `cam_R_w2c` and `cam_t_w2c` (mm); None without them."""
+    """Read camera to world (4, 4), metres, from `cam_R_w2c` and `cam_t_w2c` (mm); None without them."""
     R, t_mm = json_numbers(camera.get("cam_R_w2c")), json_numbers(camera.get("cam_t_w2c"))
     if R.size != 9 or t_mm.size != 3:
         return None
@@ -186,7 +186,7 @@ def _pose(camera: dict[str, object]) -> Float64 | None:
 
 
 def _masks(path: Path, object_id: int | None) -> tuple[dict[int, Path], list[str]]:
-    """The file of the object's visible mask in each image; and warnings.
+    """Return {image number: file with the object's visible mask}, and warnings.
 
     Without `object_id`, the scene's only object is used; a scene of several gives no masks, but a warning. If
     the object occurs twice in an image, the first mask is used.

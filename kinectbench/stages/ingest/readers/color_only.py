@@ -38,7 +38,7 @@ RECORD = "record with a camera that measures depth, such as a Kinect, a RealSens
 
 
 def without_depth(path: Path) -> str | None:
-    """Why no depth can be read from a video or a folder of images, as an error message; None for other paths.
+    """Return why no depth can be read from a video or a folder of images, as an error message; or None.
 
     The images may be colour only, or depth in a layout or format that is not read: 16-bit PNG in unknown
     folders, 8-bit pictures, EXR. A folder with fewer than five images and no such depth gives None.
@@ -74,7 +74,7 @@ def without_depth(path: Path) -> str | None:
 
 
 def _one_of_each_kind(files: list[Path]) -> list[Path]:
-    """One file for each pattern of names that differ in numbers only; at most `MOST_KINDS` files."""
+    """Return one file for each pattern of names that differ in numbers only; at most `MOST_KINDS` files."""
     by_kind = {NUMBER.sub("#", file.name): file for file in reversed(files)}
     return sorted(by_kind.values())[:MOST_KINDS]
 
@@ -84,7 +84,7 @@ def _is_named_depth(name: str) -> bool:
 
 
 def _of_pictures(path: Path, pictures: list[Path]) -> str:
-    """An error message on images that are named depth, and have 8 bits per channel."""
+    """Return an error message on images that are named depth, and have 8 bits per channel."""
     first = pictures[0]
     line = (
         f"{path}: its {len(pictures)} images named depth, such as {printable(str(first.relative_to(path)))}, "
@@ -96,7 +96,7 @@ def _of_pictures(path: Path, pictures: list[Path]) -> str:
 
 
 def _other_files(path: Path) -> str | None:
-    """An error message on files of depth that are no images, or of a kind that is not read; None without."""
+    """Return an error message on files that look like depth, but are in no known layout or kind; or None."""
     if not path.is_dir():
         return None
     children = sorted(child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir())
@@ -118,7 +118,7 @@ def _other_files(path: Path) -> str | None:
 
 
 def _unread_kind(path: Path) -> str | None:
-    """An error message on EXR depth images, which are not supported; None without such images."""
+    """Return an error message on EXR depth images, which are not supported; None without such images."""
     if not path.is_dir():
         return None
     children = [child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir()]

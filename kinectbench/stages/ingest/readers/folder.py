@@ -130,8 +130,8 @@ class DepthFormat:
 class FolderRecording(FileRecording):
     """A folder with `depth/`, optionally `color/` (or rgb/, image/), intrinsics, and optionally a trajectory.
 
-    Stamps in file names are the frames' stamps, and by them colour is paired with depth. Without stamps, the
-    number in a name, or else the position in the list, counts as seconds.
+    If file names contain stamps, these are the frames' stamps, and pair colour with depth. Without stamps,
+    the number in a name, or else the position in the list, counts as seconds.
     """
 
     format: ClassVar[str] = "folder"
@@ -204,7 +204,7 @@ def pair_files(
         path: the recording's folder.
 
     Returns:
-        The frames sorted by stamp; the stamps of depth and of colour in the order of the lists, as for
+        The frames sorted by stamp; the stamps of depth and of colour in the order of the lists, for
             `Recording.recorded`; and warnings.
 
     Raises:
@@ -221,7 +221,7 @@ def pair_files(
 
 
 def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]) -> Intrinsics:
-    """Intrinsics of Redwood's camera, if names and size are as in Redwood's scans; else without values."""
+    """Return Redwood's intrinsics if names and size are as in Redwood's scans, else ones without values."""
     if not (NUMBER_AND_STAMP.fullmatch(stems[0]) and size_px == (PRIMESENSE.width, PRIMESENSE.height)):
         return Intrinsics()
     note = f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"

@@ -42,7 +42,7 @@ class NamedImages:
 
 
 def depth_images(path: Path) -> NamedImages:
-    """The depth images in a recording's folder, all of one file type; empty without any."""
+    """Find the depth images in a recording's folder, all of one file type; empty without any."""
     every = _every_depth(path)
     kinds = [file.suffix.lower() for file in every.files]
     raw = [kind for kind in kinds if kind != ".png"]
@@ -63,7 +63,7 @@ def _every_depth(path: Path) -> NamedImages:
 
 
 def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
-    """A warning on depth images of other file types than those that are read; empty without such images."""
+    """Return a warning on depth images of other file types than the one that is read; () without any."""
     read_kinds = {file.suffix.lower() for file in read.files}
     others: dict[str, list[str]] = {}
     for file in sorted(_every_depth(path).files):
@@ -78,7 +78,7 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
 
 
 def other_depth(path: Path) -> tuple[str, ...]:
-    """A warning on each folder of depth beside depth/, such as aligned_depth/; empty without such folders."""
+    """Return a warning on each folder of depth beside depth/, such as aligned_depth/; () without any."""
     folders = [path / name for name in OTHER_DEPTH] if (path / "depth").is_dir() else []
     others = [folder for folder in folders if folder.is_dir() and _first_is_depth(folder)]
     return tuple(
@@ -94,7 +94,7 @@ def _first_is_depth(folder: Path) -> bool:
 
 
 def color_images(path: Path) -> NamedImages:
-    """The colour images in a recording's folder, of the first subfolder that has any; empty without any."""
+    """Find the colour images, in the first of `COLOR_FOLDERS` with any, or beside depth; may be empty."""
     folders = [path / name for name in COLOR_FOLDERS if (path / name).is_dir()]
     if not (folders or (path / "depth").is_dir()):
         return beside_each_other(path, COLOR_WORD)
@@ -103,7 +103,7 @@ def color_images(path: Path) -> NamedImages:
 
 
 def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder directly contains 16-bit depth and colour images, with words for these in names."""
+    """Whether a folder itself contains 16-bit depth and colour images whose names contain these words."""
     if not path.is_dir():
         return False
     depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))
@@ -112,14 +112,14 @@ def lie_beside_each_other(path: Path) -> bool:
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:
-    """The images of a folder in numeric order: 2 before 10."""
+    """List the images of a folder in numeric order: 2 before 10."""
     files = (f for f in listed_paths(folder) if f.suffix.lower() in suffixes and not f.name.startswith("."))
     ordered = sorted(files, key=lambda file: (counting_key(file.stem), file.name))
     return NamedImages(tuple(ordered), tuple(file.stem for file in ordered))
 
 
 def beside_each_other(path: Path, word: re.Pattern[str]) -> NamedImages:
-    """The images directly in a folder whose names contain a word, in numeric order."""
+    """List the images of a folder whose names contain `word`, in numeric order."""
     suffixes = DEPTH_SUFFIXES if word is DEPTH_WORD else COLOR_SUFFIXES
     files = listed_paths(path, wanted=lambda name: _word(name, word, suffixes))
     named = sorted(
@@ -151,7 +151,7 @@ def _is_of(word: re.Pattern[str], file: Path) -> bool:
 
 
 def _without(word: re.Pattern[str], stem: str) -> str:
-    """A name without the word in it; the parts before and after are joined by an underscore."""
+    """Return a name without the word in it; the parts before and after are joined by an underscore."""
     stem = TO_OTHER.sub(r"\1", stem)
     match = word.fullmatch(stem)
     return "_".join(part for part in match.groups() if part) if match else stem

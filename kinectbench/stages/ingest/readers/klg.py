@@ -69,7 +69,7 @@ class PackedRecording(Recording):
         return RawFrame(name, place.stamp_ns, pixels, self.color(color, name))
 
     def is_raw(self, depth: bytes, size: int) -> bool:
-        """Whether stored depth, which has `size` bytes when unpacked, is raw and not compressed."""
+        """Whether stored depth is raw, not compressed; `size` is its size when unpacked, bytes."""
         return len(depth) == size
 
     @abstractmethod
@@ -122,7 +122,7 @@ class KlgRecording(PackedRecording):
         )
 
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """Colour of a frame, with red and blue in the right order."""
+        """Return the colour of a frame, with red and blue in the right order."""
         if not data:
             return None
         shape = self.camera.height, self.camera.width, 3
@@ -136,7 +136,7 @@ class KlgRecording(PackedRecording):
 
 
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
-    """Replace implausible stamps; find the order of frames by stamp, without those that repeat a stamp.
+    """Replace implausible stamps; find the order of frames by stamp, without repeated stamps.
 
     Args:
         frames: in file order.

@@ -1,11 +1,12 @@
-"""Folders with a transforms.json and depth: data sets of nerfstudio, and Polycam's that it converted.
+"""Folders with a transforms.json and depth: data sets of nerfstudio, or converted by it from Polycam.
 
 By nerfstudio's page on data conventions: `fl_x, fl_y, cx, cy, w, h`, `k1, k2, p1, p2` are given for all
 frames or for each; `transform_matrix` is camera to world in OpenGL's axes; the centre of the first pixel is
 (0.5, 0.5). Depth is in mm, or in metres per unit of `depth_unit_scale_factor` (instant-ngp's
-`integer_depth_scale`). `mask_path` is ignored: it marks pixels to leave out of training, not an object. The
-page says that z is up, but poses computed by COLMAP are not aligned so, and the file does not say which kind
-it has: the direction of gravity counts as unknown. Floats without a unit are in metres or mm, by their size.
+`integer_depth_scale`). Floats without a unit are in metres or mm, judged by their size. `mask_path` is
+ignored: it marks pixels to leave out of training, not an object. The page says that z is up. But poses
+computed by COLMAP are not aligned with gravity, and the file does not say whether its poses are. So the
+direction of gravity counts as unknown.
 """
 
 import math
@@ -137,7 +138,7 @@ class NerfstudioRecording(PhoneRecording):
         return self.undistortion.depth(depth) if self.undistortion else depth
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame at depth's size, without lens distortion; or None."""
+        """Return the colour of a frame at depth's size, without lens distortion; or None."""
         color = super().color(index)
         if color is None or self.undistortion is None:
             return color
@@ -146,7 +147,7 @@ class NerfstudioRecording(PhoneRecording):
 
 
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
-    """Read transforms.json: values common to all frames; pairs (name of depth image, frame); and warnings.
+    """Read transforms.json: values for all frames; pairs (name of depth image, frame); and warnings.
 
     The pairs are in numeric order of the names; frames without depth are left out.
     """
@@ -186,7 +187,7 @@ def _name(file: Path, name: object) -> str:
 
 
 def _color(path: Path, frame: Frame) -> Path | None:
-    """The colour of a frame; by instant-ngp and in Blender's data sets, its name may lack the suffix."""
+    """Find a frame's colour file; for instant-ngp and in Blender's data sets its name may lack a suffix."""
     name = frame.get("file_path")
     if name is None:
         return None
@@ -195,7 +196,7 @@ def _color(path: Path, frame: Frame) -> Path | None:
 
 
 def _no_color(path: Path, files: tuple[FrameFiles, ...], frames: list[tuple[str, Frame]]) -> list[str]:
-    """A warning on colour images that are named, but not there."""
+    """Return a warning on colour images that are named, but missing."""
     pairs = zip(files, frames, strict=True)
     missing = [f["file_path"] for file, (_, f) in pairs if f.get("file_path") and file.color is None]
     if not missing:
@@ -204,10 +205,10 @@ def _no_color(path: Path, files: tuple[FrameFiles, ...], frames: list[tuple[str,
 
 
 def _with_focal_lengths(frame: Frame, color_px: tuple[int, int], file: Path) -> Frame:
-    """A frame's values, with a pinhole camera from its angles of view if it has these instead.
+    """Return a frame's values, with focal lengths and principal point if it has angles of view instead.
 
-    As in instant-ngp: fl_x is half of w by the tangent of half of camera_angle_x (radians), fl_y the same
-    without camera_angle_y, and the principal point is the middle of the image.
+    As in instant-ngp, fl_x = w / (2 tan(camera_angle_x / 2)), angle in radians. fl_y is found likewise from h
+    and camera_angle_y; without this angle, it equals fl_x. The principal point is the middle of the image.
     """
     if frame.get("fl_x") is not None or frame.get("camera_angle_x") is None:
         return frame
@@ -225,7 +226,7 @@ def _with_focal_lengths(frame: Frame, color_px: tuple[int, int], file: Path) -> 
 def _intrinsics(
     path: Path, frames: list[Frame], color_px: tuple[int, int], size_px: tuple[int, int]
 ) -> tuple[Intrinsics, list[str]]:
-    """Common intrinsics of the frames' depth images, without values if a frame lacks any; and warnings."""
+    """Return common intrinsics of the depth images, without values if a frame lacks any; and warnings."""
     file = path / FILE
     model = next((m for frame in frames if (m := frame.get("camera_model")) not in MODELS), None)
     if model is not None:
@@ -255,7 +256,7 @@ def _intrinsics(
 
 
 def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
-    """Brown's coefficients k1 k2 p1 p2 k3, which must be equal for all frames."""
+    """Return Brown's coefficients k1 k2 p1 p2 k3, which must be equal for all frames."""
     file = path / FILE
     rows = {tuple(number_of(f.get(key, 0), f"{file}: '{key}'") for key in BROWN_KEYS) for f in frames}
     if len(rows) > 1 or any(frame.get("k4") for frame in frames):
@@ -267,7 +268,7 @@ def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
 def _trajectory(
     path: Path, shared: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The trajectory, camera to world, metres: the `applied_scale` of `shared` is undone; and warnings."""
+    """Return the trajectory, camera to world, metres, with `applied_scale` undone; and warnings."""
     scale = number_of(shared.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
     if scale <= 0:
         raise GivenPosesError(f"{path / FILE}: 'applied_scale' must be above 0")

@@ -65,7 +65,7 @@ class PhoneRecording(FileRecording):
         return image
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame at depth's size: as encoded if it has that size, else a PNG; or None."""
+        """Return a frame's colour at depth's size: as encoded if it has this size, else a PNG; or None."""
         file = self.places[index].color
         if file is None:
             return None
@@ -131,11 +131,11 @@ def intrinsics_of_depth(
 ) -> Intrinsics:
     """Scale colour's intrinsics (3, 3) to depth's size, and let the settings override them.
 
-    Without colour images, K is taken to be for images of the phone's usual size; it is not used if the
-    settings give all intrinsics.
+    Without colour images, K is taken to be for images of the phone's usual size, unless the settings give all
+    intrinsics: then K is not used.
 
     Raises:
-        RecordingError: as `scaled_to_depth`.
+        RecordingError: the aspect ratios differ by more than a pixel of depth.
     """
     if color_px is None and gives_intrinsics(settings):
         return Intrinsics().overridden_by(settings)
@@ -149,7 +149,7 @@ def _same_shape(color_px: tuple[int, int], depth_px: tuple[int, int]) -> bool:
 
 
 def times_or_counted(times_s: Float64, counted_ns: Sequence[int], path: Path) -> tuple[list[int], list[str]]:
-    """The frames' own stamps (nanoseconds) if all have one and they rise, else `counted_ns`; and warnings.
+    """Return frames' own stamps (nanoseconds) if all have one and they rise, else `counted_ns`; and warnings.
 
     Args:
         times_s: (n,) own times of the frames, seconds; NaN, or another shape, if some are missing.
@@ -165,7 +165,7 @@ def times_or_counted(times_s: Float64, counted_ns: Sequence[int], path: Path) ->
 
 
 def one_camera(rows: Float64, path: Path) -> tuple[Float64, list[str]]:
-    """The median camera of frames with slightly different intrinsics.
+    """Compute the median camera of frames with slightly different intrinsics.
 
     Args:
         rows: (n, 4) fx, fy, cx, cy of each frame, pixels.

@@ -107,7 +107,7 @@ class PolycamRecording(PhoneRecording):
 def _shared(
     folder: Path, cameras: list[dict[str, object] | None]
 ) -> tuple[Float64, tuple[int, int], list[str]]:
-    """The common pinhole matrix of the images, their size, and warnings."""
+    """Return the common pinhole matrix of the images, their size, and warnings."""
     known = [camera for camera in cameras if camera]
     if not known:
         raise RecordingError(
@@ -123,7 +123,7 @@ def _shared(
 
 
 def _pose(camera: dict[str, object] | None) -> Float64 | None:
-    """Camera to world (4, 4) in optical axes; None without a pose."""
+    """Return camera to world (4, 4) in optical axes; None without a pose."""
     if camera is None or POSE_KEYS[0] not in camera:
         return None
     numbers = json_numbers([camera.get(key) for key in POSE_KEYS])

@@ -36,7 +36,7 @@ POSE_FOLDERS = ("pose", "poses")
 
 
 def named_like_poses(path: Path) -> str:
-    """The end of an error message that names files which look like poses; "" if there are none."""
+    """Return the end of an error message that names files which look like poses; "" if there are none."""
 
     def is_like(name: str) -> bool:
         return bool(LIKE_POSES.fullmatch(Path(name).name) or IN_POSE_FOLDER.fullmatch(name))
@@ -45,7 +45,7 @@ def named_like_poses(path: Path) -> str:
 
 
 def unread_poses(path: Path) -> list[str]:
-    """A warning on files that look like poses, for a folder without readable poses; empty without them."""
+    """Return a warning on files that look like poses, for a folder without readable ones; [] without any."""
     beside = named_like_poses(path)
     return (
         [f"{path}: no trajectory is read{beside}; write it as `trajectory.txt`, {TUM_ROWS}"] if beside else []
@@ -53,7 +53,7 @@ def unread_poses(path: Path) -> list[str]:
 
 
 def pose_file(path: Path) -> Path | None:
-    """The recording's one file with the poses of all frames; None without such a file."""
+    """Return the recording's one file with the poses of all frames; None without such a file."""
     return first_file(path / name for name in POSE_FILES)
 
 
@@ -62,8 +62,8 @@ def read_pose_file(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read a file with the poses of all frames, camera to world.
 
-    A row of TUM belongs to the frame with its stamp. If the rows have stamps but the frames are only counted,
-    and there are as many rows as frames, they are matched in order. A row of RTAB-Map with an id belongs to
+    A row of TUM belongs to the frame with its stamp. If the frames' own stamps are only counted, and there
+    are as many rows as frames, rows and frames are matched in order. A row of RTAB-Map with an id belongs to
     the frame with that number. Matrices (12 or 16 values in a row, or in rows of four) are in the order of
     frames; with a number above each matrix, they belong to the frames with these indices, from 0.
 
@@ -114,7 +114,7 @@ def read_pose_file(
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:
-    """The matrix of each frame, from the row whose id is the frame's number; None without such a row."""
+    """Return each frame's matrix, from the row whose id is the frame's number; None without such a row."""
     poses = {}
     for where, row in rows:
         words = row.replace(",", " ").split()
@@ -149,7 +149,7 @@ def _matrix(row: str, where: str) -> Float64:
 
 
 def starts_like_a_log(file: Path) -> bool:
-    """Whether a file starts as `read_log` expects it, but for comments: a frame's number, and numbers."""
+    """Whether a file, after comments, starts like a log for `read_log`: a frame's number, then numbers."""
     rows = read_head(file).decode("utf-8-sig", "replace").splitlines() if file.is_file() else []
     first = next((words for row in rows if (words := row.partition("#")[0].split())), [])
     return 0 < len(first) <= 3 and bool(FRAME_NUMBER.fullmatch(first[0])) and all(map(_is_number, first))
@@ -162,10 +162,10 @@ def _is_number(word: str) -> bool:
 
 
 def read_log(file: Path, frames: int) -> list[Float64]:
-    """Read a Redwood log: `i j k`, then a 4x4 camera to world; each frame's matrix, NaN if it has none.
+    """Read a Redwood log; return each frame's camera to world (4, 4), NaN if it has none.
 
     Args:
-        file: blocks of five rows; of `i j k` only i is used, the frame's index from 0.
+        file: blocks of five rows: `i j k`, then a 4x4 matrix. Only i is used, the frame's index from 0.
         frames: number of frames.
 
     Raises:
@@ -193,7 +193,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
 
 
 def pose_folder(path: Path) -> Path | None:
-    """The recording's folder with one text file per pose; None without such a folder."""
+    """Return the recording's folder with one text file per pose; None without such a folder."""
     folders = (path / name for name in POSE_FOLDERS)
     return next((folder for folder in folders if folder.is_dir() and any(folder.glob("*.txt"))), None)
 
@@ -225,7 +225,7 @@ def read_pose_folder(
 def finite_trajectory(
     stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Trajectory from matrices (4, 4), camera to world, and warnings; neither if no matrix is finite."""
+    """Make a trajectory from matrices (4, 4), camera to world; and warnings. None if no matrix is finite."""
     if not any(matrix is not None and np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     return trajectory_from_matrices(stamps_ns, matrices, name)

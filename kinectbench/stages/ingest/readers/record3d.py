@@ -130,7 +130,7 @@ class Record3dRecording(Recording):
         return RawFrame(name, place.stamp_ns, depth, self._color(f"{stem}.jpg"))
 
     def _color(self, member: str) -> tuple[str, bytes] | None:
-        """Colour at depth's size: as encoded if it has that size, else a PNG; or None."""
+        """Return colour at depth's size: as encoded if it has this size, else a PNG; or None."""
         if member not in self.members:
             return None
         data, size_px = self.archive.read(member), (self.camera.width, self.camera.height)
@@ -169,7 +169,7 @@ def _read_metadata(archive: Archive, members: frozenset[str]) -> dict[str, objec
 
 
 def _intrinsics(path: Path, metadata: dict[str, object]) -> tuple[Float64, tuple[int, int], list[str]]:
-    """The pinhole matrix of colour, colour's size, and warnings."""
+    """Return the pinhole matrix of colour, colour's size, and warnings."""
     width, height = (int(number_of(metadata.get(key), f"{path}: '{key}' of its metadata")) for key in "wh")
     rows = json_numbers(metadata.get("perFrameIntrinsicCoeffs"))
     if rows.ndim != 2 or rows.shape[1:] != (4,):
@@ -184,7 +184,7 @@ def _intrinsics(path: Path, metadata: dict[str, object]) -> tuple[Float64, tuple
 def _depth_size(
     archive: Archive, metadata: dict[str, object], color_px: tuple[int, int], numbers: list[int]
 ) -> tuple[int, int]:
-    """Width and height of depth: dw and dh of the metadata, else the usual size that fits the first frame."""
+    """Return width and height of depth: the metadata's dw, dh, else the usual size that fits frame one."""
     where = f"{archive.path}: {METADATA}"
     if metadata.get("dw") is None or metadata.get("dh") is None:
         for long, short in USUAL_PX:
@@ -201,7 +201,7 @@ def _depth_size(
 
 
 def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> tuple[list[int], list[str]]:
-    """The frames' own stamps if each has one and they increase, else their numbers / `fps`; and warnings."""
+    """Return frames' own stamps if all have one and they rise, else their numbers / `fps`; and warnings."""
     times_s, fps = json_numbers(metadata.get("frameTimestamps")), json_numbers(metadata.get("fps"))
     period_ns = round(NS_PER_S / float(fps)) if fps.ndim == 0 and 1 <= fps <= 1000 else NS_PER_S
     whole = times_s.ndim == 1 and numbers[-1] < len(times_s)
@@ -212,7 +212,7 @@ def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> t
 def _trajectory(
     path: Path, metadata: dict[str, object], numbers: list[int], stamps_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The trajectory in optical axes, None without poses or if all are equal (face camera); and warnings."""
+    """Read poses in optical axes, None without any or if all are equal (face camera); and warnings."""
     poses = metadata.get("poses")
     if poses is None:
         return None, []

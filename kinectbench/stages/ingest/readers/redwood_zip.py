@@ -105,14 +105,14 @@ class RedwoodZipRecording(Recording):
 
 
 def _named(matches: list[re.Match[str]], folder: str) -> list[tuple[str, str]]:
-    """The images of a folder as (stem, full name), in numeric order."""
+    """List the images of a folder as (stem, full name), in numeric order."""
     # Not as paths: two hundred thousand of them would take two seconds.
     names = [(match[2], match[0]) for match in matches if match[1] == folder]
     return sorted(names, key=lambda name: (counting_key(name[0]), name[1]))
 
 
 def _first_size(archive: Archive, names: list[str]) -> tuple[int, int] | None:
-    """Width and height in pixels of the first undamaged image, or None."""
+    """Return width and height in pixels of the first undamaged image, or None."""
     try:
         return first_whole(lambda name: image_header(archive.read(name), name)[1:], names)
     except DamagedImageError:

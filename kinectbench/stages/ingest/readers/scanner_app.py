@@ -86,7 +86,7 @@ class ScannerAppRecording(PhoneRecording):
 
 
 def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
-    """The matrix (side, side) under a key, which is stored row-major."""
+    """Return the matrix (side, side) under a key, which is stored row-major."""
     numbers = json_numbers(camera.get(key))
     if numbers.size != side * side:
         raise RecordingError(f"{camera['file']}: '{key}' must hold {side * side} numbers")
@@ -94,7 +94,7 @@ def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
 
 
 def _pose(camera: dict[str, object] | None) -> Float64 | None:
-    """Camera to world (4, 4) in optical axes; None without a pose."""
+    """Return camera to world (4, 4) in optical axes; None without a pose."""
     if camera is None or "cameraPoseARFrame" not in camera:
         return None
     with np.errstate(invalid="ignore"):  # values may not be finite

@@ -83,11 +83,11 @@ class ScannetFolderRecording(FileRecording):
 
 
 def _matrix_file(path: Path, camera: str) -> Path | None:
-    """The file with the intrinsics of the camera "depth" or "color"; None without it."""
+    """Return the file with the intrinsics of the camera "depth" or "color"; None without it."""
     return first_file([path / "intrinsic" / f"intrinsic_{camera}.txt", path / f"intrinsics_{camera}.txt"])
 
 
 def _read_extrinsic(path: Path, camera: str) -> Float64:
-    """The transform (4, 4) from the camera "depth" or "color" to the rig, metres; the identity if missing."""
+    """Read the pose (4, 4) of the camera "depth" or "color" in the rig, metres; the identity if missing."""
     file = path / "intrinsic" / f"extrinsic_{camera}.txt"
     return read_matrix(file, 4) if file.is_file() else np.eye(4)

@@ -124,7 +124,7 @@ class SensRecording(PackedRecording):
         return self.head.depth_compression == RAW and super().is_raw(depth, size)
 
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """Colour of a frame as encoded, or as PNG if it is raw."""
+        """Return the colour of a frame as encoded, or as PNG if it is raw."""
         suffix = COLOR_SUFFIXES.get(self.head.color_compression)
         if not data or suffix is not None:
             return (suffix, data) if data and suffix else None
@@ -166,7 +166,7 @@ def _read_head(file: BinaryIO, path: Path) -> SensHead:
 
 
 def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[PackedFrame], list[Float64], str]:
-    """All complete frames in file order, their poses (4, 4), and "is cut off" if others are lost, else ""."""
+    """Find complete frames in file order, their poses (4, 4), and "is cut off" if frames are lost, or ""."""
     frames: list[PackedFrame] = []
     matrices: list[Float64] = []
     position, size = file.tell(), size_of(file)
@@ -188,7 +188,7 @@ def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[Packe
 def _trajectory(
     stamps_ns: list[int], matrices: list[Float64], head: SensHead, path: Path
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The trajectory of the depth camera, or None if every frame was lost; and warnings."""
+    """Return the trajectory of the depth camera, or None if every frame was lost; and warnings."""
     if not any(np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     T_camera_depth = rigid_or_none(head.depth_extrinsic)

@@ -142,7 +142,7 @@ class SevenScenesRecording(FileRecording):
 
     @classmethod
     def files_beside(cls, path: Path) -> tuple[Path, ...]:
-        """The file of intrinsics in the parent folder, if the folder itself has none; else empty."""
+        """Return the file of intrinsics in the parent folder, if the folder itself has none; else ()."""
         file = _camera_file(path)
         return () if file is None or file.parent == path else (file,)
 
@@ -152,12 +152,12 @@ class SevenScenesRecording(FileRecording):
 
 
 def names_beside(names: Iterable[str]) -> tuple[str, ...]:
-    """Names of files that may belong to a sequence with these file names, but lie in its parent folder."""
+    """Return names of files in the parent folder that may belong to a sequence with files `names`."""
     return FILES_ABOVE if any(map(DEPTH_NAME.fullmatch, names)) else ()
 
 
 def _camera_file(path: Path) -> Path | None:
-    """The file of intrinsics: in the folder, or in its parent, as in 3DMatch and tsdf-fusion; or None."""
+    """Find the file of intrinsics in the folder, or in its parent, as in 3DMatch and tsdf-fusion; or None."""
     own = first_file(path / name for name in MATRIX_FILES)
     info = (file for file in (path / name for name in INFO_FILES) if is_info(file))
     return own or next(info, None) or first_file(path.parent / name for name in FILES_ABOVE)
@@ -178,7 +178,7 @@ def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, 
 def _default_rig(
     path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int], settings: CameraSettings
 ) -> tuple[ScannetRig, list[str]]:
-    """7-Scenes' Kinect if the size fits, else no intrinsics; and warnings.
+    """Return the camera of 7-Scenes, a Kinect, if the image size fits, else no intrinsics; and warnings.
 
     The Kinect is assumed with a warning, unless the settings give intrinsics or this is 7-Scenes itself.
     """
@@ -193,7 +193,7 @@ def _default_rig(
 
 
 def _marks_holes(files: Sequence[FrameFiles]) -> bool:
-    """Whether 65535 marks missing depth, which is so in 7-Scenes itself but not in others with its layout."""
+    """Whether 65535 marks missing depth, as in 7-Scenes itself; not in other data sets in its layout."""
 
     def marked(frame: FrameFiles) -> bool:
         return bool((decode_depth_png(read_image_file(frame.depth), str(frame.depth)) == INVALID).any())
@@ -204,7 +204,7 @@ def _marks_holes(files: Sequence[FrameFiles]) -> bool:
 
 
 def _beside(depth: Path, kind: str) -> Path:
-    """The file of a frame that ends in `kind`, such as "pose.txt", beside its depth image."""
+    """Return the file of a frame that ends in `kind`, such as "pose.txt", beside its depth image."""
     return depth.with_name(f"{depth.name.removesuffix('depth.png')}{kind}")
 
 

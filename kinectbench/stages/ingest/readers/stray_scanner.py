@@ -47,7 +47,7 @@ class _Video:
     next: int = 0
 
     def frame(self, number: int) -> NDArray[np.uint8] | None:
-        """A frame as BGR (height, width, 3) uint8; None if the video does not contain it."""
+        """Read a frame as BGR (height, width, 3) uint8; None if the video does not contain it."""
         import cv2
 
         with _quiet():
@@ -134,7 +134,7 @@ class StrayScannerRecording(PhoneRecording):
         )
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of a frame from the video, at depth's size; None without a video.
+        """Return the colour of a frame from the video, at depth's size; None without a video.
 
         Raises:
             DamagedImageError: the video has no such frame, or another aspect ratio than depth.
@@ -149,7 +149,7 @@ class StrayScannerRecording(PhoneRecording):
 
 
 def _read_odometry(path: Path) -> list[tuple[int, TimedPose]]:
-    """The number and the pose of the frame in each row."""
+    """Read the rows of odometry.csv: the number of a frame, and its pose."""
     lines = text_rows(path)
     if not lines:
         raise RecordingError(f"{path}: is empty")

@@ -117,7 +117,7 @@ class TumRecording(FileRecording):
 
 
 def _lists(path: Path) -> tuple[tuple[Path, Path], list[str]]:
-    """The lists of depth and of colour, of which the latter may be missing; and a warning on another list."""
+    """Find the lists of depth and of colour (which may not exist); warn if depth.txt is not the one read."""
     depth, color = (first_file(path / name for name in names) for names in (DEPTH_LISTS, COLOR_LISTS))
     depth, color = depth or path / DEPTH_LISTS[-1], color or path / COLOR_LISTS[0]
     if depth.name == DEPTH_LISTS[-1]:
@@ -134,7 +134,7 @@ def _poses(path: Path, frames: int | None) -> tuple[GivenTrajectory | None, list
 
 
 def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> tuple[UpSample, ...]:
-    """The up direction at some frames, by accelerometer.txt if camera.json says that its axes are depth's.
+    """Read up at some frames from accelerometer.txt, if camera.json says that its axes are depth's.
 
     Recordings of the benchmark itself have this file, too, but in the axes of the Kinect's sensor.
     """
@@ -170,14 +170,14 @@ def _read_rows(path: Path) -> list[tuple[int, Path]]:
 
 
 def _counted(rows: list[tuple[int, Path]]) -> list[tuple[int, Path]]:
-    """The rows, with stamps of 0 s, 1 s, 2 s and so on instead of their own."""
+    """Return the rows, with stamps of 0 s, 1 s, 2 s and so on instead of their own."""
     return [(stamp_ns, file) for stamp_ns, (_, file) in zip(counted_ns(len(rows)), rows, strict=True)]
 
 
 def _in_order(
     rows: list[tuple[int, Path]], path: Path
 ) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
-    """The rows sorted by stamp, without repeated stamps; all stamps in the file's order; and warnings.
+    """Return rows sorted by stamp, without repeated stamps; all stamps in the file's order; and warnings.
 
     Raises:
         RecordingError: the stamps are in micro- or nanoseconds.

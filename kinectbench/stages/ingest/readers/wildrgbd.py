@@ -78,7 +78,7 @@ class WildRgbdRecording(FileRecording):
 
 
 def _read_poses(path: Path, numbers: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
-    """The trajectory of the frames with these numbers, camera to world, or None; and warnings."""
+    """Read the trajectory of the frames with these numbers, camera to world, or None; and warnings."""
     file = path / "cam_poses.txt"
     if not file.is_file():
         return None, []

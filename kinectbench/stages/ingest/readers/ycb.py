@@ -122,7 +122,7 @@ class YcbRecording(FileRecording):
         )
 
     def mask(self, file: Path, depth: NDArray[np.uint16]) -> Bools:
-        """Read a mask; map it from colour's to depth's pixels if colour is calibrated: (height, width)."""
+        """Read a mask (height, width), mapped from colour's to depth's pixels if colour is calibrated."""
         pixels = _bitmap(read_image_file(file), str(file))
         if self.color_calibration is None:
             return np.asarray(pixels == 0)
@@ -150,7 +150,7 @@ def _bitmap(data: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]]:
-    """A camera's arrays in calibration.h5, {key of SHAPES: array}; and a warning on missing arrays."""
+    """Read a camera's arrays in calibration.h5, {key of SHAPES: array}; and a warning on missing ones."""
     names = {key: key.format(sensor) for key in SHAPES}
     if not (path / CALIBRATION).is_file():
         return {}, [
@@ -183,7 +183,7 @@ def _arrays(file: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Floa
 
 
 def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
-    """Intrinsics of the depth images (pinhole, as in YCB's script) from calibration.h5's arrays, `said`."""
+    """Make intrinsics of depth (pinhole, as in YCB's script) from calibration.h5's arrays, `said`."""
     if DEPTH_K not in said:
         return Intrinsics()
     scale = float(said[SCALE][0]) if SCALE in said else 1.0
@@ -196,7 +196,7 @@ def _intrinsics(said: Mapping[str, Float64], path: Path) -> Intrinsics:
 
 
 def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-    """Calibration of colour relative to depth from calibration.h5 (`said`); None if missing or not rigid."""
+    """Return colour's calibration from `said` (calibration.h5); None if it is missing or not rigid."""
     places = [rigid_or_none(said[key]) for key in (COLOR_FROM_NP5, DEPTH_FROM_NP5) if key in said]
     color, *depth = places or [None]
     if COLOR_K not in said or color is None or not depth or depth[0] is None:
@@ -210,7 +210,7 @@ def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -
 def _poses(
     path: Path, said: Mapping[str, Float64], angles: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """The depth camera's trajectory in the turntable's frame, 1 s per degree of `angles`; and warnings."""
+    """Read depth's trajectory in the turntable's frame, 1 s per degree of `angles`; and warnings."""
     files = [path / "poses" / f"NP5_{angle}_pose.h5" for angle in angles]
     if not any(file.is_file() for file in files):
         return None, [f"{path}: has no poses/NP5_0_pose.h5; the object is tracked by its depth alone"]
