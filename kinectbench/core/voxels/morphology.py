@@ -115,7 +115,7 @@ def _shell(full):  # type: ignore[no-untyped-def]
 
 
 def opened(mask: Bools, size: Sequence[int]) -> Bools:
-    """Return the binary opening by a box: the cells that lie in some box of this size of only set cells.
+    """Return the binary opening by a box: the cells in any box of this size whose cells are all set.
 
     The result is that of `scipy.ndimage.binary_opening` with a structure of ones, several times as fast: a
     box is a run along each axis, and a long run is two shorter ones.
