@@ -67,10 +67,11 @@ def has_pose(T: Float64) -> Bools:
 
 
 def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]:
-    """Pair stamps one to one: first equal ones, then the closest within half a frame.
+    """Pair the stamps of two trajectories one to one.
 
-    Half a frame is half the smaller of the two median intervals, so that no stamp is paired with the
-    neighbour of its own frame. Of unequal stamps, as many are paired as possible (`association.associate`).
+    Equal stamps are paired first. The others are paired if they differ by half a frame at most: as many pairs
+    as possible, and among those the least sum of differences (`association.associate`). Half a frame is half
+    the smaller of the two median intervals, so that a stamp is never paired with one of the next frame.
 
     Args:
         estimate_ns: (k,) int64, any order.
@@ -182,7 +183,7 @@ def statistics(errors: Float64) -> ErrorStatistics:
 def _relative_errors(
     T_estimate: Float64, T_reference: Float64, i: Int64, j: Int64
 ) -> tuple[Float64, Float64]:
-    """Translation (m) and angle (rad) of the relative pose errors from the poses i to the poses j."""
+    """Return translation (m) and angle (rad) of the relative pose errors from poses i to poses j."""
     moved_estimate = invert_rigid(T_estimate[i]) @ T_estimate[j]
     moved_reference = invert_rigid(T_reference[i]) @ T_reference[j]
     error = invert_rigid(moved_reference) @ moved_estimate
@@ -190,7 +191,10 @@ def _relative_errors(
 
 
 def _pieces(positions: Float64) -> tuple[Int64, Int64]:
-    """Index arrays (first, last): for each pose, the pose closest to 1 m of path ahead, if 0.9 to 1.1 m."""
+    """Return the first and the last pose of pieces of the path that are about 1 m long: index arrays.
+
+    Each pose is paired with the later pose closest to 1 m along the path, if that is 0.9 to 1.1 m away.
+    """
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     first = np.arange(len(path_m) - 1)
