@@ -78,7 +78,7 @@ class Watched:
 
     @property
     def something_moves(self) -> bool:
-        """Whether enough of the image changes for a moving object, provided that the camera stands still."""
+        """Whether so much of the image changes that an object moves, if the camera stands still."""
         return self.moving_share >= MOVING_SHARE
 
 

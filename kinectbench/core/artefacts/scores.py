@@ -323,8 +323,8 @@ class ScoreTable(Stored):
 
         Args:
             folder: created if missing.
-            name: name of the JSON file. If it is not scores.json, no scores.csv is written, and the rows.npz of
-                a scores.json in the folder stays.
+            name: name of the JSON file. If it is not scores.json, no scores.csv is written, and the rows.npz
+                of a scores.json in the folder stays.
 
         Raises:
             StorageError: the table has many rows, but the folder has a scores.json with other ones, so that

@@ -20,7 +20,10 @@ SPACINGS = 1.5
 
 
 def distance_scale(T_world_camera: Float64, focus_world: Float64) -> float:
-    """Return the factor of all lengths: the median distance of cameras (n, 4, 4) to the focus, 0.3 to 1 m."""
+    """Return the factor of all lengths for cameras (n, 4, 4) that look at a focus (3,).
+
+    It is the median distance of the cameras from the focus in metres, clipped to 0.3 to 1.
+    """
     distance_m = float(np.median(np.linalg.norm(T_world_camera[:, :3, 3] - focus_world, axis=1)))
     return float(np.clip(distance_m, NEAREST_DISTANCE_M, REFERENCE_DISTANCE_M) / REFERENCE_DISTANCE_M)
 

@@ -307,7 +307,7 @@ def _with_reason(
 ) -> PlaneCandidate:
     """Return a candidate with the reason why `chosen` was chosen in its place.
 
-    `floor` is the floor; it is `chosen` itself, unless a plane above the floor carries the object.
+    The planes `floor` and `chosen` are the same, unless a plane above the floor carries the object.
     """
     if candidate is chosen:
         return replace(candidate, reason="")

@@ -86,7 +86,7 @@ def floor_hint(
     plane: Sequence[float] | None = None,
     picked_world: Float64 | None = None,
 ) -> FloorHint:
-    """The hint from `hint_of`, with the depth in the middle of the images and a picked point added."""
+    """Return the hint of `hint_of`, with the depth in the middle of the images and a picked point added."""
     good = trajectory.good_frames
     hint = hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
     middle_depth_m = median_middle_depth_m(sequence, good)
