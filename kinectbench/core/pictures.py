@@ -59,7 +59,7 @@ def look_along(forward: Float64, up: Float64) -> Float64:
 
 
 def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
-    """The viewpoint of an orientation that just shows all points.
+    """Return the viewpoint that has this orientation and just shows all points.
 
     Args:
         points_m: (n, 3), n > 0.
@@ -74,7 +74,7 @@ def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08
 
 
 def viewpoints_around(points_m: Float64, looks_deg: Sequence[tuple[float, float]]) -> list[Viewpoint]:
-    """One viewpoint per (azimuth, elevation) in degrees, z up, that just shows all points (n, 3)."""
+    """Return for each (azimuth, elevation), degrees, z up, a viewpoint that just shows all points (n, 3)."""
     viewpoints = []
     for azimuth, elevation in np.radians(looks_deg):
         level = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])

@@ -194,7 +194,7 @@ class PredictedFile(StoredPart):
 
 
 class TrainingRow(StoredPart):
-    """Figures of one validation during training; losses are means since the previous row."""
+    """Results of one validation during training; losses are means since the previous row."""
 
     step: int = Field(description="steps done")
     epoch: float = Field(description="passes over all pairs")

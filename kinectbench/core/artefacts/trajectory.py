@@ -122,7 +122,7 @@ class FrameHealth(ScaledPart):
 
 
 class TrajectoryHealth(ScaledPart, Stored):
-    """health.json: measures of a trajectory's quality without ground truth; docs/tracking.md explains them."""
+    """health.json: measures of a trajectory's quality, without ground truth; see docs/tracking.md."""
 
     FILE: ClassVar[str] = "health.json"
 

@@ -43,11 +43,11 @@ class TrajectoryError:
     Attributes:
         matched: number of these poses, n.
         T_reference_estimate: (4, 4), from the estimate's world to the reference's (the alignment of ATE).
-        ate_m: distances of the aligned positions; its rmse is the absolute trajectory error.
-        rpe_frame_m: relative translation errors between one pose and the next.
-        rpe_frame_rad: relative rotation errors between one pose and the next.
-        rpe_metre_m: relative translation errors over a metre of path; None if no piece is that long.
-        rpe_metre_rad: relative rotation errors over a metre of path, or None.
+        ate_m: statistics of the distances of the aligned positions; its rmse is the absolute error, ATE.
+        rpe_frame_m: statistics of the relative translation errors between one pose and the next.
+        rpe_frame_rad: the same for rotation.
+        rpe_metre_m: the same for translation over a metre of path; None if no piece is that long.
+        rpe_metre_rad: the same for rotation over a metre of path, or None.
         position_errors_m: (n,) distances of the aligned positions, in the order given.
     """
 

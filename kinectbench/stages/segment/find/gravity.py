@@ -77,7 +77,7 @@ class KnowsUp(Protocol):
 
     @property
     def up_cameras(self) -> tuple[UpSample, ...]:
-        """Up in the axes of some frames' cameras, by an accelerometer."""
+        """Up by an accelerometer, in the camera axes of some frames."""
 
 
 def floor_hint(

@@ -37,7 +37,7 @@ class PickedPoint(NamedTuple):
 def point_under(depth_m: Float32, camera: Camera, pixel: tuple[int, int]) -> Float64 | None:
     """Return the surface point (3,) that a pixel shows, or the nearest pixel with depth; camera frame.
 
-    It is in metres, and None if no pixel within 20 pixels has depth.
+    The unit is metres. The result is None if no pixel within 20 pixels has depth.
 
     Args:
         depth_m: (height, width), 0 = none.

@@ -116,10 +116,10 @@ def estimate_iou(
 ) -> IouEstimate:
     """Estimate the IoU to the unknown truth, and an interval.
 
-    In the known part, only the surface error lowers the IoU. It is the sum of a constant, a term for thin
-    parts, the deviation between the halves of odd and even frames, and the poses' errors, which both halves
-    share. In the unknown part, the voxels' probabilities give the expected volumes. For the interval, each
-    unknown region is inside or outside as a whole.
+    In the known part, only the surface error lowers the IoU. This error is the sum of a constant, a term for
+    thin parts, the deviation between the halves of odd and even frames, and the poses' errors, which both
+    halves share. In the unknown part, the voxels' probabilities give the expected volumes. For the interval,
+    each unknown region is inside or outside as a whole.
 
     Args:
         shape: the solid.

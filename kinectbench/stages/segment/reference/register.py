@@ -116,9 +116,9 @@ class Sampled:
         return places[:: max(1, -(-len(places) // most))]
 
     def faced(self, points: Float64, normals: Float64) -> tuple[NDArray[np.int64], Bools]:
-        """Find the sample nearest to each point (n, 3), which has a normal (n, 3).
+        """Find the samples nearest to points (n, 3) with normals (n, 3).
 
-        Return the indices (n,) of the samples, and which of them may be matched and face the same way.
+        Return their indices (n,), and which of them may be matched and face the same way.
         """
         nearest = self.tree.query(points)[1]
         return nearest, self.counted[nearest] & ((self.normals[nearest] * normals).sum(axis=1) > 0)

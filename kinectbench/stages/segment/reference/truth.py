@@ -112,7 +112,7 @@ def _costs_too_much(mesh: TriangleMesh, grid: Grid) -> bool:
 
 
 def _quality(model: ObjectModel, reference: Reference, fit: RegisteredReference, name: str) -> QualityFile:
-    """The quality.json of a reference as truth, without an estimated IoU, because no part of it is fused.
+    """Make the quality.json of a reference that is the truth; no part of it is fused, so no IoU is estimated.
 
     `fit` is the reference's registration to the fused object, and `name` is its file name.
     """
