@@ -73,7 +73,7 @@ class Watched:
 
     @property
     def plain(self) -> bool:
-        """Whether the space around is empty, so that motion may be that of the object or of the camera."""
+        """Whether the space around the object is empty, so that the object or the camera may move."""
         return self.around_share < AROUND_SHARE and self.empty_share >= EMPTY_SHARE
 
     @property

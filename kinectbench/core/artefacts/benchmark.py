@@ -204,7 +204,7 @@ class ReleaseInfo(ReleaseFile):
         return info is None or info.split not in self.inputs_only
 
     def isolates(self, recording: str) -> bool:
-        """Whether the release has one view of a recording and hides its truth; False in the full part."""
+        """Whether the release has one view of a recording without its truth; False in the private part."""
         return self.hides(recording) and recording in self.isolated
 
 

@@ -128,7 +128,7 @@ def _as_bytes(words: Sequence[str]) -> NDArray[np.uint8]:
 
 
 def _text(row: ScoreRow, name: str) -> str:
-    """Return a row's value in a text column; in the column `IN_SPACE`, that of `InSpace` as JSON, or ""."""
+    """Return a row's value in a text column; in the column `IN_SPACE`, its `InSpace` as JSON, or ""."""
     if name != IN_SPACE:
         return str(getattr(row, name))
     if row.part is None:

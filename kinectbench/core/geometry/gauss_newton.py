@@ -113,7 +113,7 @@ def weighted_products(rows: Float64, weights: Float64) -> Float64:
 def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
     """Add R W R^T to the lower triangle of `sums` (n, n); R, W are the first m columns and weights.
 
-    This is faster than BLAS here: its threads would wait longer for work than they compute.
+    BLAS is slower here: its threads wait longer for work than they compute.
     """
     for i in range(len(sums)):
         for j in range(i + 1):

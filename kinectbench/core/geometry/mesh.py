@@ -1,4 +1,4 @@
-"""Triangle meshes: their type, marching cubes, Poisson reconstruction, and binary PLY files (by trimesh)."""
+"""Triangle meshes: their type, marching cubes, Poisson reconstruction, and binary PLY files."""
 
 import importlib
 import re

@@ -127,7 +127,7 @@ def check_stopped() -> None:
 
 
 def has_answered(url: str) -> bool:
-    """Whether the host of a URL has answered this process, so that its name exists."""
+    """Whether the host of a URL has answered this process, so that its name is valid."""
     return _host(url) in _answered
 
 

@@ -69,8 +69,8 @@ def convergence_point(T_world_camera: Float64) -> Float64:
 def from_above(T_world_camera: Float64) -> Float64:
     """Rotation R_above_world (3, 3) to an upright frame: z up, y along the first camera's viewing direction.
 
-    Up is the mean up vector of the cameras, made as perpendicular as possible to their image rows. Cameras
-    that look down at an object are pitched forward, but are held level.
+    Up is close to the mean up vector of the cameras, and as perpendicular as possible to their image rows:
+    cameras that look down at an object are pitched forward, but not rolled.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
@@ -90,7 +90,7 @@ def from_above(T_world_camera: Float64) -> Float64:
 
 
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
-    """Median depth in the middle third of up to 40 of the frames (n,), metres; None if none has any there."""
+    """Median depth in the middle third of up to 40 of the frames (n,), metres; None if there is none."""
     some = frames[evenly(len(frames), MIDDLE_FRAMES)]
     return middle_depth_m(sequence.depths_m(some, MIDDLE_STEP_PX))
 

@@ -98,7 +98,7 @@ def no_times(stamps_ns: Sequence[int]) -> str:
 
 
 def are_of_today(stamps_ns: Sequence[int]) -> bool:
-    """Whether all stamps are dates from 2001 to 2096, ns since 1970: times even if out of order."""
+    """Whether all stamps are ns since 1970, of 2001 to 2096: they are times even if out of order."""
     return all(TODAY_NS[0] <= stamp_ns < TODAY_NS[1] for stamp_ns in stamps_ns)
 
 

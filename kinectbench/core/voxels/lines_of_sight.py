@@ -98,7 +98,7 @@ def ways_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
 
     Returns:
         (nx, ny, nz) uint8: FROM_ABOVE (by a camera as high as the voxel or higher), FROM_BELOW, or both (3),
-        and the number of these directions, up to 3, times ONE_WAY; 0 if not seen.
+        plus ONE_WAY times the number of these directions, at most 3; 0 if not seen.
     """
     seen = np.zeros(space.state.shape, np.uint8)
     for turned in _turned_along(space, to_camera):

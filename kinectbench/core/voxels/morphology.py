@@ -70,7 +70,7 @@ def containment_of_cells(cells: Int64, full: Packed) -> float:
 
 
 def containment(partial: Packed, full: Packed) -> float:
-    """Return `containment_of_cells` of a packed partial, with a quarter of the cells a side of `full`."""
+    """Return `containment_of_cells` of a packed partial; its sides have a quarter of the cells of `full`."""
     cells = unpack(partial)
     count = np.count_nonzero(cells)
     return np.count_nonzero(cells & blocks_touched(full)) / count if count else 1.0

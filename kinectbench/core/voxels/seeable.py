@@ -111,7 +111,7 @@ class SeeableSolid:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(which, T_cells, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """Return the nearest value of `which` for each cell of a grid; `T_cells` (3, 4) maps to its voxels."""
+    """Return the nearest value of `which` for each cell of a grid; `T_cells` (3, 4) maps cells to voxels."""
     result = np.zeros((nx, ny, nz), np.bool_)
     mx, my, mz = which.shape
     for i in range(nx):
