@@ -142,7 +142,7 @@ def _sampled_world(shown: ShownBox) -> Float64:
 def _seen(
     points_world: Float64, frame: int, sequence: Sequence, trajectory: Trajectory
 ) -> tuple[Int64, float]:
-    """Pixels (k, 2) of the points that a frame's depth shows; and their mean depth, metres, inf for k = 0."""
+    """Return pixels (k, 2) of the points that a frame's depth shows; and their mean depth, metres, or inf."""
     points_camera = transform_points(invert_rigid(trajectory.T_world_camera[frame]), points_world)
     points_camera = points_camera[_inside(points_world, frame, sequence, trajectory)]
     pixels = np.rint(sequence.camera.project(points_camera)).astype(np.int64)
@@ -175,7 +175,7 @@ def _background(sequence: Sequence, frame: int) -> Rgb:
 def _edges_px(
     box: OrientedBox, T_camera_floor: Float64, sequence: Sequence
 ) -> list[tuple[tuple[int, int], tuple[int, int]]]:
-    """Project a box's edges, cut off behind the camera: the end pixels ((u, v), (u, v)) of each."""
+    """Project the parts of a box's edges in front of the camera; return their end pixels ((u, v), (u, v))."""
     corners = transform_points(T_camera_floor, box.corners_floor())
     lines = []
     for a, b in ((corners[i], corners[j]) for i, j in EDGES):
@@ -191,7 +191,7 @@ def _edges_px(
 
 
 def _heights(points_floor: Float64) -> tuple[Float64, tuple[float, float, float, float]]:
-    """Greatest z of the points per ground cell, (nx, ny), NaN if empty; extent (x0, x1, y0, y1), metres."""
+    """Return the greatest z per ground cell, (nx, ny), NaN if empty; and extent (x0, x1, y0, y1), metres."""
     cell_m = max(PLAN_CELL_M, float(np.ptp(points_floor[:, :2], axis=0).max()) / MOST_PLAN_CELLS)
     cells = np.floor(points_floor[:, :2] / cell_m).astype(int)
     first = cells.min(axis=0)

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 
 
 class KinectBenchError(Exception):
-    """Base of all errors, whose one-line message states the fault, its location and the remedy.
+    """Base of all errors. A message states the fault, its location and the remedy in one line.
 
-    Each argument becomes a line of the message.
+    Each argument is printed as a line of its own; most errors have a single one.
 
     Attributes:
         kind: first half of the error's code `<kind>.<what>`; each class has one.
@@ -121,7 +121,7 @@ KILLED = "run.process-killed"
 
 
 def error_code(error: BaseException) -> str:
-    """The code of an error; for other exceptions `run.no-memory` or `run.internal-error`."""
+    """Return an error's code; `run.no-memory` or `run.internal-error` if it is no KinectBenchError."""
     if isinstance(error, KinectBenchError):
         return error.code
     return "run.no-memory" if isinstance(error, MemoryError) else "run.internal-error"

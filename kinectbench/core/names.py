@@ -17,7 +17,7 @@ LISTED = 40
 
 
 def reserved_problem(category: str) -> str | None:
-    """Why a category cannot have this name, which the mean over all categories has; None if it can."""
+    """Why a category's name is reserved for the mean over all categories; None if it is not."""
     if category.lower() in RESERVED:
         return f"'{category}' is what the mean over all categories is called; choose another"
     return None

@@ -1,4 +1,4 @@
-"""Masked recordings: depth inside the masks is the object's; depth well outside shows free space."""
+"""Masked recordings: depth inside the masks belongs to the object; depth well outside shows free space."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ class OwnPixels:
 
     Attributes:
         frames: the unmasked frames.
-        masks: index -> (height, width) bool; None for a frame without mask, all of whose depth is dropped.
+        masks: index -> (height, width) bool; None for a frame without mask: all its depth is dropped.
     """
 
     frames: FrameStore

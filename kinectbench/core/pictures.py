@@ -59,7 +59,7 @@ def look_along(forward: Float64, up: Float64) -> Float64:
 
 
 def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08) -> Viewpoint:
-    """The viewpoint of an orientation that just shows all points.
+    """Return the viewpoint that has this orientation and just shows all points.
 
     Args:
         points_m: (n, 3), n > 0.
@@ -74,7 +74,7 @@ def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08
 
 
 def viewpoints_around(points_m: Float64, looks_deg: Sequence[tuple[float, float]]) -> list[Viewpoint]:
-    """One viewpoint per (azimuth, elevation) in degrees, z up, that just shows all points (n, 3)."""
+    """Return for each (azimuth, elevation), degrees, z up, a viewpoint that just shows all points (n, 3)."""
     viewpoints = []
     for azimuth, elevation in np.radians(looks_deg):
         level = np.array([-np.cos(azimuth), -np.sin(azimuth), 0.0])
@@ -151,9 +151,9 @@ def render_pieces(
 
 
 def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> list[Float64]:
-    """Outlines of a mesh from a viewpoint: closed polygons (n, 2), metres right and down of the centre.
+    """Return the outlines of a mesh from a viewpoint: polygons (n, 2), metres right and down of the centre.
 
-    They are traced in a picture of `size_px` pixels a side; holes have none.
+    They are closed, and traced in a picture of `size_px` pixels a side. Holes are not outlined.
     """
     import cv2
 
@@ -167,8 +167,8 @@ def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> lis
 def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleMesh:
     """The closed surface where densities (nx, ny, nz) cross `level`; cells outside the grid count as 0.
 
-    Vertices are in metres from the grid's corner; a cell's edge is `cell_m`. Faces look inward, on which
-    pictures do not depend.
+    Vertices are in metres from the grid's corner; a cell's edge is `cell_m`. Faces look inward, which
+    makes no difference to pictures.
     """
     surface = isosurface(np.pad(density, 1), level=level)
     return replace(surface, vertices=(surface.vertices - 0.5) * cell_m)

@@ -29,7 +29,7 @@ class SensorLimits:
 
     @classmethod
     def of_size(cls, longest_m: float) -> "SensorLimits":
-        """Default limits by an object's longest side: lines of sight 20 mm wide below 0.4 m, else 30 mm."""
+        """Return default limits: lines of sight 20 mm wide if the longest side is below 0.4 m, else 30 mm."""
         return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
 
     def enlarged(self, scale: float) -> "SensorLimits":

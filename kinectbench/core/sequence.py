@@ -74,8 +74,7 @@ class Sequence:
         trajectory_error: why the trajectory that came with the recording cannot be used, or "".
         up_world: (3,) unit: up in the frame of the given trajectory, by gravity; None: unknown.
         up_cameras: up in the camera's axes at some times, by an accelerometer.
-        recorded: number of each frame in the recording, which counts damaged frames; None: equal to its
-            index.
+        recorded: number of each frame in the recording, damaged frames included; None: equal to its index.
         beside_m: for a recording masked by `own_pixels`: index -> (height, width) float32 metres, the depth
             well outside the mask, 0 = nothing; else None.
     """

@@ -48,8 +48,8 @@ class Watched:
         behind_m: (height, width) float32, the farthest depth over time (90 % quantile); infinite where most
             frames have no depth.
         moving: (height, width) bool, pixels in which something moves.
-        moving_share: ratio of the image that moves and whose depth also differs between quarters of the
-            recording's time, which excludes unstable edges.
+        moving_share: ratio of the image that is `moving` and also has a different depth in different quarters
+            of the recording. Unstable edges move, but do not differ in that way.
         still_share: of the pixels with depth away from moving ones, the ratio with constant depth.
         still_gray_share: ratio of the static pixels whose grey is constant too; None with too little colour.
         around_share: ratio of the image with constant depth, away from moving pixels.
@@ -73,12 +73,12 @@ class Watched:
 
     @property
     def plain(self) -> bool:
-        """Whether the object stands in empty space, so that motion may be the object's or the camera's."""
+        """Whether the space around the object is empty, so that the object or the camera may move."""
         return self.around_share < AROUND_SHARE and self.empty_share >= EMPTY_SHARE
 
     @property
     def something_moves(self) -> bool:
-        """Whether enough of the image changes for a moving object, provided that the camera stands still."""
+        """Whether so much of the image changes that an object moves, if the camera stands still."""
         return self.moving_share >= MOVING_SHARE
 
 
@@ -183,7 +183,7 @@ def _differs(values: Float32, seen: Bools, sigma_m: Float32) -> Bools:
 
 
 def _comes_and_goes(seen: Bools) -> Bools:
-    """Pixels (height, width) with depth in only some frames, as when an object passes before empty space."""
+    """Return which pixels have depth in only some frames, as if an object passes before empty space."""
     share = seen.mean(axis=0)
     between: Bools = (share > RARELY) & (share < SEEN_SHARE)
     return between

@@ -132,7 +132,7 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def reachable(path: Path) -> Iterator[None]:
-    """Turn errors about a path whose parent folder cannot exist into a `StorageError`."""
+    """Turn errors about a path whose parent is missing or is no folder into a `StorageError`."""
     try:
         yield
     except (FileNotFoundError, NotADirectoryError, FileExistsError) as error:

@@ -1,6 +1,6 @@
 """Pictures of an object from all around, side by side, which a page shows as a turning object.
 
-The surface is drawn as points by elementary arithmetic, without ray casting by a library, whose last bits
+The surface is drawn as points by elementary arithmetic, not by a library's ray casting: the last bits of that
 differ between processors. So a page with the pictures has the same bytes everywhere.
 """
 

@@ -245,7 +245,7 @@ def lies_below(path: Path, root: Path) -> bool:
 
 
 def followed(path: Path) -> Path:
-    """A path with links resolved; unchanged, and so impossible to open, if the links form a cycle."""
+    """Resolve the links of a path; return it unchanged, impossible to open, if the links form a cycle."""
     try:
         return path.resolve()
     except (OSError, RuntimeError):

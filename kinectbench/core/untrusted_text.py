@@ -38,7 +38,7 @@ def parsed_json(text: str, *, constants: bool, most_values: int = MOST_VALUES) -
         text: JSON.
         constants: accept NaN, Infinity and -Infinity, which many programs write; the last of repeated keys is
             then used.
-        most_values: most values of the text; an object counts as three.
+        most_values: largest number of values in the text; an object counts as three.
 
     Raises:
         ValueError: malformed, or too many values or keys. RecursionError: nested too deeply.

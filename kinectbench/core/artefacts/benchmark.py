@@ -190,7 +190,7 @@ class ReleaseInfo(ReleaseFile):
 
     @property
     def inputs_only(self) -> tuple[Split, ...]:
-        """Splits whose pair files hold no truth: it is held back, or it is an open mesh in another file."""
+        """Splits whose pair files lack the truth: it is held back, or is an open mesh in another file."""
         return (*self.held_back, *self.surface_truth)
 
     def hides(self, recording: str) -> bool:
@@ -204,7 +204,7 @@ class ReleaseInfo(ReleaseFile):
         return info is None or info.split not in self.inputs_only
 
     def isolates(self, recording: str) -> bool:
-        """Whether the release has one view of a recording and no truth; False in its part with truths."""
+        """Whether the release has one view of a recording without its truth; False in the private part."""
         return self.hides(recording) and recording in self.isolated
 
 

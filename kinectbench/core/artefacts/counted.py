@@ -18,12 +18,14 @@ PART_JOURNAL, JOURNALS = ".counted.{number}-of-{of}.jsonl", ".counted*.jsonl"
 
 @dataclass(frozen=True)
 class Tally:
-    """Voxel counts of one pair, by a code: 1 if occupied, + 2 if known, + 4 if seen by the input view.
+    """Voxel counts of one pair, by a code of the voxel.
+
+    The code is 1 if the voxel is occupied, plus 2 if it is known, plus 4 if it is seen by the input view.
 
     Attributes:
         voxels: (8,) int64, number of voxels of each code.
-        above: (17, 8) int64, number of those predicted above each threshold k / 20, k = 2 to 18.
-        ce_sum: (8,) float64, sum of their cross-entropy in nats.
+        above: (17, 8) int64, number of these predicted above each threshold k / 20, k = 2 to 18.
+        ce_sum: (8,) float64, sum of the cross-entropy of the voxels of each code, nats.
     """
 
     voxels: Annotated[Int64, *array_in_file((8,), np.int64)]

@@ -47,7 +47,7 @@ def read_gallery(scores: Path) -> Gallery | None:
     """Read the untrusted gallery.npz beside a scores.json.
 
     Returns:
-        The packed predictions by pair; None without a gallery, or if it belongs to another scores.json.
+        The packed predictions by pair; None if there is no gallery, or only that of another scores.json.
 
     Raises:
         StorageError: the file is damaged, too large, or not a gallery.

@@ -79,10 +79,10 @@ class SourceFile(NamedTuple):
 
 
 class Sources(Stored):
-    """sources.json of `build/<recording>/`: size, times and hash of each file of the recording, by its name.
+    """sources.json of `build/<recording>/`: size, times and hash of each file, by its name.
 
     A recording that is a single file has the name "". masks.sources.json and reference.sources.json beside it
-    have the same form, for a person's masks and for the reference mesh.
+    have the same form. They list the masks that the user supplies, and the reference mesh.
     """
 
     FILE: ClassVar[str] = "sources.json"
@@ -90,7 +90,7 @@ class Sources(Stored):
 
     @classmethod
     def unchecked(cls, path: Path) -> Any:
-        """Read the JSON of a sources.json without validation, which is slow for thousands of rows.
+        """Read the JSON of a sources.json without validation, because that is slow for thousands of rows.
 
         Raises:
             OSError, ValueError, RecursionError: the file cannot be read, or is no JSON of bounded size.
@@ -108,5 +108,5 @@ class Sources(Stored):
         return {name: file.sha256 for name, file in self.files.items()}
 
     def text(self) -> str:
-        """The JSON text of the file, on one line, because it has a row for every frame."""
+        """The JSON text of the file, compact and on one line: there may be thousands of entries."""
         return canonical_json(self.json_value())

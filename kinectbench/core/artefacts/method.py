@@ -45,7 +45,7 @@ def _letters(name: str) -> str:
 
 
 def is_misspelt(name: str, known: str) -> bool:
-    """Whether a name is a misspelling of a known key: at most one typo, or two from eight letters on.
+    """Whether a name is a known key with at most one typo, or two if the key has eight letters or more.
 
     A typo is an extra, missing or wrong letter, or two swapped ones. Case and separators are ignored.
     """
@@ -194,7 +194,7 @@ class PredictedFile(StoredPart):
 
 
 class TrainingRow(StoredPart):
-    """Figures of one validation during training; losses are means since the previous row."""
+    """Results of one validation during training; losses are means since the previous row."""
 
     step: int = Field(description="steps done")
     epoch: float = Field(description="passes over all pairs")
@@ -241,7 +241,7 @@ class TrainingFile(Stored):
 
     @property
     def threshold(self) -> float | None:
-        """The best threshold in the last validation before or at the weights' step; None without one."""
+        """The best threshold in the last validation up to the step of the weights; None if there is none."""
         step = math.inf if self.weights_step is None else self.weights_step
         thresholds = [row.threshold for row in self.rows if row.step <= step and row.threshold is not None]
         return thresholds[-1] if thresholds else None

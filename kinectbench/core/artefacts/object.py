@@ -43,7 +43,7 @@ class BoxPart(StoredPart):
 
     @classmethod
     def of(cls, box: OrientedBox, decimals_m: int, decimals_rad: int) -> Self:
-        """Convert a box, with metres rounded to `decimals_m` decimals and radians to `decimals_rad`."""
+        """Convert a box; lengths are rounded to `decimals_m` decimals, the yaw to `decimals_rad`."""
         x, y, z = (round(value, decimals_m) for value in box.center_m)
         length, width, height = (round(value, decimals_m) for value in box.size_m)
         return cls(
@@ -258,10 +258,10 @@ class QualityFile(Stored):
 
     @property
     def trusted_iou(self) -> tuple[float | None, float | None, str]:
-        """Estimated IoU with the unknown truth, lower end of its interval, and a text that names its voxels.
+        """The estimated IoU with the unknown truth, the lower end of its interval, and where it applies.
 
-        The estimate is over known voxels, as in scores; its text is " on known voxels". Files without that
-        estimate give the one over all voxels of the solid, with the text "".
+        It is the IoU over known voxels, as in scores, and the text is " on known voxels". Files without that
+        estimate give the IoU over all voxels of the solid, with the text "".
         """
         if self.estimated_known_iou is None:
             return self.estimated_iou, self.estimated_iou_low, ""
@@ -281,9 +281,9 @@ class QualityFile(Stored):
 
     @property
     def rests_on_word(self) -> str | None:
-        """A warning if much of the solid rests on a person's statement `underside: closed`; otherwise None.
+        """A warning if much of the solid depends on the user's statement `underside: closed`; otherwise None.
 
-        If the statement is false, all voxels that rest on it may be air, and the IoU falls by at most their
+        If the statement is false, all voxels that depend on it may be air, and the IoU falls by at most their
         share.
         """
         share, low = self.underside_share or 0.0, self.estimated_iou_low
@@ -295,7 +295,7 @@ class QualityFile(Stored):
         return f"{line}; if it is false, the IoU may be as low as {max(0.0, low - share):.2f}"
 
     def estimated_iou_words(self, decimals: int = 2) -> str | None:
-        """The estimated IoU with its interval, such as `0.74 (0.35 to 0.80)`; None without an estimate."""
+        """The estimated IoU with its interval, such as `0.74 (0.35 to 0.80)`; None if there is none."""
         return with_interval(self.estimated_iou, self.estimated_iou_low, self.estimated_iou_high, decimals)
 
 
@@ -304,7 +304,8 @@ def with_interval(
 ) -> str | None:
     """Format a value and its interval, such as `0.74 (0.35 to 0.80)`; without an interval the value alone.
 
-    By default there are two decimals, or three without an interval. Without a value the result is None.
+    By default, there are two decimals with an interval, and three without. If the value is None, so is the
+    result.
     """
     if value is None:
         return None
@@ -355,7 +356,7 @@ class CandidateRow(StoredPart):
 
 
 class CandidatesFile(Stored):
-    """candidates/candidates.json: the boxes among which a person may choose the object."""
+    """candidates/candidates.json: the boxes among which the user may choose the object."""
 
     FILE = "candidates.json"
     ADVICE = "`kinectbench segment --suggest --force` makes it again"

@@ -116,13 +116,13 @@ class Surround(OnGrid):
 
 
 def unmeasured_faces(mesh_world: TriangleMesh, grid: Grid, labels: NDArray[np.uint8]) -> Bools:
-    """Whether each face (m,) is unmeasured: no measured voxel is near, or the voxel in front is unknown.
+    """Return which faces (m,) are unmeasured: no measured voxel is near, or the voxel in front is unknown.
 
-    Near: one of the 27 voxels around the face's middle has the label SURFACE. In front: the voxel 1.5 voxel
-    edges outward from the middle has the label UNKNOWN. Without the second condition, the far side of a wall
-    as thin as the shell of a measurement would count as measured (chosen here: for a bin open at the top it
-    raises the unmeasured share from 11 % to 35 %; the share of faces with unknown space in front is .333 to
-    .336 for distances of 1 to 2.5 voxels).
+    A measured voxel is near if one of the 27 voxels around the face's middle has the label SURFACE. The voxel
+    in front is the one 1.5 voxel edges outward from the middle; it is unknown if it has the label UNKNOWN.
+    Without the second condition, the far side of a wall as thin as the shell of a measurement would count as
+    measured (chosen here: for a bin open at the top it raises the unmeasured share from 11 % to 35 %; the
+    share of faces with unknown space in front is .333 to .336 for distances of 1 to 2.5 voxels).
 
     Args:
         mesh_world: closed surface of the object, world frame, metres.

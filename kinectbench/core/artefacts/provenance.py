@@ -53,7 +53,7 @@ class LineageRecording(StoredPart):
 
 
 def files_hash(files: Mapping[str, str]) -> str:
-    """SHA-256 over {file name: SHA-256 of the file}, as JSON with sorted keys: value of `files_sha256`."""
+    """Return `files_sha256`: SHA-256 of the JSON {file name: SHA-256 of the file}, keys sorted."""
     return sha256_text(canonical_json(dict(files)))
 
 

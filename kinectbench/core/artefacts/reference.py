@@ -145,5 +145,5 @@ OF_FILE = ReferenceFile.model_fields.keys() - ComparedMesh.model_fields.keys()
 
 
 def given(part: ComparedMesh) -> dict[str, Any]:
-    """The fields of a comparison that were set when it was made, by name, without those left at defaults."""
+    """Return the fields of a comparison that were set when it was made, without those left at defaults."""
     return {key: getattr(part, key) for key in part.model_fields_set}

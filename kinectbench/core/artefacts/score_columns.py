@@ -1,6 +1,6 @@
 """rows.npz: the rows of a score table that are too many for scores.json, as one array per column.
 
-A row takes 0.95 kB as JSON and 4.8 kB while it is read, but 0.4 kB as columns. A null figure is NaN. A text
+A row takes 0.95 kB as JSON and 4.8 kB while it is read, but 0.4 kB as columns. A null value is NaN. A text
 is an index into a list of the different texts, since a hundred thousand pairs have few categories.
 """
 
@@ -56,7 +56,7 @@ class RowsFile(StoredPart):
 
 
 def rows_as_json(rows: Sequence[ScoreRow]) -> Iterator[str]:
-    """Yield the rows as a canonical JSON list, in pieces: as one text, half a million take gigabytes."""
+    """Yield a canonical JSON list of the rows in pieces: half a million rows as one text take gigabytes."""
     for at, row in enumerate(rows):
         yield f"{',' if at else '['}{canonical_json(_PLAIN_ROW.dump_python(row, mode='json'))}"
     yield "]" if rows else "[]"
@@ -122,13 +122,13 @@ def _columns(rows: Sequence[ScoreRow]) -> Arrays:
 
 
 def _as_bytes(words: Sequence[str]) -> NDArray[np.uint8]:
-    """ASCII texts as uint8 (n, length of the longest), which take a quarter of the memory of `np.str_`."""
+    """Convert ASCII texts to uint8 (n, length of the longest), a quarter of the memory of `np.str_`."""
     padded = np.array([word.encode() for word in words], np.bytes_)
     return padded.view(np.uint8).reshape(len(words), padded.itemsize)
 
 
 def _text(row: ScoreRow, name: str) -> str:
-    """A row's value in a text column; in the column `IN_SPACE` the values of `InSpace` as JSON, or ""."""
+    """Return a row's value in a text column; in the column `IN_SPACE`, its `InSpace` as JSON, or ""."""
     if name != IN_SPACE:
         return str(getattr(row, name))
     if row.part is None:
@@ -215,5 +215,5 @@ def _in_space(arrays: Arrays, batch: slice) -> list[dict[str, object]]:
 
 
 def flat(value: object) -> object:
-    """Convert a value to one cell of a CSV table; several figures in a dataclass become JSON."""
+    """Convert a value to one cell of a CSV table; a dataclass of several values becomes JSON."""
     return canonical_json(asdict(value)) if is_dataclass(value) and not isinstance(value, type) else value

@@ -1,4 +1,4 @@
-"""Figures of scores.json: metrics, their context, rows of pairs, and averages.
+"""The values in scores.json: metrics, their context, rows of pairs, and averages.
 
 Each metric is declared once, as a field of `VoxelMetrics` or `SurfaceMetrics`, with its meaning, unit, range,
 and whether more is better. Rows, averages, the JSON schema and the page's tables are made from these fields.
@@ -89,7 +89,7 @@ def any_in_space(protocols: Iterable[str]) -> bool:
 
 
 def fields_of(kind: type) -> dict[str, FieldInfo]:
-    """The pydantic fields of a class of figures by name, in the order of the file."""
+    """Return the pydantic fields of a class of such values by name, in the order of the file."""
     fields: dict[str, FieldInfo] = vars(kind)["__pydantic_fields__"]
     return fields
 
@@ -348,12 +348,12 @@ class ScoreRow(InSpace, ByThreshold, Unknown, SurfaceMetrics, Resolution, Contex
 
 @dataclass(frozen=True, config=FINITE)
 class Averages(Context, SurfaceMetrics, VoxelMetrics):
-    """Means of figures over rows; a figure that one of the rows lacks is None."""
+    """Means of values over rows; a value that one of the rows lacks is None."""
 
     ceiling_iou: OptionalUnitRange = Field(default=None, description="mean of the rows' ceilings")
 
     def __getitem__(self, key: str) -> Any:
-        """The value of a figure by its key in the file, such as "iou"."""
+        """Look up a value by its key in the file, such as "iou"."""
         return getattr(self, key)
 
 

@@ -259,7 +259,7 @@ class ScoreTable(Stored):
         return REPORTED if self.verified is None else self.verified.words
 
     def facts_sha256(self) -> str:
-        """SHA-256 of the keys that a recheck must reproduce: all but derived ones and `verified`."""
+        """SHA-256 of the values that a recheck must reproduce: all but derived ones and `verified`."""
         content = self.model_copy(update={"rows": ()}).json_value()
         digest, sign = hashlib.sha256(), "{"
         for key in sorted(set(content) - NO_FACTS):
@@ -295,7 +295,7 @@ class ScoreTable(Stored):
         return values if over_all is None else {**values, OVERALL: over_all}
 
     def pairs(self, protocol: str) -> list[ScoreRow]:
-        """The rows whose `ScoreRow.heading` is `protocol`; for most protocols this is their name."""
+        """The rows of a group (`ScoreRow.heading`); for most protocols the group has the protocol's name."""
         return [row for row in self.rows if row.heading == protocol]
 
     def left_out_line(self, protocol: str) -> str:
@@ -323,8 +323,8 @@ class ScoreTable(Stored):
 
         Args:
             folder: created if missing.
-            name: name of the JSON file. Under another name than scores.json there is no scores.csv, and the
-                rows.npz of a scores.json in the folder stays.
+            name: name of the JSON file. If it is not scores.json, no scores.csv is written, and the rows.npz
+                of a scores.json in the folder stays.
 
         Raises:
             StorageError: the table has many rows, but the folder has a scores.json with other ones, so that
@@ -344,7 +344,7 @@ class ScoreTable(Stored):
 
     @classmethod
     def read_file(cls, path: Path) -> Self:
-        """Read a table, with the rows in rows.npz beside it, if any; errors as of `Stored.read_file`."""
+        """Read a table, with the rows of a rows.npz beside it; raises what `Stored.read_file` raises."""
         table = super().read_file(path)
         if table.rows_file is None:
             return table

@@ -102,5 +102,5 @@ class FramesFile(Bare):
 
     @property
     def recorded(self) -> tuple[int, ...]:
-        """The number of each frame in the original recording, where damaged frames count."""
+        """The number of each frame in the original recording, which also counts damaged frames."""
         return tuple(row.index if row.recorded is None else row.recorded for row in self.rows)

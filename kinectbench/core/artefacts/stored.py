@@ -70,7 +70,7 @@ class StoredPart(BaseModel):
     """A part of a stored file: frozen, without NaN or infinity; unknown keys are kept.
 
     Newer versions may write more keys, and these must survive if a file is read and written again. No keys
-    are added: a key whose default is None or () is written only if it was given, even if only as null.
+    are added: a key whose default is None or () is written only if it was given (null counts).
     """
 
     model_config = ConfigDict(
@@ -131,7 +131,7 @@ class Stored(StoredPart):
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Read the file in a folder; errors as of `read_file`."""
+        """Read the file in a folder; raises what `read_file` raises."""
         return cls.read_file(folder / cls.FILE)
 
     @classmethod
@@ -277,7 +277,7 @@ class ScaledPart(StoredPart):
 
 
 def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[object, ...]:
-    """Annotations of a field with a finite numpy array of this shape and type; nested lists in the file.
+    """Annotations of a field with a finite array of this shape and type; the file has nested lists.
 
     Texts, booleans, NaN and infinity are refused, and for an integer `dtype` also floats.
     """

@@ -144,9 +144,9 @@ def columns_of(targets: Iterable[Target]) -> tuple[str, ...]:
 
 
 def targets_text(targets: Sequence[Target], columns: Sequence[str] = ()) -> str:
-    """The text of targets.csv, or of one split's table in targets/.
+    """Write the text of targets.csv, or of one split's table in targets/.
 
-    Earlier releases have fewer `columns`; by default they are those of this version.
+    `columns` are those to write; by default, they are those of this version (earlier releases have fewer).
     """
     columns = columns or columns_of(targets)
     buffer = io.StringIO()

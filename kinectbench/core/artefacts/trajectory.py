@@ -107,7 +107,7 @@ class Covisibility(StoredPart):
 
 
 class FrameHealth(ScaledPart):
-    """Tracking figures of one frame; unknown values are null."""
+    """Results of tracking for one frame; unknown values are null."""
 
     frame: int = Field(description="its index")
     state: FrameState = Field("tracked", description="whether it has a pose, and if not, why")
@@ -122,7 +122,7 @@ class FrameHealth(ScaledPart):
 
 
 class TrajectoryHealth(ScaledPart, Stored):
-    """health.json: figures of a trajectory that need no ground truth; docs/tracking.md explains them."""
+    """health.json: measures of a trajectory's quality, without ground truth; see docs/tracking.md."""
 
     FILE: ClassVar[str] = "health.json"
 

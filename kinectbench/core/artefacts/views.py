@@ -1,4 +1,4 @@
-"""views.json and pairs.json: the views of a recording with their figures, and the pairs made of them."""
+"""views.json and pairs.json: the views of a recording with their statistics, and the pairs made of them."""
 
 from collections.abc import Callable, Mapping
 from typing import Annotated, Literal, Self
@@ -108,7 +108,7 @@ class ViewsFile(Stored):
 
 
 class PairRow(StoredPart):
-    """The figures of one pair of a partial view and the full shape."""
+    """Statistics of one pair of a partial view and the full shape."""
 
     view: ViewName = Field(description="zero-padded index")
     frame: int | None = Field(None, description="index of the frame in the recording")
@@ -139,7 +139,7 @@ class PairsFile(Stored):
 
 
 class DrawnOn(StoredPart):
-    """The image that a person's mask was drawn on."""
+    """The image that the user drew a mask on."""
 
     image: Digest = Field(description="SHA-256 of the frame's depth as it was recorded")
     picture: Digest | Literal["recorded"] | None = Field(
@@ -150,7 +150,7 @@ class DrawnOn(StoredPart):
 
 
 class MasksFile(Stored):
-    """masks.json beside a person's masks: which image each was drawn on, by the masks' file names."""
+    """masks.json beside the user's masks: which image each was drawn on, by the masks' file names."""
 
     FILE = "masks.json"
     ADVICE = "correct it, or remove it and look at every mask again"

@@ -21,7 +21,7 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 
 class BoxAnchor(NamedTuple):
-    """An image of the recording whose pose identifies the floor frame in which a box was chosen.
+    """An image of the recording; its pose identifies the floor frame in which a box was chosen.
 
     Attributes:
         frame: index of the image in the sequence.
@@ -42,7 +42,7 @@ class OrientedBox:
         center_m: (3,) centre, metres.
         size_m: (3,) edge lengths, metres.
         yaw_rad: turn about z, radians, counter-clockwise seen from above.
-        anchor: identifies the floor frame of a box that a person chose; None: not known.
+        anchor: identifies the floor frame of a box that the user chose; None: not known.
     """
 
     center_m: tuple[float, float, float]

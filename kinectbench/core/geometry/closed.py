@@ -25,7 +25,7 @@ def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
 
 
 def three_corners(faces: Int32) -> Bools:
-    """Which faces (m, 3) have three different corners: bool (m,)."""
+    """Return which faces (m, 3) have three different corners: bool (m,)."""
     a, b, c = faces.T
     return np.asarray((a != b) & (b != c) & (c != a))
 

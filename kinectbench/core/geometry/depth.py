@@ -89,13 +89,13 @@ def depth_in_mm(depth_m: Float32) -> NDArray[np.uint16]:
 
 
 def too_far_for_mm(depth_m: Float32) -> float:
-    """Share of the measured pixels whose depth (metres) exceeds the range of `depth_in_mm`; 0 without any."""
+    """Share of measured pixels whose depth (metres) exceeds the range of `depth_in_mm`; 0 without depth."""
     measured, too_far = (int(np.count_nonzero(of)) for of in (depth_m > 0, np.rint(depth_m * 1000) > MOST_MM))
     return too_far / max(measured, 1)
 
 
 def legendre_terms(u: NDArray[np.floating], v: NDArray[np.floating], width: int, height: int) -> Float64:
-    """Products of Legendre polynomials at pixels (m,), mapped to -1 ... 1: (m, number of terms)."""
+    """Return Legendre products (m, number of terms) at pixels (m,); the image spans -1 ... 1 on both axes."""
     columns, rows = _polynomials(u, width), _polynomials(v, height)
     return np.stack([columns[:, i] * rows[:, j] for i, j in TERMS], axis=1)
 

@@ -28,12 +28,12 @@ class NormalEquations:
 
     @classmethod
     def of_prior(cls, information: Float64, state: Float64) -> "NormalEquations":
-        """Equations of a prior that pulls the unknowns, now `state` (n,), to 0; `information` is (n, n)."""
+        """Make the equations of a prior with information (n, n) that pulls `state` (n,) to 0."""
         return cls(information, -information @ state)
 
     @classmethod
     def of_products(cls, products: Float64) -> "NormalEquations":
-        """The normal equations in the result (n + 1, n + 1) of `weighted_products` for rows of J and r."""
+        """Take the equations from `weighted_products` (n + 1, n + 1) of rows that hold J, then r."""
         return cls(products[:-1, :-1], products[:-1, -1])
 
     def __add__(self, other: "NormalEquations") -> "NormalEquations":
@@ -52,7 +52,7 @@ class NormalEquations:
 def descend(
     advance: Callable[[State], tuple[State, float]], state: State, steps: int, still: float = 0.0
 ) -> tuple[State, float]:
-    """Repeat `advance`; return the last state and the size of the last step, infinite without any step.
+    """Repeat `advance`; return the last state and the size of the last step, inf if no step was made.
 
     Args:
         advance: returns the next state and the size of the step to it.
@@ -69,10 +69,11 @@ def descend(
 
 
 def robust_weights(distances: Float64, counts: Float64 | float = 1.0, power: int = 1) -> Float64:
-    """Weights (n,), with sum 1, of residuals of sizes `distances` (n,) >= 0: small for outliers.
+    """Return weights (n,), with sum 1, of residuals of sizes `distances` (n,) >= 0: small for outliers.
 
-    They are proportional to counts / (1 + (d / s)^2)^power, where s is three median distances. Power 1 is
-    Cauchy's function; 2 is Geman and McClure's, which nearly ignores outliers.
+    They are proportional to counts / (1 + (d / s)^2)^power, where s is three median distances, and `counts`
+    are weights without regard to outliers. Power 1 is Cauchy's function; 2 is Geman and McClure's, which
+    nearly ignores outliers.
     """
     if not len(distances):
         return distances
@@ -88,13 +89,13 @@ def eliminated(products: Float64, first: int, information: Float64) -> tuple[Flo
     """Eliminate the first unknowns from a sum of products by the Schur complement.
 
     Args:
-        products: (n, n), as of `weighted_products`, the residual last.
+        products: (n, n), result of `weighted_products` for rows with the residual last.
         first: number of unknowns to eliminate.
         information: (first, first) of a prior of these unknowns.
 
     Returns:
-        The products of the remaining unknowns x; and F, (first, n - first), by which the eliminated ones
-        follow: F[:, -1] - F[:, :-1] x.
+        The products of the remaining unknowns x; and F, (first, n - first), which gives the eliminated ones:
+        F[:, -1] - F[:, :-1] x.
     """
     own = products[:first, :first] + information
     follows = np.asarray(np.linalg.solve(own, products[:first, first:]), np.float64)
@@ -112,7 +113,7 @@ def weighted_products(rows: Float64, weights: Float64) -> Float64:
 def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
     """Add R W R^T to the lower triangle of `sums` (n, n); R, W are the first m columns and weights.
 
-    Faster than BLAS here, whose threads wait longer for work than they compute.
+    BLAS is slower here: its threads wait longer for work than they compute.
     """
     for i in range(len(sums)):
         for j in range(i + 1):

@@ -1,4 +1,4 @@
-"""Triangle meshes: their type, marching cubes, Poisson reconstruction, and binary PLY files (by trimesh)."""
+"""Triangle meshes: their type, marching cubes, Poisson reconstruction, and binary PLY files."""
 
 import importlib
 import re
@@ -204,7 +204,7 @@ def _open3d() -> ModuleType:
 
 
 def write_ply(mesh: TriangleMesh, path: Path) -> None:
-    """Write vertices (float32, metres), faces and colours; the same bytes as by trimesh."""
+    """Write vertices (float32, metres), faces and colours; the bytes are those that trimesh writes."""
     channels = () if mesh.colors is None else ("red", "green", "blue", "alpha")
     properties = [*(f"float {axis}" for axis in "xyz"), *(f"uchar {channel}" for channel in channels)]
     lines = [

@@ -6,7 +6,7 @@ from numba import njit
 
 @njit(cache=True, nogil=True)
 def sorted_edges(faces):  # type: ignore[no-untyped-def]
-    """The edges of faces (m, 3) as sorted numbers: (3 m,) int64.
+    """Return the edges of faces (m, 3) as sorted numbers: (3 m,) int64.
 
     A number is `lower vertex << 32 | higher vertex << 1`, plus 1 if the edge starts at the higher vertex.
     """
@@ -22,7 +22,10 @@ def sorted_edges(faces):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _counted(numbers, shift, digits):  # type: ignore[no-untyped-def]
-    """One pass of a radix sort: sort by the 32 bits from `shift` on, which are below `digits`; stable."""
+    """One pass of a radix sort, which is stable.
+
+    The sort key is the 32 bits of each number from bit `shift` on. Every key must be less than `digits`.
+    """
     begin, found = np.zeros(digits + 1, np.int64), np.empty(len(numbers), np.int64)
     for number in numbers:
         begin[(number >> shift & 0xFFFFFFFF) + 1] += 1
@@ -36,9 +39,9 @@ def _counted(numbers, shift, digits):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def pieces_of(faces, vertices: int):  # type: ignore[no-untyped-def]
-    """The connected piece of each face (m, 3), as one vertex of the piece: (m,) int64.
+    """Return for each face (m, 3) one vertex that identifies its connected piece: (m,) int64.
 
-    Faces that share vertices, directly or by other faces, have the same vertex.
+    Faces that share vertices, directly or by other faces, get the same vertex.
 
     Args:
         faces: (m, 3) indices below `vertices`.
@@ -58,7 +61,7 @@ def pieces_of(faces, vertices: int):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _top(above, vertex):  # type: ignore[no-untyped-def]
-    """The root vertex of a piece (union-find); the path to it is halved."""
+    """Return the root of a vertex in a union-find forest, and halve the path to it."""
     while above[vertex] != vertex:
         above[vertex] = above[above[vertex]]
         vertex = above[vertex]

@@ -102,7 +102,7 @@ def upright_mask(
 
 
 def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Float64:
-    """The camera's motion at each frame, (n, 12) as in `RollingShutter.motion`.
+    """Estimate the camera's motion at each frame, (n, 12) as in `RollingShutter.motion`.
 
     Rates come from neighbouring poses, from first to last at most 0.2 s apart, and are interpolated where a
     frame has no such neighbour. All are 0 if fewer than two frames have one.
@@ -131,7 +131,7 @@ def motions(T_segment_camera: Float64, segment: Int64, stamps_s: Float64) -> Flo
 
 
 def _ascending(stamps_s: Float64) -> Float64:
-    """Times from 0 on with the given steps, but each at least a tenth of the median step."""
+    """Return times from 0 on with the steps of `stamps_s`, but each step at least 0.1 median steps."""
     steps = np.diff(stamps_s)
     least = 0.1 * max(float(np.median(steps)), 1e-6)
     return np.concatenate([[0.0], np.cumsum(np.maximum(steps, least))])
@@ -139,7 +139,10 @@ def _ascending(stamps_s: Float64) -> Float64:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
-    """Map (x, y, 1) / over_z at mid-readout to the camera's axes `since_s` later; return it times over_z."""
+    """Transform a point from the camera's axes at mid-readout to those `since_s` later.
+
+    The point is (x, y, 1) / over_z. The result is the transformed point times over_z.
+    """
     half_s = 0.5 * since_s
     ax = since_s * (motion[0] + half_s * motion[6])
     ay = since_s * (motion[1] + half_s * motion[7])
@@ -158,7 +161,7 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
-    """The recorded pixel for each corrected one: u and v, (height, width) each; see `upright_gray`."""
+    """Return the recorded pixel for each corrected one: u and v, (height, width) each; see `upright_gray`."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     at_u, at_v = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -177,7 +180,10 @@ def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _depth_at_once(depth, units_per_m, intrinsics, motion, readout_s):  # type: ignore[no-untyped-def]
-    """Depth at mid-readout, interpolated, or the nearest pixel's at depth edges; see `upright_depth`."""
+    """Return the depth at mid-readout; see `upright_depth`.
+
+    It is interpolated between four recorded pixels, or taken from the nearest one at depth edges.
+    """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
     moved = np.zeros((height, width), np.uint16)

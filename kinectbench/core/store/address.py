@@ -71,7 +71,7 @@ def unusable(text: str) -> str | None:
 
 
 def is_web(url: str) -> bool:
-    """Whether a URL is one of a plain web server, whose files can be read by name, not listed or written."""
+    """Whether a URL is that of a plain web server: files can be read by name, but not listed or written."""
     return url.startswith(("http://", "https://"))
 
 

@@ -127,7 +127,7 @@ def check_stopped() -> None:
 
 
 def has_answered(url: str) -> bool:
-    """Whether the host of a URL has answered this process, so its name is known."""
+    """Whether the host of a URL has answered this process, so that its name is valid."""
     return _host(url) in _answered
 
 
@@ -184,7 +184,7 @@ def patiently(
 
 
 def _tell(place: str, host: str, failed_s: float, left_s: float, error: Exception) -> None:
-    """Warn, once per host, if calls have long failed (`failed_s`); they are retried for `left_s` more."""
+    """Warn, once per host, if calls have failed for long (`failed_s`); retries go on for `left_s` seconds."""
     if failed_s >= TELL_AFTER_S and host not in _reported:
         _reported.add(host)
         _log.warning(

@@ -147,7 +147,7 @@ class Store:
         return self._try(name, lambda: self._put_new(name, content, same))
 
     def objects(self, below: str = "", most: int = MOST_OBJECTS) -> list[StoredObject]:
-        """List every file below a folder ("": all of the store), sorted by name; none if it is missing.
+        """List every file below a folder ("": all of the store), by name; [] if the folder is missing.
 
         Raises:
             StorageError: there are more than `most` files, or they cannot be listed.
@@ -316,7 +316,9 @@ class Store:
 def in_parallel(
     calls: Iterable[Callable[[], T]], done: Callable[[int], None] = lambda count: None, at_once: int = AT_ONCE
 ) -> list[T]:
-    """Run calls in threads and return their results in order; an error, seen in order, cancels waiting calls.
+    """Run calls in threads, and return their results in order.
+
+    The first error, in the order of the calls, is raised and cancels the waiting calls.
 
     Args:
         calls: functions without arguments, such as methods of `Store` by `functools.partial`.

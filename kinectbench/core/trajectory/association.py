@@ -21,7 +21,7 @@ MISSING_STEPS = 1.5
 
 
 class _Matching(NamedTuple):
-    """The best pairs so far, as a linked list; the better of two has more pairs, then a smaller total gap.
+    """The best pairs so far, as a linked list; more pairs are better, then a smaller total gap.
 
     Attributes:
         pairs: number of pairs.
@@ -88,10 +88,11 @@ def half_step_ns(stamps_ns: Sequence[int] | Int64) -> int:
 
 
 def pairing_tolerance_ns(depth_ns: Sequence[int] | Int64, color_ns: Sequence[int] | Int64) -> int:
-    """Largest accepted time difference between a frame's depth and colour image, nanoseconds.
+    """Return the largest accepted time difference between a frame's depth and colour image, nanoseconds.
 
     It is half a frame interval of the faster stream plus half the larger jitter of the two streams, at most
-    `TOLERANCE_NS`. Unless that limit applies, the nearest image is within it; the next frame's mostly not.
+    `TOLERANCE_NS`. Below that limit, it includes the nearest image, and mostly excludes that of the next
+    frame.
 
     Args:
         depth_ns: stamps of depth, nanoseconds, in any order.

@@ -77,7 +77,7 @@ def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTraj
 
 
 def _best_ns(squares: Float64) -> int | None:
-    """The lag with the least mean of `squares` (lags, frames), refined by a parabola; None at either end."""
+    """Return the lag, ns, with the least mean of `squares` (lags, frames), refined; None if at either end."""
     means = squares.mean(axis=1)
     best = int(np.argmin(means))
     if best in (0, len(means) - 1):
@@ -86,7 +86,9 @@ def _best_ns(squares: Float64) -> int | None:
 
 
 def steps_to_vertex(values: Float64, best: int) -> float:
-    """The distance in steps from the extremum of evenly spaced values to the vertex of a parabola there.
+    """Return the distance, in steps, from the extremum of evenly spaced values to the vertex of a parabola.
+
+    The parabola passes through the extremum and its two neighbours.
 
     Args:
         values: (n,), with a minimum or maximum at `best`.
@@ -101,7 +103,7 @@ def steps_to_vertex(values: Float64, best: int) -> float:
 
 
 def _squares(frames_ns: Int64, positions: Float64, reference: GivenTrajectory, lags_ns: Int64) -> Float64:
-    """Squared distances (lags, k), m^2, between the reference and k frames that it covers at every lag."""
+    """Return squared distances (lags, k), m^2, to the reference, of k frames that it covers at every lag."""
     # Times relative to the first, because nanoseconds since 1970 exceed the precision of a float.
     known_ns = reference.stamps_ns - reference.stamps_ns[0]
     wanted_ns = frames_ns - reference.stamps_ns[0] + lags_ns[:, None]

@@ -43,11 +43,11 @@ class TrajectoryError:
     Attributes:
         matched: number of these poses, n.
         T_reference_estimate: (4, 4), from the estimate's world to the reference's (the alignment of ATE).
-        ate_m: distances of the aligned positions; its rmse is the absolute trajectory error.
-        rpe_frame_m: relative translation errors between one pose and the next.
-        rpe_frame_rad: relative rotation errors between one pose and the next.
-        rpe_metre_m: relative translation errors over a metre of path; None if no piece is that long.
-        rpe_metre_rad: relative rotation errors over a metre of path, or None.
+        ate_m: statistics of the distances of the aligned positions; its rmse is the absolute error, ATE.
+        rpe_frame_m: statistics of the relative translation errors between one pose and the next.
+        rpe_frame_rad: the same for rotation.
+        rpe_metre_m: the same for translation over a metre of path; None if no piece is that long.
+        rpe_metre_rad: the same for rotation over a metre of path, or None.
         position_errors_m: (n,) distances of the aligned positions, in the order given.
     """
 
@@ -67,10 +67,11 @@ def has_pose(T: Float64) -> Bools:
 
 
 def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]:
-    """Pair stamps one to one: first equal ones, then the closest within half a frame.
+    """Pair the stamps of two trajectories one to one.
 
-    Half a frame is half the smaller of the two median intervals, so that no stamp is paired with the
-    neighbour of its own frame. Of unequal stamps, as many are paired as possible (`association.associate`).
+    Equal stamps are paired first. The others are paired if they differ by half a frame at most: as many pairs
+    as possible, and among those the least sum of differences (`association.associate`). Half a frame is half
+    the smaller of the two median intervals, so that a stamp is never paired with one of the next frame.
 
     Args:
         estimate_ns: (k,) int64, any order.
@@ -182,7 +183,7 @@ def statistics(errors: Float64) -> ErrorStatistics:
 def _relative_errors(
     T_estimate: Float64, T_reference: Float64, i: Int64, j: Int64
 ) -> tuple[Float64, Float64]:
-    """Translation (m) and angle (rad) of the relative pose errors from the poses i to the poses j."""
+    """Return translation (m) and angle (rad) of the relative pose errors from poses i to poses j."""
     moved_estimate = invert_rigid(T_estimate[i]) @ T_estimate[j]
     moved_reference = invert_rigid(T_reference[i]) @ T_reference[j]
     error = invert_rigid(moved_reference) @ moved_estimate
@@ -190,7 +191,10 @@ def _relative_errors(
 
 
 def _pieces(positions: Float64) -> tuple[Int64, Int64]:
-    """Index arrays (first, last): for each pose, the pose closest to 1 m of path ahead, if 0.9 to 1.1 m."""
+    """Return the first and the last pose of pieces of the path that are about 1 m long: index arrays.
+
+    Each pose is paired with the later pose closest to 1 m along the path, if that is 0.9 to 1.1 m away.
+    """
     steps_m = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     first = np.arange(len(path_m) - 1)

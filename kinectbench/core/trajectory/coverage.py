@@ -46,12 +46,13 @@ FEWEST = 6
 
 
 def convergence_point(T_world_camera: Float64) -> Float64:
-    """The point (3,) in the world nearest to all optical axes, in the least-squares sense.
+    """Return the point (3,) in the world nearest to all optical axes, in the least-squares sense.
+
+    Nearly parallel axes do not determine the distance, so a weak prior pulls the point towards 1.5 m ahead.
+    If diverging axes meet behind most cameras, the result is the mean of the points 1.5 m ahead.
 
     Args:
-        T_world_camera: (n, 4, 4), n > 0. Nearly parallel axes do not determine the distance, so a weak prior
-            pulls the point towards 1.5 m ahead. If diverging axes meet behind most cameras, the result is the
-            mean of the points 1.5 m ahead.
+        T_world_camera: (n, 4, 4), n > 0.
     """
     axes, positions = T_world_camera[:, :3, 2], T_world_camera[:, :3, 3]
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
@@ -68,8 +69,8 @@ def convergence_point(T_world_camera: Float64) -> Float64:
 def from_above(T_world_camera: Float64) -> Float64:
     """Rotation R_above_world (3, 3) to an upright frame: z up, y along the first camera's viewing direction.
 
-    Up is the mean up vector of the cameras, made as perpendicular as possible to their image rows. Cameras
-    that look down at an object are pitched forward, but are held level.
+    Up is close to the mean up vector of the cameras, and as perpendicular as possible to their image rows:
+    cameras that look down at an object are pitched forward, but not rolled.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
@@ -89,7 +90,7 @@ def from_above(T_world_camera: Float64) -> Float64:
 
 
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
-    """Median depth in the middle third of up to 40 of the frames (n,), metres; None without depth there."""
+    """Median depth in the middle third of up to 40 of the frames (n,), metres; None if there is none."""
     some = frames[evenly(len(frames), MIDDLE_FRAMES)]
     return middle_depth_m(sequence.depths_m(some, MIDDLE_STEP_PX))
 
@@ -110,11 +111,11 @@ def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
 
 
 def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
-    """The point (3,) where the cameras' axes meet, or the mean point ahead of them if they meet by chance.
+    """Return the point (3,) where the cameras' axes meet, or the mean point ahead if they meet by chance.
 
     The axes of a camera that hardly turns may cross anywhere, even in empty space close to it. Then the
-    result is the mean of the points ahead of each camera, at the median depth in the middle of the images.
-    Axes that turn as far as the cameras' arc around their meeting point do not meet by chance, even if the
+    result is the mean of the points ahead of each camera, at the median depth in the middle of the images. If
+    the axes turn as far as the cameras' arc around the meeting point, they do not meet by chance, even if
     depth disagrees: with a slender object, or one with gaps, the middle of most images shows the wall.
 
     Args:

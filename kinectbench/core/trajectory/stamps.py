@@ -56,7 +56,7 @@ def parse_stamp_ns(text: str, where: str) -> int:
 
 
 def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
-    """Check by the intervals between images that stamps were in seconds, as they should be.
+    """Check that stamps were in seconds, as they should be, by the intervals between images.
 
     Args:
         stamps_ns: stamps in the order of recording, as read.
@@ -98,7 +98,7 @@ def no_times(stamps_ns: Sequence[int]) -> str:
 
 
 def are_of_today(stamps_ns: Sequence[int]) -> bool:
-    """Whether all stamps, nanoseconds, count from 1970, so that they are times even if out of order."""
+    """Whether all stamps are ns since 1970, of 2001 to 2096: they are times even if out of order."""
     return all(TODAY_NS[0] <= stamp_ns < TODAY_NS[1] for stamp_ns in stamps_ns)
 
 

@@ -33,7 +33,7 @@ class Trajectory:
         source: how the poses were obtained: "trust" (as given), "refine" (given, and refined) or "tracked".
         pose_sigma_m: (n,) standard deviation of each pose, as a shift of its points, metres; NaN if unknown.
             None if unknown for all frames.
-        health: figures of quality that need no ground truth; None if not computed.
+        health: measures of quality that need no ground truth; None if not computed.
         depth_calibration: the correction of depth that was used to estimate or check the poses.
     """
 

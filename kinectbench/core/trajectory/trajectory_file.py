@@ -54,7 +54,7 @@ def read_trajectory_file(path: Path, frames: int | None = None) -> tuple[GivenTr
 
     Args:
         path: the file.
-        frames: number of frames of a recording whose stamps are no times; row i is then the pose of frame i.
+        frames: for a recording without times, its number of frames: row i is the pose of frame i; else None.
 
     Returns:
         The trajectory and warnings.

@@ -35,7 +35,7 @@ def filled_hull(occupied: Bools) -> Bools:
 
 
 def _column_ends(occupied: Bools) -> NDArray[np.float64]:
-    """Return the first and the last set cell of every column along z, (m, 3): also all hull vertices."""
+    """Return the first and the last set cell of every column along z, (m, 3); they hold all hull vertices."""
     x, y = np.nonzero(occupied.any(axis=2))
     columns = occupied[x, y]
     first, last = columns.argmax(axis=1), columns.shape[1] - 1 - columns[:, ::-1].argmax(axis=1)

@@ -38,7 +38,7 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _along_last(cells, reach, squared):  # type: ignore[no-untyped-def]
-    """Set in `squared` the squared distances, voxels, to set cells along the last axis; far: reach^2 + 1."""
+    """Write into `squared` squared distances, voxels, to set cells on the last axis; far: reach^2 + 1."""
     nx, ny, nz = cells.shape
     beyond = reach * reach + 1
     for i in range(nx):

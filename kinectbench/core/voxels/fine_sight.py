@@ -34,7 +34,7 @@ LEAST_ASKED_SHARE = 5e-5
 def seen_closely(
     space: Space, wide: Space, to_camera: Float64, spacing_rad: float, already: NDArray[np.uint8]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Find voxels seen along narrow lines, and voxels behind gaps seen along wide lines of more directions.
+    """Find the voxels seen along narrow lines; behind gaps, add wide lines of more directions.
 
     Deep behind a gap, a voxel is seen along few directions. Its neighbour may be seen along none of
     `to_camera`, but along a direction between them. So directions of a finer lattice are added, near those
@@ -45,12 +45,12 @@ def seen_closely(
         space: the voxels for narrow lines.
         wide: the same for wide lines.
         to_camera: (n, 3) unit vectors, from a point to a camera; all level or up, or all down.
-        spacing_rad: angle between neighbours among them, radians.
+        spacing_rad: angle between neighbouring ones, radians.
         already: (nx, ny, nz), not 0 where a voxel was seen before; these are not searched for.
 
     Returns:
         The voxels of `space` seen along `to_camera`, and those of `wide` seen along the added directions,
-        both as from `seen_along`.
+        both as `seen_along` returns them.
     """
     marks = ways_along(space, to_camera)
     seen = marks & np.uint8(SEEN)
@@ -102,8 +102,8 @@ def _some_see(state, cells, ways, heights_m, voxel_m, near_m, least_m):  # type:
 def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
     """Find more visible voxels along additional directions, outwards from the edge of the visible region.
 
-    Few directions pass a narrow gap. If a voxel is seen, so are all points between it and the camera; newly
-    seen voxels are therefore next to seen ones.
+    Few directions pass through a narrow gap. If a voxel is seen, so are all points between it and the camera;
+    newly seen voxels are therefore next to seen ones.
 
     Args:
         space: the voxels.

@@ -45,8 +45,8 @@ def known_in(fine: KnownGrid, coarse: KnownGrid, grid: Grid) -> NDArray[np.uint8
     unknown, are set at once; the result is the same as cell by cell.
 
     Args:
-        fine: the voxels that decide where they reach.
-        coarse: the voxels that decide elsewhere.
+        fine: decides on the cells whose centre lies in its grid.
+        coarse: decides on the other cells.
         grid: the grid of cells, of any orientation; its sides must be multiples of 8.
 
     Returns:
@@ -138,8 +138,8 @@ def _block_state(level, i, j, k):  # type: ignore[no-untyped-def]
 def _reach(row, i, j, k, count):  # type: ignore[no-untyped-def]
     """Return first and last tile that a block touches along one axis, and whether it lies inside the grid.
 
-    No tile: last < first. `row` maps cells to voxels along the axis, (i, j, k) is the block's first cell, and
-    `count` the number of voxels.
+    If it touches no tile, last < first. `row` maps cells to voxels along the axis, (i, j, k) is the block's
+    first cell, and `count` the number of voxels.
     """
     half = BLOCK / 2
     middle = row[0] * (i + half) + row[1] * (j + half) + row[2] * (k + half) + row[3]

@@ -98,7 +98,7 @@ def ways_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
 
     Returns:
         (nx, ny, nz) uint8: FROM_ABOVE (by a camera as high as the voxel or higher), FROM_BELOW, or both (3),
-        and the number of these directions, up to 3, times ONE_WAY; 0 if not seen.
+        plus ONE_WAY times the number of these directions, at most 3; 0 if not seen.
     """
     seen = np.zeros(space.state.shape, np.uint8)
     for turned in _turned_along(space, to_camera):
@@ -205,12 +205,13 @@ def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m,
     Args:
         state: flat, the state of each voxel.
         seen: flat, receives what `ways_along` returns.
-        shape: number of voxels along each axis.
+        shape: number of voxels along each axis, (n0, n1, n2).
         ways: (n, 3) unit vectors, from a point to a camera.
         up_axis: the axis that is vertical.
         heights_m: heights of the layers along `up_axis`, metres.
-        lines: (n, room), overwritten: a counter for each line of each direction. It is 0 if no camera sees
-            along the line, 2 at a camera, and grows by 1 a voxel until the camera is `near_m` away.
+        lines: (n or more, (n0 + n1) n2 + n0), overwritten: a counter for each line of each direction. It is 0
+            if no camera sees along the line, 2 at a camera, and grows by 1 a voxel until the camera is
+            `near_m` away.
         voxel_m: edge of a voxel, metres.
         near_m: least distance from a camera at which it sees, metres.
         least_m: least height of a camera outside the grid, metres.
@@ -251,8 +252,9 @@ def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m,
 def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # type: ignore[no-untyped-def]
     """Set in `entering` the counter of a line one step before it enters the grid, for each layer.
 
-    Return the counter at which a camera is `near_m` away. `up` is the direction's vertical component,
-    `step_m` the length of a step, and `slices` the most steps; cameras are at least `least_m` high.
+    Return the counter at which a camera is `near_m` away. `up` is the vertical component of the direction,
+    `step_m` the length of a step, and `slices` the largest number of steps. Cameras are at least `least_m`
+    high.
     """
     enough = 2 + _steps(np.float32(0), step_m, near_m, slices)
     for layer in range(len(heights_m)):
@@ -264,7 +266,7 @@ def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _steps(far_m, step_m, near_m, most):  # type: ignore[no-untyped-def]
-    """Return after how many steps a camera, at first `far_m` away, is `near_m` away; at most `most`."""
+    """Return how many steps of `step_m` increase a distance `far_m` to `near_m` or more; at most `most`."""
     steps = 0
     while far_m < near_m and steps < most:
         far_m += step_m

@@ -33,7 +33,7 @@ def blocks_touched(full: Packed) -> Bools:
 
 
 def cell_numbers(cells: Int64 | Int32) -> Int64:
-    """Return one integer for each cell; integers sort as the cells do by first, then second ... coordinate.
+    """Return one integer per cell; its order is that of the cells by first, then second ... coordinate.
 
     Integers are sorted 17 times as fast as rows, and sorting a million rows keeps signals waiting for 2 s.
 
@@ -70,7 +70,7 @@ def containment_of_cells(cells: Int64, full: Packed) -> float:
 
 
 def containment(partial: Packed, full: Packed) -> float:
-    """Return `containment_of_cells` of a packed partial, with a quarter of the cells a side of `full`."""
+    """Return `containment_of_cells` of a packed partial; its sides have a quarter of the cells of `full`."""
     cells = unpack(partial)
     count = np.count_nonzero(cells)
     return np.count_nonzero(cells & blocks_touched(full)) / count if count else 1.0
@@ -115,7 +115,7 @@ def _shell(full):  # type: ignore[no-untyped-def]
 
 
 def opened(mask: Bools, size: Sequence[int]) -> Bools:
-    """Return the binary opening by a box: the cells that lie in some box of this size of only set cells.
+    """Return the binary opening by a box: the cells in any box of this size whose cells are all set.
 
     The result is that of `scipy.ndimage.binary_opening` with a structure of ones, several times as fast: a
     box is a run along each axis, and a long run is two shorter ones.

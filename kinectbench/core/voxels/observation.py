@@ -81,7 +81,7 @@ def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float
 
 
 def _heard_share(tsdf: Float32, voxel_size_m: float) -> Float32:
-    """Return the factor, at most 1, of fusion on a weight at these distances (< 0: behind the surface)."""
+    """Return the factor, at most 1, by which fusion lowers weights at distances `tsdf` (< 0: behind)."""
     behind_voxels = -tsdf / np.float32(voxel_size_m) - np.float32(HALF_DIAGONAL)
     faded = np.float32(1) - np.maximum(behind_voxels, np.float32(0)) / np.float32(FADING_VOXELS)
     return np.asarray(np.maximum(faded, np.float32(HIDDEN_SHARE)), np.float32)
@@ -108,7 +108,7 @@ def pose_reach_m(median_pose_sigma_m: float | None) -> float:
 
 
 def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: float) -> float:
-    """Return a ray's width, metres: root of the squares of a pixel's width and of three times the pose error.
+    """Return a ray's width, metres: root of the sum of squares of a pixel's width and thrice the pose error.
 
     Args:
         camera: camera of the depth images.
@@ -119,7 +119,7 @@ def ray_width_m(camera: Camera, median_pose_sigma_m: float | None, distance_m: f
 
 
 def trust_in_votes(ray_width_m: float, voxel_size_m: float) -> float:
-    """Return the trust in `Observation.free`, 0 to 1; it falls with the rays' width in voxels."""
+    """Return how far to trust `Observation.free`, 0 to 1: less if rays are many voxels wide."""
     return float(np.interp(ray_width_m / voxel_size_m, RAY_WIDTHS_VOXELS, TRUST_IN_VOTES))
 
 

@@ -45,10 +45,10 @@ class Pair:
     """One single-view completion problem and its truth; the keys are described with the fields.
 
     Grid axes are the view's optical axes. Packed grids are uint8, (64, 64, 8) of `partial` and (256, 256, 32)
-    of the others; matrices are float64. By "winding" a cell of `full` is occupied if its centre is inside a
-    closed mesh; by "seeable" also where no camera could see it; "six-rays" is the authors' rule for meshes
-    that are not watertight. `interior` and `said` mark the cells of `known` that were not measured; they are
-    None if that is not recorded, as in files of earlier versions.
+    of the others; matrices are float64. `occupancy_rule` states which cells of `full` are occupied.
+    "winding": the centre is inside a closed mesh. "seeable": also where no camera could see it. "six-rays":
+    the authors' rule for meshes that are not watertight. `interior` and `said` mark the cells of `known` that
+    were not measured; they are None if that is not recorded, as in files of earlier versions.
     """
 
     partial: Packed = field(
@@ -159,7 +159,7 @@ def unknown_share(full: Packed, known: Packed) -> float:
 
 
 def packed_count(packed: Packed) -> int:
-    """Count the set bits of a packed grid, which must be contiguous, its bytes a multiple of 8."""
+    """Count the set bits of a packed grid; it must be contiguous, with a multiple of 8 bytes."""
     return int(np.bitwise_count(packed.reshape(-1).view(np.uint64)).sum())
 
 

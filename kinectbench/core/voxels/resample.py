@@ -24,7 +24,7 @@ def upsampled_planes(
     Convention "half-pixel" maps the cubes' faces onto each other, edges clamped, as does
     `scipy.ndimage.zoom(order=1, grid_mode=True, mode="nearest")` if the cube grows; a cube that shrinks is
     sampled by the same formula, without smoothing. "corner-aligned" maps the centres of the outermost cells
-    onto each other, as `scipy.ndimage.zoom(order=1)` does, for comparison with figures computed so.
+    onto each other, as `scipy.ndimage.zoom(order=1)` does, for comparison with scores computed so.
 
     Args:
         values: (n, n, n), n at most 512, any real dtype or bool; converted to float64 first.

@@ -36,7 +36,7 @@ def plane_between(
 
     Args:
         first: (n, side), a plane that `expand_rows` has made `side` wide.
-        second: the next plane, the same way.
+        second: the next plane, made wide in the same way.
         share: weight of `second`, in [0, 1].
         lower: (side,) index of the input row at or before each output row.
         upper: (side,) index of the input row after it.

@@ -39,8 +39,9 @@ def seen_from_outside(
 ) -> NDArray[np.uint8]:
     """Find the voxels that a camera outside an obstacle could see, and whether from above or from below.
 
-    Axes of lines of sight keep half a width from the obstacle and the plane; the space that they reach is
-    dilated by that, not into the obstacle. Cameras can be where balls of their size reach from outside.
+    The axis of a line of sight keeps half the line's width from the obstacle and the plane. The voxels that
+    axes reach are dilated by half the width, but not into the obstacle. A camera can be wherever a ball of
+    its size can be moved from outside.
 
     Args:
         obstacle: bool (nx, ny, nz), what lines and cameras do not cross; its last axis points up.
@@ -51,8 +52,8 @@ def seen_from_outside(
 
     Returns:
         uint8 of the same shape: FROM_ABOVE (by a camera as high or higher), FROM_BELOW, both, or 0 if not
-        seen; 0 in the obstacle. A voxel seen FROM_ABOVE may lack the bit FROM_BELOW. The result is exact to
-        a voxel: a gap up to one voxel wider than a line may count as closed.
+        seen; 0 in the obstacle. A voxel seen FROM_ABOVE may lack the bit FROM_BELOW. The result is exact to a
+        voxel: a gap up to one voxel wider than a line may count as closed.
     """
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     if seen is None:
@@ -110,7 +111,7 @@ class SeeableSolid:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(which, T_cells, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """Return the nearest value of `which` for each cell of a grid; `T_cells` (3, 4) maps to its voxels."""
+    """Return the nearest value of `which` for each cell of a grid; `T_cells` (3, 4) maps cells to voxels."""
     result = np.zeros((nx, ny, nz), np.bool_)
     mx, my, mz = which.shape
     for i in range(nx):
@@ -172,7 +173,7 @@ def seeable_solid(
 
 
 def _thin(surface: Bools, solid: Bools) -> Bools:
-    """Return the surface voxels that neither are solid nor have a solid neighbour (26): very thin walls."""
+    """Return the surface voxels of very thin walls: not solid, and without a solid one of 26 neighbours."""
     from scipy import ndimage
 
     thin: Bools = surface & ~ndimage.binary_dilation(solid, np.ones((3, 3, 3)))

@@ -91,7 +91,7 @@ def swept_from_outside(
 
 @dataclass(frozen=True)
 class _Lines:
-    """Lines of sight around an obstacle: narrow ones, and wide ones for directions between theirs.
+    """The lines of sight around an obstacle: narrow ones, and wide ones in further directions between those.
 
     Attributes:
         obstacle: bool (nx, ny, nz).
@@ -108,9 +108,10 @@ class _Lines:
     spacing_rad: float
 
     def seen(self, space: Space, to_camera: Float64, already: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Find the voxels seen along directions (n, 3), all level or up, or all down; dilated by half a line.
+        """Find the voxels seen along directions (n, 3), which are all level or up, or all down.
 
-        Camera positions are those of `space`; voxels set in `already` are not searched for behind gaps.
+        Camera positions are those of `space`. Voxels set in `already` are not searched for behind gaps. The
+        voxels on the axes of lines are dilated by half a line's width.
         """
         if self.closer is None or self.wide is None:
             return grown(seen_along(space, to_camera), self.obstacle, space.voxel_size_m, self.narrow)
@@ -150,7 +151,7 @@ def without_rising(space: Space, empty: Bools) -> Space:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
-    """Return the camera positions, of `place`, that a camera reaches from outside the grid voxel by voxel.
+    """Return which camera positions `place` a camera reaches from outside the grid, voxel by voxel.
 
     It moves to any of 6 neighbours, but upwards only into voxels where `may_enter` is set. It enters
     the grid through the lowest layer only at such voxels, and through the other sides anywhere.
@@ -239,7 +240,7 @@ def line_space(
 def grown(
     reached: NDArray[np.uint8], obstacle: Bools, voxel_size_m: float, limits: SensorLimits
 ) -> NDArray[np.uint8]:
-    """Dilate `reached`, voxels on axes of lines of sight, by half a line's width, not into the obstacle."""
+    """Dilate `reached`, voxels on axes of lines of sight, by half a line's width; not into the obstacle."""
     # Half a voxel more, or layers right at the obstacle would be missed by rounding.
     return np.asarray(_grown_back(reached, obstacle, limits.line_width_m / 2 / voxel_size_m + 0.5))
 

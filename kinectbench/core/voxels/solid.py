@@ -92,10 +92,10 @@ def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
-    """Return a triangle's nine coordinates along u, v, w, twice its area across w, its sign in `crossings`.
+    """Return a triangle's nine coordinates; twice its area, seen along w; and its sign in `crossings`.
 
-    The corners are ordered counter-clockwise seen from w; u and v are counted from `start`. `a`, `b`, `c` are
-    indices in `fixed`.
+    The corners (u, v, w) are in counter-clockwise order seen from w; u and v count from `start`. `a`, `b` and
+    `c` are indices in `fixed`.
     """
     u, v, w = axes
     ax, ay, az = fixed[a, u] - start, fixed[a, v] - start, fixed[a, w]

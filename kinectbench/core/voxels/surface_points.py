@@ -57,7 +57,7 @@ def surface_points(mesh: TriangleMesh, cell_m: float) -> SurfacePoints:
 def thinned(points_world: Float64, normals_world: Float64, cell_m: float) -> SurfacePoints:
     """Replace the points (n, 3) in each cubic cell of edge `cell_m` by their mean, so that they lie evenly.
 
-    Each normal, of (n, 3), counts in the cell's mean by its length.
+    The normals (n, 3) of a cell are averaged, too; each counts by its length.
     """
     of_points = np.floor(points_world / cell_m).astype(np.int64)
     _, first, owner, counts = np.unique(

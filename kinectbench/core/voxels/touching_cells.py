@@ -71,6 +71,6 @@ def pieces_of_cells(pairs: Int64, count: int) -> Int32:
 
 
 def far_apart(points: Float64, most_m: float) -> Bools:
-    """Return a mask of the points (n, 3), n > 0, outside the largest group; groups are over `most_m` away."""
+    """Return which points (n, 3), n > 0, are not in the largest group; groups are over `most_m` apart."""
     label = connected(points, most_m)
     return np.asarray(label != np.argmax(np.bincount(label)))

@@ -27,7 +27,7 @@ class ObjectModel:
         floor: the floor and frame `floor`.
         box: upright box around the object, floor frame.
         shape: solid, labels, probability and closed mesh on a fine grid around the object.
-        surround: coarse grid around that, which holds the cube of any pair.
+        surround: coarse grid around the fine one, which holds the cube of any pair.
         surround_labels: uint8 of the coarse grid's shape: FREE, OTHER or UNKNOWN.
         surface_sigma_m: standard deviation of the fused surface, metres.
         quality: how good it is, for people and scores; no later stage computes with it.

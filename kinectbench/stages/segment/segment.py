@@ -43,13 +43,13 @@ from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape
 
 @dataclass(frozen=True)
 class GivenObject:
-    """A person's statements about the object; none by default.
+    """What the user states about the object; nothing by default.
 
     Attributes:
         box: around it, floor frame; None: it is the piece that the cameras look at.
         plane_world: (a, b, c, d) of a x + b y + c z + d = 0, the plane it stands on, metres, world of the
             trajectory; None: the plane is found.
-        underside: whether its underside is closed, where no frame saw it.
+        underside: whether its underside is closed or open, where no frame saw it; "unseen": not stated.
         picked: a point on it; None: none was picked.
     """
 
@@ -68,10 +68,10 @@ class _Found:
 
     Attributes:
         chosen: its floor, box and cells.
-        grid: fine, around it.
+        grid: the fine grid around it.
         scale: the solid is made in a world that is 1 / scale times as large (`ObjectResolution`).
-        neighbours: bool in the grid's shape, near a neighbour's surface.
-        beyond_box: bool in the grid's shape, outside a given box; None without one.
+        neighbours: bool in the grid's shape, voxels near the surface of other things.
+        beyond_box: bool in the grid's shape, voxels outside a given box; None without one.
         max_depth_m: depth up to this is fused into the grid, metres.
     """
 
@@ -102,13 +102,13 @@ def segment(
         trajectory: its poses.
         scene: the fused scene's surface, world frame, metres.
         segmentation: bounds of the floor and of air.
-        fusion: voxel size and range of depth, where a person gives them.
-        given: what a person says of the object.
+        fusion: voxel size and range of depth, if the user gives them.
+        given: what the user states about the object.
         progress: called with (done, total) of each half of the frames.
 
     Raises:
         SegmentationError: no floor, no object, a box that is empty or of another floor frame, a plane above
-            the cameras, a point beside the object, or an object too large for its voxels.
+            the cameras, a picked point beside the object, or an object too large for its voxels.
         ShapeError: no solid can be made.
     """
     found = _find(sequence, trajectory, scene, segmentation, fusion, given)
@@ -192,7 +192,10 @@ def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidBody:
 def _solid_of_all(
     together: Observation, found: _Found, rules: Rules
 ) -> tuple[SolidShape, tuple[Frontier, ...]]:
-    """The solid from all frames, made enlarged and scaled back, and the openings that no frame saw into."""
+    """Make the solid from all frames, and find the openings that no frame saw into.
+
+    The solid is made in an enlarged world (see `_Found.scale`) and scaled back.
+    """
     scale, floor, larger = found.scale, found.chosen.floor, rules.enlarged(found.scale)
     evidence = classify_voxels(together, found.neighbours, larger, found.beyond_box)
     whole = make_solid(together, evidence, larger)

@@ -1,4 +1,4 @@
-"""Anchor a box in the floor frame that it was chosen in, by the pose of one frame's camera."""
+"""Anchors of boxes: the camera pose of one frame identifies the floor frame that a box was chosen in."""
 
 import hashlib
 from dataclasses import replace
@@ -32,7 +32,7 @@ DIGITS = 16
 
 
 def anchor_of(floor: Floor, trajectory: Trajectory, sequence: Sequence) -> BoxAnchor:
-    """The anchor of boxes in a floor frame: the middle frame with a pose, and its camera's pose there."""
+    """Return the anchor of a floor frame: index, camera pose and depth hash of the middle good frame."""
     frames = trajectory.good_frames
     frame = int(frames[len(frames) // 2])
     pose = _pose(floor.T_floor_world @ trajectory.T_world_camera[frame])
@@ -40,7 +40,9 @@ def anchor_of(floor: Floor, trajectory: Trajectory, sequence: Sequence) -> BoxAn
 
 
 def reanchored(box: OrientedBox, sequence: Sequence) -> OrientedBox:
-    """The box with the present number of its anchor frame, which changes when a recording is cut.
+    """Return the box with the present index of its anchor frame, found by the hash of that frame's depth.
+
+    The index changes if a recording is cut. A box without an anchor or a hash is returned unchanged.
 
     Raises:
         SegmentationError: no frame of the sequence has the depth of the anchor frame.
@@ -65,12 +67,13 @@ def _depth_sha256(sequence: Sequence, frame: int) -> str:
 def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: float = 1.0) -> None:
     """Refuse a box that was chosen in another floor frame: with another trajectory, or on another plane.
 
-    A box without an anchor, written by hand, is accepted. No two measurements of a floor are equal: the frame
-    counts as the same if no corner of the box moves by more than 6 cm, times the `scale` of the scene.
+    A box without an anchor, written by hand, is accepted. Two measurements of one floor are never equal, so
+    the floor frame counts as the same if no corner of the box moves by more than 6 cm times `scale`, the
+    scale of the scene.
 
     Raises:
         SegmentationError: the box was chosen in another frame, or its anchor frame has no pose. The message
-            has the box converted to this floor frame, if it stays upright.
+            gives the box converted to this floor frame, if it stays upright.
     """
     if box.anchor is None:
         return
@@ -104,7 +107,7 @@ def check_anchor(box: OrientedBox, floor: Floor, trajectory: Trajectory, scale: 
 
 
 def _pose(T: Float64) -> Pose:
-    """A pose (4, 4) as (x, y, z, qx, qy, qz, qw), as in a trajectory file."""
+    """Convert a pose (4, 4) to (x, y, z, qx, qy, qz, qw), as in a trajectory file."""
     x, y, z = (float(value) for value in T[:3, 3])
     qx, qy, qz, qw = (float(value) for value in quaternion_xyzw_from_rotation(T[:3, :3]))
     return x, y, z, qx, qy, qz, qw

@@ -1,4 +1,4 @@
-"""Find boxes among which a person may choose the object."""
+"""Find boxes among which the user may choose the object."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,13 +37,13 @@ LARGE_M = 2.5
 
 @dataclass(frozen=True)
 class Candidate:
-    """A possible object: a piece of surface on the floor, or a part of a piece where objects touch.
+    """A possible object: a piece of surface on the floor, or a part of such a piece if several objects touch.
 
     Attributes:
         box: upright box around it, floor frame.
         points_floor: (n, 3) its points of the fused surface, floor frame, metres.
-        automatic: whether it is chosen if no box is given.
-        distance_m: from where the cameras look to its nearest point, metres.
+        automatic: whether it is the object that is chosen if no box is given.
+        distance_m: distance of its nearest point from the point that the cameras look at, metres.
     """
 
     box: OrientedBox
@@ -52,13 +52,16 @@ class Candidate:
     distance_m: float
 
     def shown(self, floor: Floor) -> ShownBox:
-        """The candidate as pictures show it."""
+        """Return the candidate in the form in which it is drawn."""
         return ShownBox(self.box, self.points_floor, floor.T_world_floor)
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """The scene and up to nine candidates: the automatic choice, then by distance; very large ones last."""
+    """The scene, and up to nine candidates.
+
+    The automatic choice comes first. The others follow by distance, those with a side over 2.5 m last.
+    """
 
     scene: Scene
     candidates: tuple[Candidate, ...]
@@ -70,8 +73,8 @@ def find_candidates(
     """Find objects on the floor of a fused scene: connected pieces, and their parts if separated by a gap.
 
     The surface is split into pieces three times, at gaps of 60 mm, 40 mm and 15 mm, but no finer than the
-    mesh resolves. The gaps shrink where cameras are nearer than 1 m. A piece that a finer split leaves whole
-    counts once.
+    mesh resolves. The gaps shrink where cameras are nearer than 1 m. A piece that several splits find counts
+    once.
 
     Raises:
         SegmentationError: the scene is empty, a given plane lies above the cameras, or nothing that stands on
@@ -100,7 +103,10 @@ def find_candidates(
 
 
 def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least_m: float) -> list[Candidate]:
-    """The automatic choice without a box, as a list; empty if no object is found."""
+    """Return the object that is chosen without a box, as a list.
+
+    The list is empty if no floor or no object is found, or if the object is not at the picked point.
+    """
     if not scene.floor.found:
         return []
     try:
@@ -114,12 +120,12 @@ def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least
 
 
 def _pieces(points_floor: Float64, cell_m: float, through_faces: bool) -> list[Float64]:
-    """The points (k, 3) of each large piece on the floor.
+    """Return the points (k, 3) of each large piece on the floor.
 
     Args:
-        points_floor: (n, 3) points above the floor, scaled as if cameras were 1 m or more away.
+        points_floor: (n, 3) points above the floor, metres divided by the scale of the scene.
         cell_m: cells of this edge that touch are connected.
-        through_faces: connected cells must share a face; else a corner suffices.
+        through_faces: whether connected cells must share a face; otherwise a corner suffices.
     """
     if len(points_floor) == 0:
         return []

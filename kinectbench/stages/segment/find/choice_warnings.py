@@ -29,13 +29,13 @@ BOARD_M, BOARD_SHARE = 0.06, 0.4
 
 @dataclass(frozen=True)
 class Selection:
-    """The chosen points and all others; floor frame, metres.
+    """The surface points of the chosen object, and all others above the floor; floor frame, metres.
 
     Attributes:
-        object_points: (n, 3) points of the fused surface, at least one per cell of `cell_m`.
+        object_points: (n, 3) points of the object's surface, at least one per cell of `cell_m`.
         other_points: (m, 3) the same for everything else above the floor.
         box: upright box around the object.
-        given: whether a person gave the box.
+        given: whether the user gave the box.
         focus: (3,) where the cameras look.
         cell_m: edge of the cells by which parts are separated: 20 mm, or more if the surface is coarser.
         scale: of the scene; all lengths above are metres divided by it.
@@ -51,9 +51,9 @@ class Selection:
 
 
 def choice_warnings(selection: Selection) -> tuple[str, ...]:
-    """Reasons why the choice may be wrong, one line each.
+    """Return the reasons why the choice may be wrong, one line each.
 
-    For a given box, these are only that it holds several objects, or cuts through one.
+    For a given box there are only two: it holds several objects, or it cuts through one.
     """
     parts = separate_parts(selection.object_points, selection.cell_m)
     if selection.given:
@@ -85,7 +85,7 @@ def choice_warnings(selection: Selection) -> tuple[str, ...]:
 
 
 def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
-    """The number of large parts on the floor that points (n, 3) form, in cells of `cell_m`."""
+    """Count the large parts on the floor that the points (n, 3) form, in cells of edge `cell_m`."""
     if not len(points_floor):
         return 0
     label = label_pieces(points_floor, cell_m)
@@ -95,7 +95,7 @@ def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 
 def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
-    """The number of parts on the floor, even small ones, at least 0.1 m from the largest, seen from above."""
+    """Count the parts on the floor, even small ones, at least 0.1 m from the largest as seen from above."""
     if not len(points_floor):
         return 0
     label = label_pieces(points_floor, cell_m)
@@ -110,7 +110,7 @@ def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 
 def box_cut_share(selection: Selection) -> float:
-    """Share of the object's cells that have surface right beside them, outside the box.
+    """Return the share of the object's cells that have other surface right beside them, outside the box.
 
     The board that the object stands on does not count.
     """
@@ -129,7 +129,7 @@ def box_cut_share(selection: Selection) -> float:
 
 
 def stands_on_a_board(selection: Selection) -> bool:
-    """Whether level surface spreads around the box's lower end, as a shelf's board does."""
+    """Whether surface at the height of the box's lower end surrounds the box, as a shelf's board does."""
     box, cell_m = selection.box, selection.cell_m
     bottom_m = box.center_m[2] - box.size_m[2] / 2
     around = replace(box, size_m=(box.size_m[0] + 2 * BOARD_M, box.size_m[1] + 2 * BOARD_M, box.size_m[2]))
@@ -143,7 +143,7 @@ def stands_on_a_board(selection: Selection) -> bool:
 
 
 def large_neighbours(selection: Selection) -> Float64:
-    """The points (k, 3) of other standing objects with at least a fifth of the object's surface."""
+    """Return the points (k, 3) of other standing objects with a fifth of the object's surface or more."""
     others = selection.other_points
     if not len(others):
         return others
@@ -166,7 +166,7 @@ def _distance_m(points: Float64, point: Float64) -> float:
 
 
 def _cells(points_floor: Float64, label: Int32 | None) -> Int64:
-    """The number of 20 mm cells that the points of each label occupy, or all points if `label` is None."""
+    """Count the 20 mm cells that the points of each label occupy; without `label`, those of all points."""
     cells = np.floor(points_floor / FINE_CELL_M).astype(np.int64)
     _, first = np.unique(cell_numbers(cells), return_index=True)
     return np.asarray(np.bincount(np.zeros(len(first), int) if label is None else label[first]))

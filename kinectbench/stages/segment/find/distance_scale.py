@@ -20,28 +20,31 @@ SPACINGS = 1.5
 
 
 def distance_scale(T_world_camera: Float64, focus_world: Float64) -> float:
-    """Factor of all lengths, 0.3 to 1: the median distance, metres, of cameras (n, 4, 4) from the focus."""
+    """Return the factor of all lengths for cameras (n, 4, 4) that look at a focus (3,).
+
+    It is the median distance of the cameras from the focus in metres, clipped to 0.3 to 1.
+    """
     distance_m = float(np.median(np.linalg.norm(T_world_camera[:, :3, 3] - focus_world, axis=1)))
     return float(np.clip(distance_m, NEAREST_DISTANCE_M, REFERENCE_DISTANCE_M) / REFERENCE_DISTANCE_M)
 
 
 def cell_scale(scale: float, spacing_m: float, cell_m: float) -> float:
-    """The least scale, at least `scale`, at which the vertices of the surface still touch in cells.
+    """Return the least scale >= `scale` at which neighbouring vertices of a surface lie in touching cells.
 
-    The vertices are `spacing_m` apart, the cells have an edge of `cell_m` times the result.
+    The vertices are `spacing_m` apart. The edge of a cell is `cell_m` times the result.
     """
     return max(scale, min(1.0, SPACINGS * spacing_m / cell_m))
 
 
 def enlarged_box(box: OrientedBox, factor: float) -> OrientedBox:
-    """The box with its centre and its size multiplied by a factor, without its anchor."""
+    """Return the box with its centre and its size multiplied by a factor, without its anchor."""
     x, y, z = (factor * value for value in box.center_m)
     a, b, c = (factor * value for value in box.size_m)
     return OrientedBox((x, y, z), (a, b, c), box.yaw_rad)
 
 
 def enlarged_transform(T: Float64, scale: float) -> Float64:
-    """Rigid transforms (..., 4, 4) with translations divided by `scale`: in an enlarged world."""
+    """Divide the translations of rigid transforms (..., 4, 4) by `scale`, for use in an enlarged world."""
     larger = T.copy()
     larger[..., :3, 3] /= scale
     return larger

@@ -80,13 +80,14 @@ class Floor:
             the world's x axis projected onto the floor (or its z axis where that is degenerate).
         noise_m: robust standard deviation of the surface around the plane, metres.
         inlier_share: share of the scene's surface that lies on the plane.
-        tilt_rad: angle between its normal and up, radians: by gravity, else coarsely as the cameras were
-            held; NaN if it is not known.
-        found: False if it is not a measured plane but `level_floor`.
+        tilt_rad: angle between its normal and up, radians; NaN if unknown. Up is by gravity; without gravity,
+            it is coarsely estimated from how the cameras were held.
+        found: False if the plane was not measured, as that of `level_floor`.
         scale: 0.3 to 1, smaller for nearer cameras; the heights of floor cuts are multiplied by it.
-        choice: the planes among which it was chosen; none if a person gave the plane.
-        given: whether a person gave the plane.
-        against: objections to a given plane, or to cameras upside down, one line each.
+        choice: the planes among which it was chosen; empty if the user gave the plane.
+        given: whether the user gave the plane.
+        against: one line for each objection to a given plane, or a warning that the cameras were taken for
+            held upside down.
     """
 
     plane_world: Float64
@@ -107,7 +108,7 @@ class Floor:
 
     @contextmanager
     def explained_in_errors(self) -> Iterator[None]:
-        """Within the block, a `SegmentationError` also states the first line of `against`, if any."""
+        """Within the block, add the first line of `against`, if any, to a `SegmentationError`."""
         try:
             yield
         except SegmentationError as error:
@@ -121,7 +122,7 @@ class Floor:
         return invert_rigid(self.T_floor_world)
 
     def heights_m(self, depth_m: NDArray[np.floating], camera: Camera, T_world_camera: Float64) -> Float64:
-        """Height above the floor of the surface at each pixel (height, width), metres.
+        """Return the height above the floor of the surface that each pixel shows: (height, width), metres.
 
         Where `depth_m` is 0, it is the height of the camera.
         """
@@ -149,7 +150,7 @@ def find_floor(
         T_world_camera: (m, 4, 4) poses of the good frames.
         focus_world: (3,) where the cameras look.
         seed: seed of RANSAC.
-        hint: gravity, and the plane that a person gave.
+        hint: gravity, and the plane that the user gave, if known.
 
     Raises:
         SegmentationError: no plane can be the floor, or the cameras are below the given plane.
@@ -175,10 +176,11 @@ def find_floor(
 
 
 def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
-    """Find the floor among planes, in a world scaled so that cameras are at least 1 m from the focus.
+    """Find the floor among the planes of a world scaled so that the cameras are at least 1 m from the focus.
 
     In this world, `surface.inlier_m` is smaller for near cameras, because noise grows with the square of the
-    distance; otherwise a board that lies on the floor would pass as floor.
+    distance; otherwise a board that lies on the floor would pass as floor. If no plane can be the floor and
+    gravity is unknown, the search is repeated for cameras held upside down.
     """
     choice, against = choose_plane(surface, T_world_camera, up_world, seed), tuple[str, ...]()
     if choice.chosen is None and up_world is None:
@@ -195,11 +197,11 @@ def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_wo
 
 
 def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
-    """Whether a plane is clearly the floor, although it can be the floor only if cameras were upside down.
+    """Whether a plane is clearly enough the floor to assume that the cameras were held upside down.
 
-    The cameras (n, 4, 4) are already turned upright. The plane must have enough surface, and enough cameras
-    above it, which must not look down steeply: a wall seen from above looks like a floor seen steeply and
-    upside down.
+    The cameras (n, 4, 4) are already turned upright. Enough of the surface must lie on the plane, and enough
+    cameras above it. The cameras must not look down steeply: a wall seen from above looks like a floor that
+    is seen steeply and upside down.
     """
     upright = float(np.median(-T_world_camera[:, :3, 1] @ chosen.plane[:3]))
     seen = chosen.inlier_share >= LEAST_UPSIDE_DOWN and chosen.above_share >= REPORTED_ABOVE_SHARE
@@ -213,10 +215,10 @@ def _given_floor(
     inlier_m: float,
     up_world: Float64 | None,
 ) -> Floor:
-    """The floor at a given plane (4,); the points (n, 3) near it give its noise and inlier share.
+    """Return the floor at a given plane (4,); the points (n, 3) near it give its noise and inlier share.
 
-    Points within twice `inlier_m` are near. `up_world` (3,) is up by gravity, if known; else the poses
-    (m, 4, 4) show how the cameras were held.
+    Near means within twice `inlier_m`. `up_world` (3,) is up by gravity; if it is None, the poses (m, 4, 4)
+    show how the cameras were held.
     """
     _check_below_cameras(plane_world, T_world_camera)
     near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
@@ -234,10 +236,10 @@ def _check_below_cameras(plane_world: Float64, T_world_camera: Float64) -> None:
 def level_floor(
     points_world: Float64, T_world_camera: Float64, up_world: Float64 | None = None, scale: float = 1.0
 ) -> Floor:
-    """A substitute for the floor: a level plane at the lowest of the points (n, 3).
+    """Return a substitute for the floor: a level plane at the lowest of the points (n, 3).
 
-    It only defines a floor frame, in which a box can be given. Without `up_world` (3,), it is level as the
-    cameras (m, 4, 4) were held.
+    It only defines a floor frame, in which a box can be given. If `up_world` (3,) is None, up is estimated
+    from how the cameras (m, 4, 4) were held.
     """
     up = from_above(T_world_camera)[2] if up_world is None else up_world
     lowest_m = float(np.quantile(points_world @ up, LOWEST_SHARE))
@@ -251,10 +253,10 @@ def floor_cut_m(floor: Floor, settings: FloorCuts) -> float:
 
 
 def low_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """The height from which surface can be the object's, metres, if it continues above the floor cut.
+    """Return the height from which surface can belong to the object if it goes on above the floor cut.
 
-    It is the setting `low_cut_m`, reduced for near cameras, or four standard deviations of the floor if that
-    is more, but at most the floor cut; it is the floor cut where no floor was measured.
+    It is the setting `low_cut_m`, reduced for near cameras, but at least four standard deviations of the
+    floor and at most the floor cut, in metres. If no floor was measured, it is the floor cut.
     """
     cut_m = floor_cut_m(floor, settings)
     if not floor.found:
@@ -270,11 +272,12 @@ def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None)
 def against_plane(
     plane_world: Float64, surface: SceneSurface, up_world: Float64 | None, scale: float
 ) -> tuple[str, ...]:
-    """Objections to a given plane (4,), one line each; advice follows after a semicolon.
+    """Return objections to a given plane (4,), one line each, with advice after a semicolon.
 
-    The plane is not level, or the frames show another plane right beside it. That plane must be within 0.1 m
-    and differ by more than noise: where a table and the floor are seen, the person decides which is meant.
-    The world is `scale` times as large as that of `surface`.
+    There are two: the plane is not level by gravity, or the frames show another plane close to it. The other
+    plane must lie within 0.1 m, differ by more than noise, and be the only one there. If the frames show both
+    planes, such as a table and the floor, the user decides which one is meant. The given plane is in a world
+    `scale` times as large as that of `surface`.
     """
     gravity = against_gravity(plane_world, up_world)
     beside = _beside(plane_world * [1, 1, 1, 1 / scale], surface)
@@ -292,7 +295,7 @@ def against_plane(
 
 
 def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str, ...]:
-    """An objection if a given plane (4,) is not level by gravity; none if `up_world` (3,) is unknown."""
+    """Return an objection if a plane (4,) is not level by gravity; none if `up_world` (3,) is unknown."""
     if up_world is None or plane_world[:3] @ up_world >= MIN_GRAVITY_COSINE:
         return ()
     turn_deg = float(np.degrees(np.arccos(np.clip(plane_world[:3] @ up_world, -1, 1))))
@@ -303,9 +306,10 @@ def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str
 
 
 def _beside(plane: Float64, surface: SceneSurface) -> tuple[Float64, float, float] | None:
-    """A measured plane (4,) right beside a given one, its height above it, and their angle in degrees.
+    """Find a measured plane close to a given plane (4,), near the focus.
 
-    None if the surface near the focus shows no plane, or shows the given one.
+    Return the measured plane (4,), its height above the given one in metres, and the angle between them in
+    degrees; None if the surface near the focus shows no plane, or shows the given one.
     """
     points, normals = surface.points_world, surface.normals_world
     near = normals @ plane[:3] > FLAT_COSINE

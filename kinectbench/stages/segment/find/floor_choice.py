@@ -82,9 +82,10 @@ class PlaneCandidate:
         above_share: share of the cameras that lie more than 0.1 m above it.
         below_share: share of the surface that lies below the plane.
         under_share: points right below the plane's own area, divided by the points on it.
-        tilt_rad: angle between its normal and up, radians: by gravity, or else as the cameras were held.
-        way: index of the way of holding the cameras (`facings`) by which its normal is up; 0: the usual one.
-        reason: why it was not chosen as the floor; "": it was.
+        tilt_rad: angle between its normal and up, radians; up is by gravity, or else as the cameras were
+            held.
+        way: index in `facings` of the way of holding cameras for which its normal is up; 0: the usual way.
+        reason: why it was not chosen; "" if it was.
     """
 
     plane: Float64
@@ -99,24 +100,24 @@ class PlaneCandidate:
 
     @property
     def evidence(self) -> float:
-        """The evidence that it is the floor: a product of three shares, less if cameras are held unusually.
+        """Return a score of how likely the plane is the floor.
 
-        They are the shares of the surface on it, of the cameras above it, and of the surface that is not
-        below it.
+        It is the product of three shares: the surface on the plane, the cameras above it, and the surface
+        that is not below it. An unusual way of holding the cameras lowers it by a factor.
         """
         return self.inlier_share * self.above_share * (1 - self.below_share) * FACING_WEIGHTS[self.way]
 
 
 @dataclass(frozen=True)
 class PlaneChoice:
-    """The plane that was chosen, or None, and all candidates, each with the reason why it was not chosen."""
+    """The chosen plane, or None; and all candidates, each with the reason why it was not chosen."""
 
     chosen: PlaneCandidate | None
     candidates: tuple[PlaneCandidate, ...]
 
     @property
     def likeliest(self) -> str:
-        """The objection to the plane with most evidence if none was chosen; "" without any plane."""
+        """The objection to the plane with most evidence, if no plane was chosen; "" if there is no plane."""
         best = max(self.candidates, key=lambda each: each.evidence, default=None)
         if best is None:
             return ""
@@ -165,17 +166,18 @@ NO_CHOICE = PlaneChoice(None, ())
 def choose_plane(
     surface: SceneSurface, T_world_camera: Float64, up_world: Float64 | None, seed: int
 ) -> PlaneChoice:
-    """Choose the plane that the object stands on, from up to six for each way of holding the cameras.
+    """Choose the plane that the object stands on, among up to six planes for each way of holding the cameras.
 
-    The plane with most evidence decides which way is up, even if it is the top of something. Of the planes
-    that face up that way and have hardly any surface below them, the one with most evidence is the floor; but
-    a parallel plane at least 0.2 m lower is preferred, as a table top may fill more of the frames than the
-    floor. A higher plane takes its place if it carries what the cameras look at, whatever is seen below it.
+    The plane with most evidence decides which way is up, even if it is the top of something. Then the floor
+    is chosen among the planes that face up in this sense and have hardly any surface below them. It is the
+    one with most evidence; but a parallel plane at least 0.2 m lower is preferred, as a table top may fill
+    more of the frames than the floor. Finally, a plane above the floor is chosen in its place if it carries
+    the object that the cameras look at, even if there is surface below it.
 
     Args:
         surface: the scene's surface, scaled so that the cameras are at least 1 m from what they look at.
         T_world_camera: (m, 4, 4) poses of the good frames, in the scaled world.
-        up_world: (3,) unit, by gravity, or None.
+        up_world: (3,) unit, up by gravity; None if unknown.
         seed: of RANSAC.
     """
     up = from_above(T_world_camera)[2] if up_world is None else up_world
@@ -200,7 +202,10 @@ def choose_plane(
 
 
 def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Float64, Bools]]:
-    """Up to six planes (4,) by RANSAC, of points whose normals `facing` accepts; with their points: (n,)."""
+    """Find up to six planes (4,) by RANSAC among the points whose normals `facing` accepts.
+
+    Each is returned with a mask (n,) of the points on it.
+    """
     points_world, normals_world, inlier_m = surface.points_world, surface.normals_world, surface.inlier_m
     rng = np.random.default_rng(seed)
     left = facing(normals_world)
@@ -220,7 +225,10 @@ def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Floa
 
 
 def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
-    """Depth noise of points (n,) by their distance from the nearest camera, relative to the focus; >= 1."""
+    """Return the depth noise of each point (n,), divided by that at the focus, but at least 1.
+
+    It grows with the square of the distance from the nearest camera.
+    """
     from scipy.spatial import cKDTree
 
     cameras = T_world_camera[:: max(1, len(T_world_camera) // SOME_CAMERAS), :3, 3]
@@ -232,7 +240,7 @@ def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
 def _candidate(
     plane: Float64, inliers: Bools, surface: SceneSurface, cameras_world: Float64, up: Float64, way: int
 ) -> PlaneCandidate:
-    """A plane with its evidence.
+    """Measure the evidence for a plane.
 
     Args:
         plane: (4,), its unit normal up.
@@ -240,7 +248,7 @@ def _candidate(
         surface: the scene's surface, n points.
         cameras_world: (m, 3) positions of the cameras.
         up: (3,) unit, the direction from which the plane's tilt is measured.
-        way: index of the way of holding the cameras by which its normal is up.
+        way: index in `facings` of the way of holding the cameras for which its normal is up.
     """
     local = transform_points(floor_frame(plane), surface.points_world)
     below = local[:, 2] < -BELOW_INLIERS * surface.inlier_m * surface.times_noise
@@ -261,7 +269,7 @@ def _candidate(
 
 
 def _refusal(candidate: PlaneCandidate, facing: Facing, surface: SceneSurface) -> Reason:
-    """Why a plane cannot be the floor, or is the top of something on it; "" without an objection."""
+    """Return why a plane cannot be the floor, or that it is the top of something; "" without objection."""
     if not facing(candidate.plane[None, :3])[0]:
         return "turned"
     if candidate.above_share < MIN_ABOVE_SHARE:
@@ -272,7 +280,7 @@ def _refusal(candidate: PlaneCandidate, facing: Facing, surface: SceneSurface) -
 
 
 def _lowest(planes: list[PlaneCandidate], surface: SceneSurface) -> PlaneCandidate:
-    """The plane with most evidence, or the lowest flat plane that is parallel to it and well below."""
+    """Return the plane with most evidence, or the lowest flat plane that is parallel to it and well below."""
     most = max(planes, key=lambda each: each.evidence)
     lower = [
         each for each in planes if is_below(each.plane, most.plane, surface) and is_flat(each.plane, surface)
@@ -283,7 +291,7 @@ def _lowest(planes: list[PlaneCandidate], surface: SceneSurface) -> PlaneCandida
 def _support(
     planes: list[PlaneCandidate], floor: PlaneCandidate | None, surface: SceneSurface
 ) -> PlaneCandidate | None:
-    """The plane above the floor that carries the object, the nearest to the focus; None if none does."""
+    """Return the highest plane above the floor that carries the object; None if no plane does."""
     higher = [each for each in planes if floor is None or is_below(floor.plane, each.plane, surface)]
     for each in sorted(higher, key=lambda each: surface.focus_above_m(each.plane)):
         if is_flat(each.plane, surface) and carries_what_is_looked_at(each.plane, surface):
@@ -297,7 +305,10 @@ def _with_reason(
     floor: PlaneCandidate | None,
     surface: SceneSurface,
 ) -> PlaneCandidate:
-    """A candidate with the reason why `chosen`, which may stand on `floor`, was chosen in its place."""
+    """Return a candidate with the reason why `chosen` was chosen in its place.
+
+    The planes `floor` and `chosen` are the same, unless a plane above the floor carries the object.
+    """
     if candidate is chosen:
         return replace(candidate, reason="")
     if candidate.reason or chosen is None:
@@ -309,7 +320,10 @@ def _with_reason(
 
 
 def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]:
-    """The plane (4,) refined near the focus, and the noise of the surface about it, metres."""
+    """Refine a plane (4,) by the surface near the focus; it stays as it is if there are too few points.
+
+    Return the plane, and the robust standard deviation of the surface about it, metres.
+    """
     points_world, inlier_m = surface.points_world, surface.inlier_m
     flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M
     flat &= surface.normals_world @ plane[:3] > FLAT_COSINE
@@ -326,6 +340,6 @@ def _turn_deg(one: PlaneCandidate, other: PlaneCandidate) -> float:
 
 
 def _outweighs(refused: PlaneCandidate, chosen: PlaneCandidate) -> bool:
-    """Whether the evidence for a refused plane is so strong that a person is warned."""
+    """Whether the evidence for a refused plane is so strong that the user is warned."""
     parallel = _turn_deg(refused, chosen) <= SAME_DEG
     return refused.evidence > (REPORTED_REFUSED_PARALLEL if parallel else REPORTED_REFUSED) * chosen.evidence

@@ -41,11 +41,12 @@ class FloorHint:
 
     Attributes:
         up_world: (3,) unit, up by gravity, or None.
-        plane_world: (4,) the plane that a person gave: a, b, c, d with unit (a, b, c) up and a x + b y + c z
+        plane_world: (4,) the plane that the user gave: a, b, c, d with unit (a, b, c) up and a x + b y + c z
             + d = 0, metres; or None.
-        middle_depth_m: median depth in the middle of the images, at which the cameras look (`looked_at`);
-            None: they look at where their axes meet.
-        picked_world: (3,) a point on the object that a person picked; it replaces where the cameras look.
+        middle_depth_m: median depth in the middle of the images, metres, which helps to find the point that
+            the cameras look at (`looked_at`); None: that point is where their axes meet.
+        picked_world: (3,) a point on the object that the user picked, which replaces the point that the
+            cameras look at; or None.
     """
 
     up_world: Float64 | None = None
@@ -54,7 +55,7 @@ class FloorHint:
     picked_world: Float64 | None = None
 
     def focus_world(self, T_world_camera: Float64) -> Float64:
-        """The point (3,) near which to search for the object: the picked point, else the cameras' target."""
+        """Return the point (3,) near which to search for the object: the picked one, or the target."""
         if self.picked_world is not None:
             return self.picked_world
         return looked_at(T_world_camera, self.middle_depth_m)
@@ -76,7 +77,7 @@ class KnowsUp(Protocol):
 
     @property
     def up_cameras(self) -> tuple[UpSample, ...]:
-        """Up in the axes of some frames' cameras, by an accelerometer."""
+        """Up by an accelerometer, in the camera axes of some frames."""
 
 
 def floor_hint(
@@ -85,7 +86,7 @@ def floor_hint(
     plane: Sequence[float] | None = None,
     picked_world: Float64 | None = None,
 ) -> FloorHint:
-    """The hint from `hint_of`, with the depth in the middle of the images and a picked point added."""
+    """Return the hint of `hint_of`, with the depth in the middle of the images and a picked point added."""
     good = trajectory.good_frames
     hint = hint_of(sequence, sequence.stamps_ns[good], trajectory.T_world_camera[good], plane)
     middle_depth_m = median_middle_depth_m(sequence, good)
@@ -95,16 +96,17 @@ def floor_hint(
 def hint_of(
     known: KnowsUp, stamps_ns: Int64, T_world_camera: Float64, plane: Sequence[float] | None = None
 ) -> FloorHint:
-    """Make a hint from a recording's gravity and a person's plane, in the world of the poses.
+    """Make a hint from a recording's gravity and the user's plane, in the world of the poses.
 
-    Gravity is converted frame by frame, so that it holds where given poses were refined or ignored. Some
-    drivers give acceleration the opposite sign: it is ignored if the cameras would be upside down.
+    Gravity is converted to the axes of each camera first, so that it also holds if the given poses were
+    refined or replaced. Some drivers give acceleration the opposite sign: measured gravity is ignored if the
+    cameras would be upside down.
 
     Args:
         known: the recording, with its given trajectory, if any.
-        stamps_ns: (n,) of the frames with a pose.
+        stamps_ns: (n,) stamps of the frames with a pose, nanoseconds.
         T_world_camera: (n, 4, 4) their poses.
-        plane: the plane (a, b, c, d) that a person gave in that world, its normal of any length but 0.
+        plane: the plane (a, b, c, d) that the user gave in that world, its normal of any length but 0.
     """
     plane_world = None if plane is None else np.array(plane) / np.linalg.norm(plane[:3])
     if known.up_world is not None and known.given_trajectory is not None:
@@ -124,19 +126,23 @@ def hint_of(
 
 
 def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
-    """The mean (3,), of unit length, of directions (n, 3) in the axes of n cameras; None if they disagree."""
+    """Average up directions (n, 3), each given in the axes of its camera (n, 4, 4).
+
+    Return a unit vector (3,) in the world, or None if the directions disagree.
+    """
     up = (T_world_camera[:, :3, :3] @ up_cameras[:, :, None])[:, :, 0].sum(axis=0)
     length = float(np.linalg.norm(up))
     return up / length if length > MIN_AGREEMENT * len(up_cameras) else None
 
 
 def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
-    """Tests whether a normal may be a floor's, one test per way of holding cameras, the likeliest first.
+    """Return tests whether a normal may be that of a floor, one per way of holding cameras, likeliest first.
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
-        up_world: (3,) unit, by gravity. None: the upper edges of the images are up; then the right or left
-            edges, as with a phone held upright; then any of these, for cameras that look down steeply.
+        up_world: (3,) unit, up by gravity, which gives a single test. If None, there are four: the upper
+            edges of the images are up; the right edges or the left edges are up, as with a phone held
+            upright; any of these edges is up, but the cameras look down steeply.
     """
     if up_world is not None:
         return [partial(_along, up_world, MIN_GRAVITY_COSINE)]
@@ -147,12 +153,16 @@ def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
 
 
 def _along(up: Float64, least: float, normals: Float64) -> Bools:
-    """Which unit normals (n, 3) have a cosine above `least` to the direction `up`: (n,)."""
+    """Return which unit normals (n, 3) have a cosine above `least` to the direction `up` (3,): (n,) bool."""
     return np.asarray(normals @ up > least)
 
 
 def _looked_down_on(axes: Float64, edges: Sequence[Float64], normals: Float64) -> Bools:
-    """Which normals (n, 3) most cameras face, tilted towards an image edge: floors seen steeply."""
+    """Return which unit normals (n, 3) may belong to a floor seen steeply: (n,) bool.
+
+    Such a normal points towards most cameras and leans towards an image edge. `axes` (m, 3) are the cameras'
+    optical axes; `edges` are the directions (3,) of the image edges that may be up.
+    """
     parts = np.array_split(normals, 1 + len(normals) * len(axes) // MOST_COSINES)
     against = np.concatenate([np.median(-part @ axes.T, axis=1) for part in parts]) > MIN_DOWN_COSINE
     held: Bools = np.max([normals @ edge for edge in edges], axis=0) > MIN_HELD_COSINE

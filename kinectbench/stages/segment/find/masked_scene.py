@@ -42,12 +42,12 @@ def segment_masked_scene(
 ) -> Segmentation:
     """Take all fused surface as the object, except specks.
 
-    The floor frame is level by a given plane, by gravity, or else as the cameras were held. A given plane is
-    z = 0; else z = 0 lies below the measured surface.
+    A plane that the user gave is z = 0 of the floor frame. Otherwise the frame is level by gravity or,
+    without gravity, as the cameras were held, and z = 0 lies below the measured surface.
 
     Raises:
-        SegmentationError: nothing was fused, the box holds nothing of it or is of another floor frame, or a
-            given plane lies above the cameras or the object.
+        SegmentationError: nothing was fused, the given box holds none of it or was chosen in another floor
+            frame, or most of it lies below the given plane.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     near = distance_scale(T_world_camera, looked_at(T_world_camera, hint.middle_depth_m))
@@ -79,7 +79,7 @@ def segment_masked_scene(
 
 
 def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scale: float) -> Floor:
-    """The plane z = 0 as a floor: a given one, or a level one below the points (n, 3)."""
+    """Return the plane z = 0 as a floor: the given plane, or else a level one below the points (n, 3)."""
     if hint.plane_world is not None:
         against = against_gravity(hint.plane_world, hint.up_world)
         frame = floor_frame(hint.plane_world)

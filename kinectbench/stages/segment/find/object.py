@@ -55,10 +55,10 @@ class Scene:
     Attributes:
         floor: the floor.
         points_floor: (n, 3) points spread evenly over the surface, floor frame, metres.
-        owner: (v,) int64, the row in `points_floor` that each vertex of the mesh belongs to.
+        owner: (v,) int64, for each vertex of the mesh the row of its point in `points_floor`.
         focus_floor: (3,) where the cameras look.
         scale: factor of cells and gaps for near cameras (`cell_scale`).
-        picked: whether the focus is a point that a person picked.
+        picked: whether the focus is a point that the user picked.
     """
 
     floor: Floor
@@ -78,8 +78,8 @@ def find_scene(
     (`level_floor`).
 
     Raises:
-        SegmentationError: the scene is empty, has no floor and must have one, or a given plane lies above the
-            cameras.
+        SegmentationError: the scene is empty, it has no floor and `floor_may_lack` is False, or a given plane
+            lies above the cameras.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     focus_world = hint.focus_world(T_world_camera)
@@ -102,9 +102,9 @@ def find_scene(
 
 
 def _check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> None:
-    """Refuse an object more than 0.3 m beside the cameras' focus, seen from above.
+    """Refuse an object that, seen from above, lies over 0.3 m beside the point that the cameras look at.
 
-    The box and the focus (3,) are in the floor frame, in metres divided by `scale`.
+    The box and this point (3,), the focus, are in the floor frame, in metres divided by `scale`.
     """
     local = transform_points(invert_rigid(box.T_floor_box), focus_floor)[:2]
     beside_m = float(np.linalg.norm(np.maximum(np.abs(local) - np.array(box.size_m[:2]) / 2, 0)))
@@ -116,7 +116,7 @@ def _check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> 
 
 
 def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
-    """Which points (n, 3) above the floor cut are of pieces that end 6 cm above the floor or lower: (n,)."""
+    """Return which points (n, 3) belong to a piece that ends 6 cm above the floor or lower: (n,) bool."""
     if not len(points_floor):
         return np.zeros(0, dtype=bool)
     label = label_pieces(points_floor, cell_m)
@@ -148,9 +148,10 @@ class ObjectOnFloor:
     """The object as it was chosen in a scene.
 
     Attributes:
-        chosen: (n,) bool, which of the scene's points above the floor cut are the object's.
-        feet: (v,) bool, which vertices of the mesh are the object's below that cut, or in low pieces.
-        box: upright box around both, floor frame.
+        chosen: (n,) bool, which of the scene's points above the floor cut belong to the object.
+        feet: (v,) bool, which mesh vertices are connected to the object but not part of its main piece: those
+            between the low cut and the floor cut, and those of low pieces.
+        box: upright box around the chosen points and the feet, or the given box; floor frame.
     """
 
     chosen: Bools
@@ -159,7 +160,7 @@ class ObjectOnFloor:
 
 
 def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell_m: float) -> ObjectOnFloor:
-    """Choose the piece that the cameras look at, with parts near the floor that are connected to it.
+    """Choose the piece that the cameras look at, with the parts near the floor that are connected to it.
 
     Args:
         scene: the fused surface in the floor frame.
@@ -168,7 +169,7 @@ def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell
         cell_m: cells of this edge that touch are connected.
 
     Raises:
-        SegmentationError: nothing stands on the floor, or not where the cameras look.
+        SegmentationError: nothing stands on the floor, or nothing where the cameras look.
     """
     scale = scene.scale
     points_floor, vertices_floor = scene.points_floor / scale, vertices_floor / scale
@@ -222,7 +223,7 @@ class Segmentation:
         return self.how == "masks" and not self.floor.found
 
     def neighbours(self, grid: Grid) -> Bools:
-        """Voxels of an upright grid near other surface and not near the object's: bool, the grid's shape."""
+        """Return a mask of an upright grid: voxels near other surface, but not near the object's."""
         ground_floor, heights_m = self._middles_floor(grid)
         cells = np.floor(ground_floor[..., :2] / self.cell_m).astype(np.int64)
         levels = np.floor(heights_m / self.cell_m).astype(np.int64)
@@ -233,7 +234,7 @@ class Segmentation:
         return np.asarray(foreign[x, y, levels - first[2]])
 
     def beyond_box(self, grid: Grid) -> Bools | None:
-        """Voxels of an upright grid outside a given box: bool, the grid's shape; None without one."""
+        """Return a mask of an upright grid: voxels outside the given box; None without a given box."""
         if self.how != "box":
             return None
         ground_floor, heights_m = self._middles_floor(grid)
@@ -243,7 +244,7 @@ class Segmentation:
         return np.asarray(~(self.box.contains(at_middle)[:, :, None] & inside))
 
     def _middles_floor(self, grid: Grid) -> tuple[Float64, Float64]:
-        """Middles (nx, ny, 3) of an upright grid's columns, and heights (nz,) of its layers, floor frame."""
+        """Middles (nx, ny, 3) of an upright grid's columns, heights (nz,) of its layers; floor frame."""
         T_floor_grid = self.floor.T_floor_world @ grid.T_world_grid
         # The grid is upright: x and y in the floor frame depend on the first two axes, z on the last.
         nx, ny, nz = grid.shape
@@ -262,12 +263,12 @@ def find_floor_and_object(
     settings: FloorCuts,
     hint: FloorHint = NOTHING_KNOWN,
 ) -> Segmentation:
-    """Find the floor, and the object on it: the piece that the cameras look at, or a given box's content.
+    """Find the floor, and the object on it: the piece that the cameras look at, or what a given box holds.
 
     Args:
         mesh: the fused scene, world frame.
         trajectory: poses of the frames.
-        given_box: floor frame, or None.
+        given_box: the box that the user gave, floor frame, or None.
         settings: seed, floor cut and low cut.
         hint: known facts about the floor.
 
@@ -283,7 +284,7 @@ def find_floor_and_object(
 
 @contextmanager
 def _far_poses_named(trajectory: Trajectory) -> Iterator[None]:
-    """Within the block, a `SegmentationError` also names poses far away from all others, if any."""
+    """Within the block, let a `SegmentationError` also name poses far away from all others, if any."""
     try:
         yield
     except SegmentationError as error:
@@ -352,7 +353,7 @@ def _object_in_box(scene: Scene, above: Bools, box: OrientedBox) -> ObjectOnFloo
 
 
 def _dilated(cells: Int64, first: Int64, shape: Int64) -> Bools:
-    """Cells (n, 3) and their 26 neighbours, as a dense bool grid of `shape` that starts at cell `first`."""
+    """Mark cells (n, 3) and their 26 neighbours in a dense bool grid of `shape` that starts at `first`."""
     from scipy import ndimage
 
     local = cells - first

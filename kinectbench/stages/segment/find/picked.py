@@ -1,4 +1,4 @@
-"""The point on the object that a person picked, as a pixel of a frame."""
+"""The point on the object that the user picked, as a pixel of a frame."""
 
 from typing import NamedTuple
 
@@ -21,12 +21,12 @@ BESIDE_CELLS = 2
 
 
 class PickedPoint(NamedTuple):
-    """A point that a person picked in a frame.
+    """A point that the user picked in a frame.
 
     Attributes:
         frame: number of the frame in the recording.
         pixel: column and row.
-        point_world: (3,) the surface point that the pixel shows, metres.
+        point_world: (3,) the surface point that the pixel shows, world frame, metres.
     """
 
     frame: int
@@ -35,7 +35,9 @@ class PickedPoint(NamedTuple):
 
 
 def point_under(depth_m: Float32, camera: Camera, pixel: tuple[int, int]) -> Float64 | None:
-    """The point (3,) of the nearest pixel with depth, camera frame, metres; None: there is none near by.
+    """Return the surface point (3,) that a pixel shows, or the nearest pixel with depth; camera frame.
+
+    The unit is metres. The result is None if no pixel within 20 pixels has depth.
 
     Args:
         depth_m: (height, width), 0 = none.
@@ -53,7 +55,7 @@ def point_under(depth_m: Float32, camera: Camera, pixel: tuple[int, int]) -> Flo
 def picked_point(
     sequence: Sequence, trajectory: Trajectory, frame: int, pixel: tuple[int, int]
 ) -> PickedPoint:
-    """The surface point that a pixel of a frame shows, or the nearest pixel with depth.
+    """Find the surface point that a pixel of a frame shows, or else the nearest pixel with depth.
 
     Args:
         sequence: the recording.
@@ -86,7 +88,7 @@ def check_picked(picked: PickedPoint, chosen: Segmentation) -> None:
     """Refuse an object that does not lie at the picked point.
 
     Raises:
-        SegmentationError: it does not.
+        SegmentationError: the object lies elsewhere.
     """
     point_floor = transform_points(chosen.floor.T_floor_world, picked.point_world)
     middles_floor = (chosen.object_cells + 0.5) * chosen.cell_m

@@ -48,7 +48,7 @@ class SceneSurface:
         normals_world: (n, 3) unit.
         focus_world: (3,) where the cameras look.
         inlier_m: points this near to a plane are on it.
-        times_noise: (n,) or one for all: the noise of a point divided by that at the focus.
+        times_noise: (n,), or one number for all: noise of each point divided by that at the focus.
     """
 
     points_world: Float64
@@ -59,7 +59,7 @@ class SceneSurface:
 
     @cached_property
     def spacing_m(self) -> float:
-        """The distance within which most points have a neighbour, metres."""
+        """The distance within which 90 % of the points have a neighbour, metres."""
         from scipy.spatial import cKDTree
 
         points = self.points_world
@@ -71,10 +71,10 @@ class SceneSurface:
 
 
 def floor_frame(plane_world: Float64) -> Float64:
-    """T_floor_world (4, 4) of a plane (4,), whose unit normal is z.
+    """Return T_floor_world (4, 4) of a plane (4,): the frame whose z axis is the plane's unit normal.
 
-    The origin is the plane's nearest point to the world's, x is the world's x axis (or z, where x is nearly
-    normal) projected onto the plane.
+    The origin is the point of the plane nearest to the world's origin. The x axis is the world's x axis
+    projected onto the plane, or the world's z axis if the x axis is nearly normal to the plane.
     """
     z_axis = plane_world[:3]
     for axis in (np.array([1.0, 0, 0]), np.array([0, 0, 1.0])):
@@ -112,9 +112,9 @@ def _noise_m(distance_m: Float64, inlier_m: float) -> float:
 def carries_what_is_looked_at(plane: Float64, surface: SceneSurface) -> bool:
     """Whether a plane (4,) carries the object at the focus and is larger than it.
 
-    The plane is twice as long as the object; or it extends all around the object, and the cameras look at the
-    object, not at the plane. The object must stand on the plane: a lamp that stands beside a table and
-    reaches over it does not.
+    It is larger if it is twice as long as the object, or if it extends beyond the object on most sides and
+    the cameras look at the object rather than at the plane. The object must stand on the plane: a lamp that
+    stands beside a table and reaches over it does not.
     """
     height_m = surface.points_world @ plane[:3] + plane[3]
     focus_m = surface.focus_above_m(plane)
@@ -142,7 +142,7 @@ def carries_what_is_looked_at(plane: Float64, surface: SceneSurface) -> bool:
 
 
 def _surrounds(patch: Float64, thing: Float64) -> bool:
-    """Whether the points `patch` (k, 2) extend beyond `thing` (n, 2) on most sides of its middle."""
+    """Whether points `patch` (k, 2) reach farther than `thing` (n, 2) on most sides of its middle."""
     middle = (thing.min(axis=0) + thing.max(axis=0)) / 2
     reach_m = np.zeros((2, SIDES))
     for row, points in enumerate((patch - middle, thing - middle)):

@@ -32,11 +32,11 @@ OTHER_FLOOR = (
 
 
 def oriented(depth_m: Float32, camera: Camera) -> tuple[Float64, Float64]:
-    """Points (n, 3) and unit normals (n, 3) towards the camera, camera axes, of every fourth row and column.
+    """Return points and unit normals towards the camera, (n, 3) each, of every fourth row and column.
 
     Args:
         depth_m: (height, width) metres, 0 = none.
-        camera: of the image.
+        camera: of the image; the points are in its axes.
     """
     surface = camera.backproject(depth_m)
     normals = image_normals(surface, depth_m, reach_px=2)
@@ -49,7 +49,7 @@ def oriented(depth_m: Float32, camera: Camera) -> tuple[Float64, Float64]:
 def floor_of_frames(
     depths_m: Rows[Float32], camera: Camera, T_world_camera: Float64, hint: FloorHint
 ) -> tuple[Floor, list[Float64]]:
-    """The common floor of some frames, found as in a fused scene.
+    """Find the common floor of some frames, as in a fused scene.
 
     Args:
         depths_m: (height, width) each, metres, 0 = none.
@@ -80,7 +80,7 @@ def floor_of_frames(
 def other_floor(
     floor: Floor, sequence: Sequence, trajectory: Trajectory, hint: FloorHint, max_depth_m: float
 ) -> tuple[str, ...]:
-    """A warning if single frames show another floor than the fused scene; else none.
+    """Return a warning if single frames show another floor than the fused scene; else none.
 
     Depth beyond `max_depth_m` is ignored. A given plane is not compared here: `find_floor` judges it.
     """

@@ -40,13 +40,14 @@ NOTHING_STANDS = (
 def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
     """Label each point with the connected piece of surface that it belongs to.
 
-    A piece in the air, such as a table top whose underside is unseen, belongs to the nearest one that stands
-    on the floor, if that is within 0.3 m; else, and if it has fewer than ten points, it stays by itself.
+    A piece in the air, such as a table top whose underside is unseen, is merged into the nearest piece that
+    stands on the floor. It stays separate if that is over 0.3 m away, or if it has fewer than ten points
+    itself.
 
     Args:
         points_floor: (n, 3) points above the floor, at least one per cell, floor frame, metres; n > 0.
         cell_m: cells of this edge that touch are connected.
-        through_faces: connected cells must share a face; else a corner suffices.
+        through_faces: whether connected cells must share a face; otherwise a corner suffices.
 
     Returns:
         (n,) int32, from 1; some numbers may not occur.
@@ -80,9 +81,10 @@ def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
 
 
 def nearest_within(tree: "cKDTree", points: Float64, most_m: float) -> tuple[float, int | None]:
-    """The least distance of points (n, k) from the points of a tree, and the index of the nearest tree point.
+    """Return the least distance from points (n, k) to the points of a tree, and the index of that tree point.
 
-    inf and None if no point is within `most_m`. A search without a bound would visit most of the tree.
+    They are inf and None if no point is within `most_m`. A search without a bound would visit most of the
+    tree.
     """
     least_m, nearest = np.inf, None
     for start in range(0, len(points), QUERY_BATCH):
@@ -102,7 +104,7 @@ def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float
     Args:
         points_floor: (n, 3) evenly spread surface points, floor frame, metres.
         floor_cut_m: lower points belong to the floor.
-        target_floor: (3,) where the optical axes converge, floor frame.
+        target_floor: (3,) the point that the cameras look at, floor frame, metres.
 
     Raises:
         SegmentationError: nothing stands on the floor.
@@ -129,9 +131,9 @@ def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float
 
 
 def _small_one(label: Int32, points_floor: Float64, sizes: Int64, distance_m: Float64) -> int | None:
-    """The label of a small piece, larger than a speck, right where the cameras look; None without one.
+    """Return the label of a small piece, larger than a speck, right where the cameras look; None if none is.
 
-    `sizes`, in cells, and `distance_m`, from where the cameras look, have a value for each label.
+    For each label, `sizes` has its number of cells and `distance_m` its distance from where the cameras look.
     """
     is_small = (sizes >= SMALL_CELLS) & (sizes < MIN_CELLS) & (distance_m <= SMALL_FOCUS_M)
     is_small &= standing(label, points_floor)
@@ -173,11 +175,11 @@ def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:
 def fit_box(
     points_floor: Float64, yaw_rad: float | None = None, left_out: float = BEYOND_FACE
 ) -> OrientedBox:
-    """The upright box around points (n, 3), from the floor to their top.
+    """Return the upright box around points (n, 3), from the floor to their top.
 
-    Without a yaw, it is that of the least rectangle on the ground around all points, in [-pi/4, pi/4), which
-    makes it unique. A share of the points is left out on each side and at the top, so that specks do not
-    enlarge the box; they may turn it.
+    If `yaw_rad` is None, it is that of the smallest rectangle on the ground around all points, in [-pi/4,
+    pi/4), which makes it unique. On each side and at the top, the share `left_out` of the points is left
+    outside, so that specks do not enlarge the box; they may still turn it.
     """
     import cv2
 

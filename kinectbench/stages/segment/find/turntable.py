@@ -46,8 +46,9 @@ class Turntable:
     """The space of an object that turns in front of a still camera: a cylinder on a plane, or a ball.
 
     Attributes:
-        floor: the plane below the cylinder, the floor or a plate's top; None for a ball.
-        center: (3,) middle of the cylinder's base, floor frame, or of the ball, camera frame; metres.
+        floor: the plane below the cylinder, which is the floor or a plate's top; None for a ball.
+        center: (3,) metres: middle of the cylinder's base in the floor frame, or of the ball in the camera
+            frame.
         radius_m: of the cylinder or the ball.
     """
 
@@ -87,9 +88,9 @@ def turntable_masks(sequence: Sequence) -> Masks:
 
 
 def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
-    """The plane that the object turns on, in the object's own frame, which is the trajectory's world.
+    """Return the plane that the object turns on, in the object's own frame, which is the trajectory's world.
 
-    The plane does not move relative to the camera. Each pose moves it to the object's frame, where the
+    The plane does not move relative to the camera. Each pose transforms it to the object's frame, where the
     results agree up to noise: their mean normal and median distance are used.
 
     Args:
@@ -115,11 +116,11 @@ def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
 
 
 def find_turntable(sequence: Sequence) -> Turntable:
-    """Find the object that turns in front of a still camera, and its support, in some of the frames.
+    """Find the space of the object that turns in front of a still camera, from some of the frames.
 
     Moving points are those that pass in front of a still background. The floor is a plane of the background,
-    which `find_floor` finds for one camera, or a plate on it. The object is what lies in an upright cylinder
-    around all moving points, above the floor; if nothing surrounds the object, in a ball around them.
+    which `find_floor` finds for one camera, or the top of a plate on it. The space is an upright cylinder on
+    the floor around all moving points. If nothing else is around the object, it is a ball around them.
 
     Raises:
         SegmentationError: as `turntable_masks`.
@@ -149,7 +150,7 @@ def find_turntable(sequence: Sequence) -> Turntable:
 
 
 def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
-    """The cylinder around the moving points (n, 3), on the floor or on a plate."""
+    """Return the cylinder around the moving points (n, 3), on the floor or on a plate."""
     import cv2
 
     floor = _floor(watched, camera, moving)
@@ -167,11 +168,12 @@ def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
 def _plate_m(
     floor: Floor, watched: Watched, camera: Camera, moving_floor: Float64, center: Float64, radius_m: float
 ) -> float:
-    """Height of the support of the turning object above the plane `floor`, metres.
+    """Return the height of the turning object's support above the plane `floor`, metres.
 
-    The support is the top of a round plate, which is level and looks still, and below which nothing moves; or
-    it is the floor itself, as a plane fitted to the floor and a low plate together may pass below the object.
-    `moving_floor` (n, 3) are the moving points, `center` (2,) is their middle, both in the floor frame.
+    The support is the top of a round plate: level surface that looks still, with nothing moving below it.
+    Without a plate it is the floor, but measured again near the object: a plane fitted to the floor and a low
+    plate together may pass below the object. `moving_floor` (n, 3) are the moving points, and `center` (2,)
+    is their middle, both in the floor frame.
     """
     lowest_m = float(np.quantile(moving_floor[:, 2], LOWEST_SHARE))
     surface = camera.backproject(watched.still_m)

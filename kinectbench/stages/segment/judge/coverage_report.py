@@ -42,11 +42,11 @@ MAX_BEYOND_SHARE = 0.01
 def moving_frames(
     sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor
 ) -> MovingPart:
-    """Find frames, of at most 40 good ones, with motion: over 2 % of the pixels are nearer than the scene.
+    """Find those of at most 40 good frames with motion: over 2 % of the pixels are nearer than the scene.
 
-    About 160 columns of pixels are sampled. A pixel counts if it is nearer by more than max(5 sigma, 0.1 m),
-    lies more than 0.1 m above the floor (which is measured badly at a grazing angle), and is in a patch at
-    least three sampled pixels wide. A moving object leaves no surface in the fused scene, because other
+    The pixels are sampled in about 160 columns. A pixel counts if it is nearer by more than max(5 sigma, 0.1
+    m), lies more than 0.1 m above the floor (which is measured badly at a grazing angle), and is in a patch
+    at least three sampled pixels wide. A moving object leaves no surface in the fused scene, because other
     frames saw through it.
     """
     import cv2
@@ -73,9 +73,9 @@ def moving_frames(
 
 
 def beyond_depth_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, max_depth_m: float) -> float:
-    """The share of the depth in the object's grid that lies beyond `max_depth_m` and is not fused.
+    """Return the share of the depth in the object's grid that lies beyond `max_depth_m` and is not fused.
 
-    At most 40 good frames are used, and of these about 160 columns of pixels, with rows as far apart.
+    At most 40 good frames are used, subsampled to about 160 columns of pixels, with rows as far apart.
     """
     step_px = max(1, round(sequence.camera.width / COLUMNS))
     rays = sequence.camera.every(step_px).rays()
@@ -101,7 +101,7 @@ class CoverageReport:
         max_depth_m: depth up to this is fused, metres.
         beyond_share: share of the depth near the object that lies beyond `max_depth_m`.
         warnings: all warnings, one line each.
-        choice_warnings: those about the floor and the choice of the object; in quality.json: `doubts`.
+        choice_warnings: those about the floor and the choice of the object; `doubts` in quality.json.
         first_rad: direction from the object to the first camera, seen from above, radians, counterclockwise
             from x of the floor frame.
     """
@@ -117,13 +117,14 @@ class CoverageReport:
 
 
 def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> tuple[float, float, float]:
-    """The widest gap between the cameras (n, 4, 4), n > 0, around the object, seen from above.
+    """Find the widest gap between the cameras (n, 4, 4), n > 0, around a centre (3,), seen from above.
 
     A side within 75 degrees of a camera's direction is seen: a gap of 150 degrees hides nothing upright.
 
     Returns:
-        Its width, 0 to 2 pi; its middle from the floor's x axis, counter-clockwise; both in radians; and the
-        share of the directions in which an upright side was seen by no camera.
+        Width of the gap, radians, 0 to 2 pi; direction of its middle, radians, counter-clockwise from the
+        floor's x axis; and the share of all directions for which no camera saw an upright side that faces
+        that way.
     """
     x, y, _ = (T_floor_camera[:, :3, 3] - center_floor).T
     angles = np.sort(np.arctan2(y, x))
@@ -173,7 +174,7 @@ def coverage_report(
     max_depth_m: float,
     limits: SensorLimits = DEFAULT_LIMITS,
 ) -> CoverageReport:
-    """Measure how well a recording shows its object; each fault gives a warning.
+    """Measure how well a recording shows its object, with a warning for each fault.
 
     Faults are a trajectory graded "not good", a side that no frame looks at, few frames, something that
     moves, depth near the object beyond `max_depth_m`, and signs of a wrongly chosen floor or object.
@@ -185,7 +186,7 @@ def coverage_report(
         chosen: the floor and the object that were chosen.
         grid: the grid around the object.
         max_depth_m: depth up to this is fused.
-        limits: the sensor's.
+        limits: of the sensor and of its positions.
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]

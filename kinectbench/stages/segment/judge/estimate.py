@@ -46,7 +46,7 @@ class PoseError:
 
 
 def pose_error_of(trajectory: Trajectory) -> PoseError:
-    """The median error of the poses; given poses that are trusted have none."""
+    """Return the median error of the poses: 0 for trusted given poses, an assumed one if none was checked."""
     median_m = trajectory.median_pose_sigma_m
     if trajectory.source == "trust":
         return PoseError(0.0, median_m is not None)
@@ -59,9 +59,9 @@ class IouEstimate:
 
     Attributes:
         value: the estimate.
-        low: lower end of the interval; the guesses behind openings that no frame saw into may be wrong.
+        low: lower end of the interval, which allows for wrong guesses behind openings that no frame saw into.
         high: upper end; at most the IoU if all these guesses are right.
-        measured_low: lower end by the error of the surface alone, if all guesses are right.
+        measured_low: lower end if all these guesses are right, so that only the surface may be wrong.
         known: the IoU over known voxels alone, which only the error of the surface lowers.
         known_low: lower end of its interval.
         known_high: upper end of its interval.
@@ -91,8 +91,8 @@ class _Volumes:
 
     Attributes:
         known: the known part of the solid.
-        inside: expected inside volume of its unknown part.
-        outside: expected inside volume of the unknown voxels outside the solid.
+        inside: expected part of the object in the unknown part of the solid.
+        outside: expected part of the object in the unknown voxels outside the solid.
     """
 
     known: float
@@ -100,7 +100,7 @@ class _Volumes:
     outside: float
 
     def iou(self, missing: float) -> float:
-        """The IoU to the truth, if the IoU of the known part alone is 1 - `missing`."""
+        """Return the IoU to the truth if the known part alone has the IoU 1 - `missing`."""
         # Half of the error is missing, half is excess: (1 - half) / (1 + half) is 1 - missing.
         half = min(missing, 1.0) / (2 - min(missing, 1.0))
         inside = self.known * (1 - half) + self.inside
@@ -116,10 +116,10 @@ def estimate_iou(
 ) -> IouEstimate:
     """Estimate the IoU to the unknown truth, and an interval.
 
-    A surface error lowers the IoU of the known part. That error is the sum of a constant, a term for thin
-    parts, the deviation between the halves of odd and even frames, and the poses' errors, which both halves
-    share. In the unknown part, the probabilities give the expected volumes. The interval takes each unknown
-    region as inside or outside as a whole.
+    In the known part, only the surface error lowers the IoU. This error is the sum of a constant, a term for
+    thin parts, the deviation between the halves of odd and even frames, and the poses' errors, which both
+    halves share. In the unknown part, the voxels' probabilities give the expected volumes. For the interval,
+    each unknown region is inside or outside as a whole.
 
     Args:
         shape: the solid.
@@ -181,8 +181,8 @@ def _expected(shape: SolidShape) -> _Volumes:
 def _regions_sigma(shape: SolidShape, expected: _Volumes) -> float:
     """Standard deviation of the IoU if each region of unknown voxels is inside or outside as a whole.
 
-    A region is a connected piece (26 neighbours) of unknown voxels whose probability is undecided; the whole
-    underside is one region.
+    A region is a 26-connected piece of unknown voxels whose probability is near neither 0 nor 1. Those of
+    the underside are one region.
     """
     from scipy import ndimage
 

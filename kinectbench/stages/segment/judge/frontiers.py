@@ -47,13 +47,13 @@ class Frontier:
 
     Attributes:
         direction: outward from the unseen region: up, side or down.
-        area_m2: area of its faces that look in that direction; more than the box `size_m` where faces lie
-            behind others.
-        size_m: (2,) extents of its faces, metres: for up and down the longer and the shorter one seen from
-            above, for side the width and the height.
+        area_m2: area of its faces that look in that direction; more than the rectangle of `size_m` if faces
+            lie behind others.
+        size_m: (2,) extents of its faces, metres. Up or down: the longer and the shorter one, seen from
+            above. Side: the width and the height.
         center_m: (3,) middle of its faces, floor frame, metres.
-        look_from: (3,) unit vector, floor frame: from the frontier to where a camera would look into it.
-        volume_m3: of the unseen region behind it.
+        look_from: (3,) unit vector, floor frame: from the frontier to a camera that would look into it.
+        volume_m3: volume of the unseen region behind it, cubic metres.
         inside_share: expected share of that volume that is inside the object, 0 to 1.
         solid_share: share of that volume that the solid fills, 0 to 1.
         underside: whether a camera could see the region only from below.
@@ -83,7 +83,7 @@ class Frontier:
         )
 
     def advice(self, first_rad: float) -> str:
-        """One line of advice: the unseen part, and where to stand; `first_rad` as in `turn_in_words`."""
+        """Return a line of advice: the unseen part, and where to stand; `first_rad` as in `turn_in_words`."""
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
         where = f"record {where_to_stand(self.look_from, self.center_m[2], first_rad)}"
         where = f"{MOVE_AWAY} {where}" if self.obstructed else where
@@ -95,9 +95,10 @@ class Frontier:
 
 
 def turn_in_words(towards_rad: float, first_rad: float) -> str:
-    """The direction `towards_rad` from the object, in words, relative to that of the first camera.
+    """Describe a direction from the object, relative to the direction of the recording's first camera.
 
-    Both angles are seen from above, counterclockwise from x of the floor frame.
+    Both, `towards_rad` and `first_rad`, are seen from above, radians, counter-clockwise from x of the floor
+    frame.
     """
     turn_deg = np.degrees(np.angle(np.exp(1j * (towards_rad - first_rad))))
     rounded = TURN_STEP_DEG * round(abs(turn_deg) / TURN_STEP_DEG)
@@ -110,10 +111,10 @@ def turn_in_words(towards_rad: float, first_rad: float) -> str:
 
 
 def where_to_stand(look_from: tuple[float, float, float], height_m: float, first_rad: float) -> str:
-    """The viewpoint for a point `height_m` above the floor, in words.
+    """Describe the viewpoint of a camera that looks at a point `height_m` above the floor.
 
-    `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` is as in
-    `turn_in_words`.
+    `look_from` is a unit vector of the floor frame, from the point to the camera; `first_rad` is the
+    direction from the object to the first camera, as in `turn_in_words`.
     """
     up, height = look_from[2], f"{100 * height_m:.0f} cm"
     towards = f"from {turn_in_words(float(np.arctan2(look_from[1], look_from[0])), first_rad)}"
@@ -127,13 +128,19 @@ def where_to_stand(look_from: tuple[float, float, float], height_m: float, first
 def find_frontiers(
     shape: SolidShape, evidence: VoxelEvidence, limits: SensorLimits, T_floor_grid: Float64
 ) -> tuple[Frontier, ...]:
-    """Find every frontier above a minimum area, the one with the largest volume behind it first.
+    """Find the frontiers larger than a minimum area, the one with the largest volume behind it first.
 
-    A frontier is the boundary with free space of a piece of unknown voxels (26 neighbours) that has at least
-    a small share of the solid's volume. Of the directions that show most of the piece or nearly so, it is
-    looked into along the one most like hand-held cameras'. Unknown layers thinner than a line of sight have
-    no frontier, except undersides, and large ones where nothing else has. `T_floor_grid` (4, 4) maps the
-    solid's grid to the floor frame.
+    A frontier is where a 26-connected piece of unknown voxels meets free space. The piece must have a minimum
+    share of the solid's volume. Pieces thinner than a line of sight are skipped, with two exceptions:
+    undersides always count, and if no frontier was found at all, large pieces of any thickness count. View
+    directions that show at least 80 % as much of the piece as the best one are candidates for `look_from`;
+    the candidate closest to the elevation of a hand-held camera is chosen.
+
+    Args:
+        shape: the solid.
+        evidence: the class of each voxel.
+        limits: of the sensor; they give the width of a line of sight.
+        T_floor_grid: (4, 4), maps the solid's grid to the floor frame.
     """
     unknown = (shape.labels == Label.UNKNOWN) & (shape.probability > LEAST_PROBABILITY) & evidence.unknown
     aside = unknown & ~evidence.underside
@@ -153,7 +160,10 @@ def _frontiers_of(
     below: tuple[NDArray[np.int32], int],
     T_floor_grid: Float64,
 ) -> tuple[Frontier, ...]:
-    """The frontiers of pieces seen from the side or from above, and of undersides (`_large_pieces`)."""
+    """Return the frontiers of pieces as `_large_pieces` returns them, the largest volume first.
+
+    The pieces `aside` could be seen from the side or from above; the pieces `below` are undersides.
+    """
     from scipy import ndimage
 
     voxel_m = shape.grid.voxel_size_m
@@ -193,13 +203,16 @@ def _frontiers_of(
 def _large_pieces(
     shape: SolidShape, region: Bools, limits: SensorLimits, underside: bool
 ) -> tuple[NDArray[np.int32], int]:
-    """The large connected pieces of a region: the piece of each voxel, from 1 (0: none), and their number.
+    """Find the large connected pieces of a region.
 
     Args:
         shape: the solid; a large piece has at least a small share of its volume.
         region: bool, the voxels of the region, in the solid's grid.
         limits: of the sensor; parts thinner than a line of sight are left out.
         underside: whether the region is an underside, of which flat parts count however thin they are.
+
+    Returns:
+        The piece of each voxel, from 1 (0: none), in the grid's shape; and the number of pieces.
     """
     cells = max(1, round(limits.line_width_m / shape.grid.voxel_size_m))
     # From below a board is wide, however thin. Elsewhere thin layers are left by the rims of lines of sight.
@@ -208,7 +221,7 @@ def _large_pieces(
 
 
 def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], int]:
-    """The connected pieces (26 neighbours) of at least so many voxels: as `_large_pieces` returns them."""
+    """Find the 26-connected pieces of at least `least_voxels` voxels; returns the same as `_large_pieces`."""
     from scipy import ndimage
 
     pieces, count = ndimage.label(region, np.ones((3, 3, 3)))
@@ -218,7 +231,11 @@ def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], i
 
 
 def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:
-    """Of the directions (n, 3) that show much of a piece, the most usual one for hand-held cameras."""
+    """Return the direction closest to a hand-held camera's elevation, of those that show much of a piece.
+
+    `ways` (n, 3) are unit vectors to cameras, and `shown` (n,) is how many of the piece's voxels each one
+    shows.
+    """
     enough = np.flatnonzero(shown >= ENOUGH * shown.max())
     off_rad = np.abs(np.arcsin(np.clip(ways[enough, 2], -1, 1)) - CAMERA_ELEVATION_RAD)
     return np.asarray(ways[enough[np.argmin(off_rad)]])
@@ -230,9 +247,9 @@ class _Piece:
 
     Attributes:
         voxel_m: edge of a voxel, metres.
-        cells: (i, j, k) bool, which voxels of the window are the piece.
-        free: (i + 2, j + 2, k + 2) bool, which voxels of the window and one more on each side are free, or
-            unknown below an underside.
+        cells: (i, j, k) bool, which voxels of the window belong to the piece.
+        free: (i + 2, j + 2, k + 2) bool, which voxels of the window and one more on each side are free. For
+            an underside, unknown voxels that are not part of one count as free.
         corner: (3,) index of the window's first voxel in the grid.
     """
 
@@ -242,7 +259,7 @@ class _Piece:
     corner: NDArray[np.int64]
 
     def faces_m(self, axis: int, sign: int) -> Float64:
-        """Centres (n, 3) of its faces towards free space along an axis (sign: 1, -1), grid frame, metres."""
+        """Return the centres (n, 3) of its faces to free space along an axis, grid frame; sign: 1, -1."""
         step = np.zeros(3, np.int64)
         step[axis] = sign
         beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, self.cells.shape, strict=True))
@@ -259,7 +276,7 @@ def _frontier(
     behind: tuple[float, float, float],
     underside: bool,
 ) -> Frontier | None:
-    """The frontier of a piece, looked into along one direction; None if no face is visible.
+    """Make the frontier of a piece for a camera in one direction; None if no face is visible.
 
     Its `direction` is that of the faces with most visible area.
 
@@ -305,10 +322,10 @@ def _frontier(
 
 
 def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float) -> tuple[float, float]:
-    """The extents of a frontier's faces with centres (n, 3), metres.
+    """Return the extents of a frontier's faces, whose centres are (n, 3), metres.
 
-    At a side, they are width and height, seen along `look` (3,); else the longer and the shorter side of the
-    smallest rectangle around the faces, seen from above.
+    For `side`, they are width and height as seen along `look` (3,). Otherwise they are the longer and the
+    shorter side of the smallest rectangle around the faces, seen from above.
     """
     if side:
         across = np.array([-look[1], look[0], 0.0]) / np.hypot(look[0], look[1])
@@ -324,6 +341,6 @@ def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float)
 
 
 def _extent_m(values: Float64, voxel_m: float) -> float:
-    """The extent of values (n,), metres, without outliers at either end, plus one voxel."""
+    """Return the extent of values (n,), metres, without 1 % at either end, plus one voxel."""
     low, high = np.quantile(values, [STREAKS, 1 - STREAKS])
     return float(high - low) + voxel_m

@@ -21,7 +21,7 @@ STEEP = 0.95
 
 
 def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64, limits: SensorLimits) -> bool:
-    """Whether an obstacle, not the object, is in the way of a camera that looks at a point.
+    """Whether something other than the object is in the way of a camera that looks at a point.
 
     The camera stands at least `near_m` outside the object's box. An obstacle is anything measured on the line
     between the box and that camera, or a wall that was measured on both sides of the line.
@@ -54,7 +54,7 @@ def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64, lim
 
 
 def _way_out_m(box: OrientedBox, point_floor: Float64, look: Float64) -> float:
-    """Distance, along a unit vector, of a point (3,) in an upright box to the outside; 0 if past the box."""
+    """Return the distance from a point (3,) in an upright box to its boundary along `look`; 0 if outside."""
     T_box_floor = invert_rigid(box.T_floor_box)
     point, along = transform_points(T_box_floor, point_floor), T_box_floor[:3, :3] @ look
     half = np.array(box.size_m) / 2
@@ -63,10 +63,10 @@ def _way_out_m(box: OrientedBox, point_floor: Float64, look: Float64) -> float:
 
 
 def _wall_crossings(columns: Int64) -> Float64:
-    """Where a line crosses upright walls: distances (k,) along it, from 0 on, in cells.
+    """Find where a line crosses upright walls; return distances (k,) along the line, from 0 on, in cells.
 
-    `columns` (n, 2) are the measured columns, in cells along the line and to its left, seen from above. A
-    wall is straight, and has columns on both sides.
+    `columns` (n, 2) are the cells of measured columns seen from above: their position along the line, and to
+    its left. A wall is straight, and has columns on both sides of the line.
     """
     sides: tuple[Bools, Bools] = (columns[:, 1] > 0, columns[:, 1] < 0)
     if min(int(side.sum()) for side in sides) < WALL_CELLS:

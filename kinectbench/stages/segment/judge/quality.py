@@ -48,11 +48,11 @@ BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
 
 
 def surface_sigma_m(odd: Observation, even: Observation) -> float:
-    """Standard deviation of the surface fused from all frames, metres.
+    """Return the standard deviation of the surface fused from all frames, metres.
 
-    If the halves' errors are independent, their signed distances differ by twice the deviation of their mean:
-    the result is half the robust deviation of the difference near the surface. It is one voxel where the
-    halves share no surface.
+    If the errors of the odd and the even half are independent, the difference of their signed distances
+    deviates twice as much as their mean. The result is therefore half the robust deviation of the difference
+    near the surface, or one voxel if the halves share no surface.
     """
     near = (odd.weight > 0) & (even.weight > 0)
     near &= np.abs(odd.tsdf + even.tsdf) < 2 * odd.grid.voxel_size_m
@@ -128,7 +128,7 @@ def _box_part(box: OrientedBox) -> BoxPart:
 
 
 def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
-    """Unknown volumes assumed inside and assumed air, as shares of the solid's."""
+    """Return the unknown volume assumed inside, and that assumed air, as shares of the solid's volume."""
     unknown, volume = shape.labels == Label.UNKNOWN, int(shape.solid.sum())
     return int((shape.solid & unknown).sum()) / volume, int((~shape.solid & unknown).sum()) / volume
 
@@ -157,16 +157,16 @@ def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
 
 
 def solid_box(shape: SolidBody, floor: Floor, yaw_rad: float | None = None) -> OrientedBox:
-    """The upright box around a solid, but for 0.5 % of its vertices on each side, floor frame.
+    """Return the upright box around a solid, floor frame, with 0.5 % of its vertices outside on each side.
 
-    Without a yaw, it is the one of least ground area.
+    Without a yaw, it is the box of least ground area.
     """
     points_floor = transform_points(floor.T_floor_world, shape.mesh.vertices)
     return fit_box(points_floor, yaw_rad, BOX_LEFT_OUT)
 
 
 def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, ...]:
-    """A question about the underside, if nobody stated it and much of the solid depends on it."""
+    """Return a question about the underside if the user did not state it and much depends on it."""
     share = shape.underside_share
     if underside != "unseen" or share <= LEAST_UNDERSIDE_SHARE:
         return ()
@@ -203,7 +203,7 @@ def _warnings(
     """A line for each fault of a solid.
 
     Args:
-        unsupported: warnings that parts are in the air or `underside: open` has no effect; they are included.
+        unsupported: the warnings of `_unsupported`, which the result includes.
         shape: the solid.
         repeatability: IoU of the solids from the odd and from the even frames.
         estimate: the estimated IoU.
@@ -267,7 +267,7 @@ def _unsupported(chosen: Segmentation, shape: SolidShape, rules: Rules) -> list[
 
 
 def detached_pieces(labels: Int32, small: Int64, sizes: Int64, voxel_size_m: float) -> list[str]:
-    """A warning about the largest of the small pieces that lie apart from all large ones; [] without any.
+    """Return a warning about the largest small piece that lies away from all large ones; [] if none does.
 
     Args:
         labels: piece of each voxel, 0: none.

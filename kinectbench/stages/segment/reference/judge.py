@@ -1,7 +1,7 @@
-"""Judge whether a reference mesh is the built object's, by rules that refuse another object's.
+"""Judge whether a reference mesh is that of the built object; the mesh of another object is refused.
 
-docs/second-truth.md has the rules, docs/evidence/ground-truth.md the figures of right and wrong meshes by
-which they were chosen.
+The rules are in docs/second-truth.md. docs/evidence/ground-truth.md has the measurements of right and wrong
+meshes by which they were chosen.
 """
 
 from collections.abc import Sequence
@@ -56,10 +56,10 @@ class RegisteredReference:
     Attributes:
         ours: samples of the object.
         theirs: samples of the reference, in its own frame.
-        refused: why the mesh is not taken for the object's, in one line; None: it is.
+        refused: why the mesh is not accepted as that of the object, in one line; None if it is accepted.
         pose: the best pose; None if the mesh was refused before the search.
-        scale: the factor by which the reference would fit best; it and the next three are None if the mesh
-            was refused by the best pose's residual, or before the search.
+        scale: the factor by which the reference would fit best. This and the next three are None if the mesh
+            was refused before the search, or by the residual of the best pose.
         mirrored_m: residual of its mirror image, metres.
         runner_up: the second-best pose; None if the search ended in one pose.
         symmetric_axis_floor: (3,) unit, floor frame: the axis of its rotational symmetry; None without one.
@@ -78,7 +78,7 @@ class RegisteredReference:
 
 
 def register_reference(model: ObjectModel, mesh: TriangleMesh) -> RegisteredReference:
-    """Register a reference to a built object, and judge whether it is the object's.
+    """Register a reference to a built object, and judge whether it is the mesh of this object.
 
     Args:
         model: the object.
@@ -122,7 +122,7 @@ def register_reference(model: ObjectModel, mesh: TriangleMesh) -> RegisteredRefe
 
 
 def _between(one: Sampled, T_one: Float64, other: Sampled, T_other: Float64) -> float:
-    """Mean distance of samples of one mesh, at its pose, from another mesh at its own, metres."""
+    """Return the mean distance of samples of one mesh from another mesh, both at their poses, metres."""
     T = invert_rigid(T_other) @ T_one
     return float(other.distance_m(transform_points(T, one.points[one.few(JUDGED)])).mean())
 
@@ -184,7 +184,7 @@ def _runner_up(found: tuple[Pose, ...], T_floor_world: Float64, least_m: float) 
 
 
 def symmetric_axis(theirs: Sampled) -> Float64 | None:
-    """The axis (3,) of rotational symmetry of the reference, in its frame; None without one."""
+    """Return the axis (3,) of the reference's rotational symmetry, in its frame; None without one."""
     points = theirs.points[theirs.few(1000)]
     middle = theirs.points.mean(axis=0)
     axes = np.linalg.eigh(np.cov(theirs.points.T))[1].T

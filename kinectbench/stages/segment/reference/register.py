@@ -1,10 +1,10 @@
 """Register a reference mesh to the built object: a rigid motion, from many initial poses.
 
-Point-to-plane ICP (Chen and Medioni 1992) in both directions, by rules of this project: a measured sample of
-the object is matched to the nearest of the reference, and a sample of the reference to the nearest of the
-object if that was measured and faces the same way. Distant matches count less, and so do edges, which fusion
-rounds. Where the size is free, the object's surface may also lie too far out, as that of narrow objects does.
-All samples have fixed seeds, and the initial poses are fixed: nothing is random.
+It is point-to-plane ICP (Chen and Medioni 1992) in both directions. A measured sample of the object is
+matched to the nearest sample of the reference. A sample of the reference is matched to the nearest sample of
+the object, if that was measured and faces the same way. Distant matches count less, and so do edges, which
+fusion rounds. If the size is estimated, the object's surface may also lie too far out, as that of narrow
+objects does. All samples have fixed seeds, and the initial poses are fixed: nothing is random.
 """
 
 from collections.abc import Iterator, Sequence
@@ -77,8 +77,9 @@ class Sampled:
         mesh: the surface.
         points: (n, 3).
         normals: (n, 3) unit.
-        counted: (n,) whether a sample may be matched; a sample of the object: whether it was measured.
-        flat: (n,) weight of a sample for a pose: 1 on a plane, nearly 0 at an edge.
+        counted: (n,) bool, whether a sample may be matched: for samples of the object, whether it was
+            measured.
+        flat: (n,) weight of a sample in the registration: 1 on a plane, nearly 0 at an edge.
     """
 
     mesh: TriangleMesh
@@ -110,29 +111,32 @@ class Sampled:
         return np.asarray(scene.compute_distance(near).numpy(), dtype=np.float64)
 
     def few(self, most: int) -> NDArray[np.int64]:
-        """Indices (n,) of at most `most` of the samples that may be matched, evenly chosen."""
+        """Indices of at most `most` of the samples that may be matched, evenly chosen."""
         places = np.flatnonzero(self.counted)
         return places[:: max(1, -(-len(places) // most))]
 
     def faced(self, points: Float64, normals: Float64) -> tuple[NDArray[np.int64], Bools]:
-        """Indices (n,) of the samples nearest to points (n, 3), and which of them may be matched."""
+        """Find the samples nearest to points (n, 3) with normals (n, 3).
+
+        Return their indices (n,), and which of them may be matched and face the same way.
+        """
         nearest = self.tree.query(points)[1]
         return nearest, self.counted[nearest] & ((self.normals[nearest] * normals).sum(axis=1) > 0)
 
 
 def sampled(mesh: TriangleMesh) -> Sampled:
-    """The samples of a reference mesh, all of which may be matched."""
+    """Sample a reference mesh; all samples may be matched."""
     rng = np.random.default_rng(REFERENCE_SEED)
     points, normals = sample_surface(mesh.vertices, mesh.faces, SAMPLES, rng)
     return Sampled(mesh, points, normals, np.ones(len(points), bool), np.ones(len(points)))
 
 
 def sampled_object(model: ObjectModel) -> Sampled:
-    """The samples of a built object, in its world; only measured samples may be matched.
+    """Sample a built object, in its world; only measured samples may be matched.
 
-    A measured sample has a SURFACE voxel below it, and none above it that is UNKNOWN or OTHER: if one side of
-    a thin wall was measured, its other side does not count. If the object is itself a reference mesh, the
-    voxel above does not matter.
+    A sample is measured if the voxel below it is SURFACE and the voxel above it is neither UNKNOWN nor OTHER:
+    if one side of a thin wall was measured, its other side does not count. If the object is itself a
+    reference mesh, the voxel above does not matter.
     """
     shape, rng = model.shape, np.random.default_rng(OBJECT_SEED)
     points, normals = sample_surface(shape.mesh.vertices, shape.mesh.faces, SAMPLES, rng)
@@ -154,7 +158,7 @@ def _labels(shape: SolidShape, points: Float64) -> NDArray[np.uint8]:
 
 
 def _flatness(drawn: Sampled, far_m: float) -> Float64:
-    """Weights (n,) of samples by the normals of others within `far_m`: 1 on a plane, nearly 0 at an edge."""
+    """Weight samples (n,) by the normals of others within `far_m`: 1 on a plane, nearly 0 at an edge."""
     far, near = drawn.tree.query(drawn.points, k=ABOUT, distance_upper_bound=far_m)
     here = np.isfinite(far)  # else there is none so near
     cosines = np.einsum("nki,ni->nk", drawn.normals[np.where(here, near, 0)], drawn.normals)
@@ -168,9 +172,9 @@ class Pose:
     """A pose of the reference on the object.
 
     Attributes:
-        T: (4, 4) from the reference to the world; a similarity where its size was free.
-        residual_m: mean distance between samples of object and reference, in both directions, metres; each
-            distance counts at most 5 % of the object's diagonal.
+        T: (4, 4) from the reference to the world; a similarity if its size was estimated.
+        residual_m: mean distance between samples of object and reference, in both directions, metres; single
+            distances are clipped at 5 % of the object's diagonal.
     """
 
     T: Float64
@@ -178,7 +182,7 @@ class Pose:
 
 
 def poses(ours: Sampled, theirs: Sampled, T_floor_world: Float64) -> tuple[Pose, ...]:
-    """The distinct poses to which registration converges from the best initial poses, the best first.
+    """Find the distinct poses to which registration converges from the best initial poses, best first.
 
     Args:
         ours: the object; at least one of its samples was measured.
@@ -198,14 +202,14 @@ def poses(ours: Sampled, theirs: Sampled, T_floor_world: Float64) -> tuple[Pose,
 
 
 def best_scale(ours: Sampled, theirs: Sampled, T: Float64, free: Sequence[int]) -> float:
-    """The factor by which the reference fits best, registered from a pose (4, 4).
+    """Return the factor by which the reference fits best, by registration from a pose (4, 4).
 
     Args:
         ours: the object.
         theirs: the reference.
         T: (4, 4) from the reference to the world.
-        free: the unknowns that are solved for: `SIZED`, the motion and the size; or `SIZED_OUT`, also how
-            far out the object's surface lies.
+        free: the unknowns: `SIZED`, the motion and the size; or `SIZED_OUT`, also how much too far out the
+            object's surface lies.
     """
     found, _ = settled(ours, theirs, T, FINE[1], FINE[2], free)
     return float(np.cbrt(np.linalg.det(found[:3, :3])))
@@ -219,10 +223,10 @@ def mirror_image(theirs: Sampled) -> Sampled:
 
 
 def _starts(ours: Sampled, theirs: Sampled, up: Float64) -> Iterator[Float64]:
-    """Yield initial poses (4, 4), with both centroids at one point.
+    """Yield initial poses (4, 4), which bring both centroids to one point.
 
-    The rotations are all that match the principal axes, each also turned about `up` in steps, and others that
-    are spread evenly.
+    The rotations are all that align the principal axes, each combined with twelve turns about `up` (3,), and
+    further ones that are spread evenly.
     """
     here, there = (one.points.mean(axis=0) for one in (ours, theirs))
     axes_here, axes_there = (_principal(one.points) for one in (ours, theirs))
@@ -238,14 +242,14 @@ def _starts(ours: Sampled, theirs: Sampled, up: Float64) -> Iterator[Float64]:
 
 
 def _principal(points: Float64) -> Float64:
-    """Principal axes as the columns of a rotation (3, 3)."""
+    """Return the principal axes of points (n, 3) as the columns of a rotation (3, 3)."""
     axes: Float64 = np.linalg.eigh(np.cov(points.T))[1]
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     return axes
 
 
 def _spread() -> Float64:
-    """Rotations (n, 3, 3) spread evenly. Source: M. Alexa, "Super-Fibonacci Spirals" (CVPR 2022)."""
+    """Return rotations (n, 3, 3) spread evenly. Source: M. Alexa, "Super-Fibonacci Spirals" (CVPR 2022)."""
     s = np.arange(SPREAD) + 0.5
     r, big = np.sqrt(s / SPREAD), np.sqrt(1 - s / SPREAD)
     a, b = 2 * np.pi * s / np.sqrt(2.0), 2 * np.pi * s / 1.533751168755204288118041
@@ -255,15 +259,16 @@ def _spread() -> Float64:
 
 
 def about(axis: Float64, angle_rad: float) -> Float64:
-    """The rotation matrix (3, 3) of the rotation vector `angle_rad * axis`; of a unit axis, by that angle."""
+    """Return the rotation matrix (3, 3) of the rotation vector `angle_rad * axis`, with `axis` (3,)."""
     return np.asarray(Rotation.from_rotvec(angle_rad * axis).as_matrix())
 
 
 def residual_m(ours: Sampled, theirs: Sampled, T: Float64, samples: int, exact: bool = True) -> float:
-    """Mean distance between object and reference in both directions, where the object was measured, metres.
+    """Return the mean distance between object and reference, where the object was measured, metres.
 
-    It is the mean of two: of the object's measured samples from the reference, and back from those samples of
-    the reference whose nearest sample of the object was measured and faces the same way.
+    It is the mean of two means: the distance of the object's measured samples from the reference, and the
+    distance from the object of those samples of the reference whose nearest sample of the object was measured
+    and faces the same way.
 
     Args:
         ours: the object.
@@ -288,7 +293,7 @@ def residual_m(ours: Sampled, theirs: Sampled, T: Float64, samples: int, exact: 
 def settled(
     ours: Sampled, theirs: Sampled, T: Float64, steps: int, samples: int, free: Sequence[int] = RIGID
 ) -> tuple[Float64, float]:
-    """The pose (4, 4) after some registration steps, and how far the last one moved a sample, metres.
+    """Run registration steps; return the pose (4, 4), and how far the last step moved the samples, metres.
 
     Args:
         ours: the object.
@@ -296,7 +301,7 @@ def settled(
         T: (4, 4) from the reference to the world.
         steps: number of steps, at most.
         samples: number of samples of each, at most.
-        free: the unknowns that are solved for: `RIGID`, `SIZED` or `SIZED_OUT`, the latter two with the size.
+        free: the unknowns: `RIGID`, or those of `best_scale`.
     """
     chosen, few = ours.few(samples), theirs.few(samples)
 
@@ -323,11 +328,11 @@ def settled(
 def _step(
     places: Float64, targets: Float64, normals: Float64, weights: Float64, free: Sequence[int]
 ) -> tuple[Float64, float]:
-    """One step: a similarity (4, 4), and about how far it moves the outermost point, metres.
+    """Compute one step: a similarity (4, 4), and about how far it moves the outermost point, metres.
 
     Args:
         places: (n, 3) points to move.
-        targets: (n, 3) a point of the plane that each should lie in.
+        targets: (n, 3) for each of them, a point of the plane that it should lie in.
         normals: (n, 3) unit normals of these planes.
         weights: (n,) weights of the points.
         free: the unknowns that are solved for: `RIGID`, `SIZED` or `SIZED_OUT`.

@@ -40,7 +40,7 @@ OF_FRAMES = ("selection", "good_frames", "unseen_side", "moving", "max_depth_m",
 
 
 def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
-    """The object with a reference mesh in place of the fused shape.
+    """Return the object with a reference mesh in place of the fused shape.
 
     Args:
         model: the fused object, which the mesh is registered to.
@@ -81,8 +81,8 @@ def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
 def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float, path: Path) -> SolidShape:
     """Voxelise the inside of a mesh on a grid around it, turned by `yaw_rad` about the floor's normal.
 
-    Voxels are SURFACE as deep below the mesh as a fused surface counts as measured, and INTERIOR below that;
-    those outside are OTHER. `path` is for messages.
+    Voxels in the mesh are SURFACE down to the depth at which a fused surface counts as measured, and INTERIOR
+    below that. Voxels outside are OTHER. `path` is for messages.
     """
     from scipy import ndimage
 
@@ -112,9 +112,9 @@ def _costs_too_much(mesh: TriangleMesh, grid: Grid) -> bool:
 
 
 def _quality(model: ObjectModel, reference: Reference, fit: RegisteredReference, name: str) -> QualityFile:
-    """The quality.json of a reference as truth, without an estimated IoU, because no part of it is fused.
+    """Make the quality.json of a reference that is the truth; no part of it is fused, so no IoU is estimated.
 
-    `fit` is the reference's registration to the fused object, `name` that of its file.
+    `fit` is the reference's registration to the fused object, and `name` is its file name.
     """
     assert fit.pose is not None and fit.scale is not None, "it fits"
     shape, fused, warnings = model.shape, model.quality, list[str]()

@@ -36,12 +36,13 @@ NARROWER = 0.5
 
 @dataclass(frozen=True)
 class FloorLayers:
-    """Numbers of layers of an upright grid about the floor, from the grid's bottom up.
+    """How many layers of an upright grid lie below, at and just above the floor, from the grid's bottom up.
 
     Attributes:
         below: number of layers below the floor.
         contact: number of layers above it in which the floor and the object look the same.
-        low: number of layers above those. A surface there is the object's only if it continues above them.
+        low: number of layers above those. Surface there belongs to the object only if it continues above
+            them.
     """
 
     below: int
@@ -50,12 +51,12 @@ class FloorLayers:
 
     @property
     def first(self) -> int:
-        """Index of the lowest layer whose surface may be the object's."""
+        """Index of the lowest layer whose surface may belong to the object."""
         return self.below + self.contact
 
     @property
     def cut(self) -> int:
-        """Index of the lowest layer without surface of the floor."""
+        """Index of the lowest layer that holds no surface of the floor."""
         return self.first + self.low
 
 
@@ -69,10 +70,10 @@ class Rules:
 
     Attributes:
         layers: how many layers of the grid lie below, at and just above the floor.
-        ray_width_m: width of a pixel's ray at the object, with the error of the poses; 0: negligible.
-        limits: the sensor's limits, which define air.
-        underside: what a person says of the object's underside: closed, open or unseen.
-        stands: False: the object stands on no plane, and cameras may be anywhere.
+        ray_width_m: width of a pixel's ray at the object, including the error of the poses; 0: negligible.
+        limits: of the sensor and of its positions, which define air.
+        underside: what the user states about the object's underside: closed, open or unseen (nothing).
+        stands: whether the object stands on a plane; if not, cameras may be anywhere.
     """
 
     layers: FloorLayers
@@ -95,17 +96,17 @@ class VoxelEvidence:
         observed: bool, a surface is near.
         free: bool, seen to be empty.
         near_surface: bool, behind a surface by at most `SHELL_M`, or 1.5 voxels if more: part of the object.
-        excluded: bool, cannot be the object.
+        excluded: bool, cannot belong to the object.
         unseen: bool, above the floor and none of `free`, `near_surface` and `excluded`.
         sight: uint8, how a camera could see the voxel past the measured surfaces
             (`core.voxels.lines_of_sight`).
-        closed: bool, unseen and part of the object: no camera could see it, or it is seen only from below and
-            a person says that the underside is closed.
-        underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`),
-            whatever a person says; in the layers `contact`, the voxels down to the floor below such ones.
+        closed: bool, unseen and part of the object: no camera could see it, or a camera could see it only
+            from below and the user states that the underside is closed.
+        underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`), whatever
+            the user states. In the layers `contact`: the voxels below such ones.
         contact: slice of the layers right above the floor, whose classes follow the layer above them.
         space: where lines of sight pass and cameras can be.
-        lower: `space`, but without the camera places that are reached only through unseen space from below.
+        lower: `space` without the camera positions that are reached only by rising through unseen space.
     """
 
     signed_m: Float32
@@ -138,10 +139,10 @@ def classify_voxels(
 
     Args:
         observation: TSDF and votes on an upright grid.
-        neighbours: bool, voxels near a neighbour's surface; those not measured may still be the object.
+        neighbours: bool, voxels near a neighbour's surface; unmeasured ones may still be the object.
         rules: by which the solid is made.
         beyond: bool, voxels outside a given box.
-        roughly: with fewer lines of sight, for solids that are only compared with one another.
+        roughly: use fewer lines of sight, for solids that are only compared with one another.
     """
     voxel_m, layers = observation.grid.voxel_size_m, rules.layers
     contact = slice(layers.below, layers.first)
@@ -194,7 +195,7 @@ def _heights_m(grid: Grid, layers: FloorLayers) -> Float32:
 
 
 def _observed(observation: Observation) -> Bools:
-    """Whether more than a few rays measured a surface near each voxel."""
+    """Whether each voxel has more than 1.5 % of the surface's median weight: not just a few grazing rays."""
     near = np.abs(observation.tsdf) < observation.grid.voxel_size_m
     weights = observation.weight[near & (observation.weight > 0)]
     least = LEAST_WEIGHT_SHARE * float(np.median(weights)) if len(weights) else 0.0
@@ -202,18 +203,18 @@ def _observed(observation: Observation) -> Bools:
 
 
 def _measured_sheet(observation: Observation, observed: Bools, signed_m: Float32) -> Bools:
-    """The voxels right at a measured surface, on both of its sides."""
+    """Return which voxels lie right at a measured surface, on both of its sides."""
     sheet_m = np.float32(SHEET_VOXELS * observation.grid.voxel_size_m)
     right_behind = (signed_m <= 0) & (signed_m > -sheet_m)
     return np.asarray(observed & (right_behind | (np.abs(observation.tsdf) < sheet_m)))
 
 
 def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:
-    """Which of the voxels `behind` a surface are too far behind it to belong to the object.
+    """Return which of the voxels `behind` a surface are too far behind it to belong to the object.
 
-    The limit is `SHELL_M`, or one and a half voxels if that is more. Two distances are tested, the fused one
-    and that to the nearest voxel in front of a surface, because far behind a surface the fused one is too
-    short.
+    The limit is `SHELL_M`, or one and a half voxels if that is more. It is applied to the fused distance, and
+    to the distance from the nearest voxel `in_front` of a surface, because far behind a surface the fused one
+    is too short.
     """
     shell_m = max(SHELL_M, SHELL_VOXELS * voxel_m)
     # A surface lies half a voxel from the voxels on both of its sides.
@@ -223,7 +224,7 @@ def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float
 
 
 def _detached(behind: Bools, layers: FloorLayers) -> Bools:
-    """Voxels of the low layers that are not connected (26 neighbours) to higher ones: not the object's."""
+    """Return which voxels of the low layers are not 26-connected to higher ones: they are not the object."""
     from scipy import ndimage
 
     detached = np.zeros_like(behind)
@@ -238,23 +239,26 @@ def _detached(behind: Bools, layers: FloorLayers) -> Bools:
 
 
 def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
-    """Signed distance to the surface in observed voxels, corrected by the votes."""
+    """Return the signed distance to the surface in observed voxels, corrected by the frames' votes."""
     voxel_m = observation.grid.voxel_size_m
     trust = trust_in_votes(ray_width_m, voxel_m)
     return without_fringe(observation.tsdf, observation.free, observation.surface, voxel_m, trust)
 
 
 def _least_free_votes(observation: Observation) -> int:
-    """The number of frames that must see through a voxel, not observed near a surface, to make it free."""
+    """Return the least number of frames that make a voxel free by seeing through it.
+
+    It applies to voxels without a measured surface nearby.
+    """
     looking = int((observation.free.astype(np.uint32) + observation.surface).max())
     return max(MIN_FREE_VOTES, round(MIN_FREE_SHARE * looking))
 
 
 def narrow(limits: SensorLimits) -> SensorLimits:
-    """The limits for lines of sight of half the width, which also reach into narrow gaps."""
+    """Return the limits with lines of sight of half the width, which also reach into narrow gaps."""
     return replace(limits, line_width_m=NARROWER * limits.line_width_m)
 
 
 def rim_voxels(limits: SensorLimits, voxel_m: float) -> int:
-    """Half the width of a line of sight, in voxels, at least one."""
+    """Return half the width of a `narrow` line of sight, in voxels, at least one."""
     return max(1, round(narrow(limits).line_width_m / 2 / voxel_m))

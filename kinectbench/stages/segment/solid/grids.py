@@ -43,12 +43,12 @@ STEP_M = 0.00025
 def object_grid(
     box: OrientedBox, floor: Floor, voxel_size_m: float, *, given: bool = False, layers: int = FLOOR_LAYERS
 ) -> Grid:
-    """The fine grid around a box, aligned with it, from `layers` layers below the floor upwards.
+    """Return the fine grid around a box, aligned with it, from `layers` layers below the floor upwards.
 
-    `given`, whether a person gave the box, only changes the message of the error.
+    `given`, whether the user gave the box, only changes the message of the error.
 
     Raises:
-        SegmentationError: it would have more than 2^26 voxels: over a minute, and more than 5 GB.
+        SegmentationError: the grid would have more than 2^26 voxels (over a minute, and more than 5 GB).
     """
     margin_m = min(MARGIN_M, MARGIN_VOXELS * voxel_size_m)
     size_m = np.array(box.size_m) + 2 * margin_m
@@ -71,7 +71,7 @@ def object_grid(
 
 
 def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: float) -> FloorLayers:
-    """The numbers of layers of the object's grid around the floor; all are 0 without a floor."""
+    """Return how many layers of the object's grid lie about the floor; all are 0 without a floor."""
     if floor is None:
         return NO_LAYERS
     cut = max(1, round(floor_cut_m(floor, segmentation) / voxel_size_m))
@@ -82,7 +82,7 @@ def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: flo
 
 
 def median_ray_width_m(camera: Camera, trajectory: Trajectory, middle_world: Float64) -> float:
-    """Width of a pixel's ray at the cameras' median distance from a point (3,), metres.
+    """Return the width of a pixel's ray at a point (3,), for the cameras' median distance from it, metres.
 
     The error of the poses widens it.
     """
@@ -113,10 +113,10 @@ def surround_grid(grid: Grid, floor: Floor) -> Grid:
 
 
 def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint8]:
-    """Labels of the coarse grid.
+    """Label the cells of the coarse grid; the first rule that holds decides.
 
-    OTHER below a floor; else FREE in front of a surface, or where two frames or more saw through; else OTHER
-    behind a surface; else UNKNOWN.
+    OTHER: below the floor, if there is one. FREE: in front of a surface, or seen through by two frames or
+    more. OTHER: behind a surface. UNKNOWN: the rest.
     """
     labels = np.full(around.grid.shape, Label.UNKNOWN, np.uint8)
     labels[(around.weight > 0) & (around.tsdf <= 0)] = Label.OTHER
@@ -132,7 +132,7 @@ def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint
 
 @dataclass(frozen=True)
 class ObjectResolution:
-    """The resolution of an object.
+    """The resolution at which an object is built.
 
     Attributes:
         voxel_size_m: edge of its voxels, metres.

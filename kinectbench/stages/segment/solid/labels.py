@@ -12,10 +12,10 @@ MEASURED_VOXELS = 1.5
 
 
 def voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: int) -> NDArray[np.uint8]:
-    """One label (`Label`) per voxel, by its evidence: (i, j, k) uint8.
+    """Return a label (`Label`) for each voxel by its evidence: (i, j, k) uint8.
 
-    A voxel behind a measured surface that smoothing took out of the solid is UNKNOWN, because no frame saw it
-    empty.
+    If smoothing removed a voxel behind a measured surface from the solid, it is UNKNOWN, because no frame saw
+    it empty.
 
     Args:
         evidence: the class of each voxel.

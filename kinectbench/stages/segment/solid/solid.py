@@ -69,7 +69,7 @@ class SolidShape(SolidBody):
 
     @property
     def underside_share(self) -> float:
-        """The share of the solid that depends on a person's statement on its underside."""
+        """The share of the solid that depends on whether the user states the underside as closed."""
         return int((self.underside & self.solid).sum()) / max(1, int(self.solid.sum()))
 
 
@@ -95,10 +95,10 @@ class Solids:
 def solidify(
     observation: Observation, neighbours: Bools, rules: Rules, beyond_box: Bools | None = None
 ) -> SolidBody:
-    """Make a solid of some of the frames, for comparison: classify roughly, then decide as `make_solid`.
+    """Make a solid from some frames, for comparison: classify roughly, then decide as `make_solid`.
 
     Raises:
-        ShapeError: nothing is left.
+        ShapeError: no voxel is occupied.
     """
     evidence = classify_voxels(observation, neighbours, rules, beyond_box, roughly=True)
     return _body(observation, evidence, _guess(observation, evidence, rules), rules)
@@ -108,8 +108,8 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     """Decide for every voxel whether it is occupied, and label how that is known.
 
     A free voxel is empty. A voxel right behind a measured surface is occupied, and so is one that no camera
-    could see. An unknown voxel is occupied if that is the more probable (`guess`). Near the floor nothing is
-    measured: the layer above `contact` is extruded down to the floor. Legs whose upper end was hidden are
+    could see. An unknown voxel is occupied if its probability (`guess`) exceeds 0.5. Near the floor nothing
+    is measured: the layer above `contact` is extruded down to the floor. Legs whose upper end was hidden are
     extended up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks
     are dropped, and voids are filled.
 
@@ -119,7 +119,7 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
         rules: by which the solid is made.
 
     Raises:
-        ShapeError: nothing is left.
+        ShapeError: no voxel is occupied.
     """
     voxel_m, below = observation.grid.voxel_size_m, rules.layers.below
     guess = _guess(observation, evidence, rules)
@@ -135,7 +135,7 @@ def _guess(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> F
 
 
 def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rules: Rules) -> SolidBody:
-    """The voxels that are occupied, and their closed surface, by the rules of `make_solid`."""
+    """Find the occupied voxels and their closed surface, by the rules of `make_solid`."""
     excluded, contact = evidence.excluded, evidence.contact
     voxel_m = observation.grid.voxel_size_m
     solid = evidence.near_surface | evidence.closed | (evidence.unknown & (guess > 0.5))
@@ -165,9 +165,10 @@ def _without_specks(solid: Bools) -> Bools:
 
 
 def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid: Bools) -> Float32:
-    """The occupancy probability: by the signed distance where measured, elsewhere the probability `guess`.
+    """Return the occupancy probability: by the signed distance where measured, elsewhere `guess`.
 
-    Where it contradicts `solid`, which other rules decided, it is set to 0.75 in the solid and 0.05 outside.
+    Where it contradicts `solid`, which also follows other rules, it is set to 0.75 in the solid and 0.05
+    outside.
     """
     probability, measured = guess.copy(), ~evidence.unseen
     probability[measured] = measured_probability(evidence.signed_m[measured], voxel_m)
@@ -177,10 +178,10 @@ def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid:
 
 
 def _smooth_field(evidence: VoxelEvidence, solid: Bools, voxel_size_m: float) -> Float32:
-    """A smoothed signed field, metres, negative in `solid`.
+    """Make a smoothed signed field, metres, negative in `solid`.
 
-    Its magnitude is the distance where that was measured, and a constant step elsewhere. The Gaussian takes
-    the sensor's noise off the surface; a wider one would thin slats and narrow the masks.
+    Before smoothing, its magnitude is the distance where that was measured, else one voxel. The Gaussian
+    takes the sensor's noise off the surface; a wider one would thin slats and narrow the masks.
     """
     from scipy import ndimage
 
@@ -211,7 +212,7 @@ def carried_up(solid: Bools, seen_empty: Bools, floor_layer: int, voxel_size_m: 
 
     Args:
         solid: bool (nx, ny, nz), upright; extruded down to the floor.
-        seen_empty: bool, cells that cannot be filled.
+        seen_empty: bool, cells that cannot be filled, because they are free or excluded.
         floor_layer: the lowest layer above the floor in which pieces are separate.
         voxel_size_m: edge of a cell.
     """
