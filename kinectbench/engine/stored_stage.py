@@ -108,7 +108,7 @@ def fetch_file(
         recording: id of the recording.
         artefact: an artefact that the store holds.
         name: name of the file.
-        names: listing of `build/<recording>/`; if it has the file just once, the manifest is not needed.
+        names: listing of `build/<recording>/`; if it has the file just once, the manifest is not read.
     """
     where, folder = stored_folder(recording, artefact), _made(artefact.folder)
     if name == Manifest.FILE:

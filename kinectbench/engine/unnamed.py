@@ -62,7 +62,7 @@ def _remove_of(store: Store, folder: str, files: list[StoredObject]) -> int:
 
 
 def _unnamed_of(store: Store, folder: str, files: list[StoredObject]) -> list[StoredObject]:
-    """Files of one folder that its manifest does not name; without a manifest, all its files."""
+    """Return the files of a folder that its manifest does not name; without a manifest, all its files."""
     place = f"{folder}/{Manifest.FILE}"
     if not any(each.name == place for each in files):
         return files
