@@ -101,8 +101,8 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
 def _shuffled(probe: Probe) -> bool:
     """Return whether frames are in random order: neighbours hardly more similar than distant frames.
 
-    The frames of the longest run are compared, distant ones half that run apart. The result is False if it
-    has fewer than 20 frames, or if neighbours agree in 90 % of their pixels, as with a static camera.
+    The frames of the longest run are compared; distant frames are half that run apart. The result is False if
+    the run has fewer than 20 frames, or if neighbours agree in 90 % of their pixels, as with a static camera.
     """
     thumbs = [_thumb(frame) for frame in probe.longest_run()]
     if len(thumbs) < FEWEST_IN_ORDER:

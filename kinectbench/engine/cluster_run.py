@@ -149,7 +149,7 @@ class Run(Generic[Task, Result]):
                 self.orphaned.setdefault(number, (time.monotonic(), why))
 
     def _tell_orphaned(self, ended: int | None = None) -> None:
-        """Warn of workers lost over a second ago; if the task `ended` had lost its worker, warn of it at once."""
+        """Warn of workers lost over a second ago; of the lost worker of the task `ended`, warn at once."""
         for number, (since, why) in list(self.orphaned.items()):
             if number == ended or time.monotonic() - since >= LISTEN_S:
                 del self.orphaned[number]
