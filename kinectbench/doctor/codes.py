@@ -217,7 +217,7 @@ class SolvedScale:
 
     Attributes:
         units: units per metre: a known scale if one is within 2 %, else rounded to three significant digits.
-        factor: `units` / those of the recording; the poses fit as well if their positions are multiplied by it.
+        factor: `units` / those of the recording; positions of poses multiplied by it fit as well.
     """
 
     units: float
