@@ -97,7 +97,7 @@ class EdgeFit:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether colour fits clearly better with a shift, or enlarged and with a shift."""
+        """Whether colour fits clearly better with a shift, or with a zoom and a shift."""
         return self.shifted or (self.place is not None and self.place.clear)
 
     @property

@@ -203,7 +203,7 @@ def _examined(
 
 
 def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
-    """Yield findings about colour, clock offsets and the given trajectory, from both fits."""
+    """Yield findings about colour, clock offsets and given poses, from the fits of edges and poses."""
     of_color = list(check_edges(probe, edges))
     yield from of_color
     # Unregistered colour gives no delay by edges.

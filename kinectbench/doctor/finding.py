@@ -75,7 +75,7 @@ def camera_line(key: str, value: float) -> str:
 
 
 def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings without duplicates, the most severe first, else in their order."""
+    """Return the findings without duplicates, most severe first; equally severe ones keep their order."""
     return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
 
 

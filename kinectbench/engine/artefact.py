@@ -134,7 +134,7 @@ def whole_manifest(folder: Path) -> Manifest | None:
 def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -> str:
     """Hash the names and contents of files.
 
-    A file whose size and times equal those in the cache is not read again. The time of change on the disk
+    A file whose size and times equal those in the cache is not read again. The times include ctime, which
     distinguishes files of equal name, size and modification time, such as those from two archives.
 
     Args:

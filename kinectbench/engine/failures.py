@@ -82,7 +82,7 @@ def keep_failure(
 
 
 def forget_failure(build: Path, stages: Collection[str]) -> None:
-    """Remove failed.json of `build/<recording>/` unless it names a stage that is not among `stages`."""
+    """Remove failed.json of `build/<recording>/` if it names one of `stages`, or no stage."""
     failed = stored_failure(build)
     if failed is None or failed.stage is None or failed.stage in stages:
         (build / Failed.FILE).unlink(missing_ok=True)

@@ -83,7 +83,7 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 
 def sweep(path: Path) -> None:
-    """Remove temporary files that killed runs left beside `path` (a path or pattern); no run may use it now.
+    """Remove temporary files that killed runs left beside `path`, a path or pattern that no run uses now.
 
     A file that was moved aside is moved back if its replacement is missing.
     """

@@ -197,7 +197,7 @@ def _pixels(job: Job) -> float:
 
 
 def _voxels(job: Job) -> float:
-    """Return the number of voxels of the grid around the user's box, from the floor up; high without one."""
+    """Estimate the number of voxels around the user's box, from the floor up; without a box, a high guess."""
     from kinectbench.stages.segment.solid.grids import MARGIN_M, REFERENCE_VOXEL_M
 
     box = job.recording.box

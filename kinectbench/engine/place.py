@@ -74,7 +74,7 @@ def waits_for_others(job: Job) -> bool:
 
 
 def clear_away(job: Job) -> None:
-    """Remove temporary files that killed workers left of a local recording, unless another run builds it."""
+    """Remove temporary files that killed workers left in a local build, unless another run uses it now."""
     if url_of(job.root) is not None or not job.build.is_dir():
         return
     with contextlib.suppress(StorageError), locked(job.build, wait=False):

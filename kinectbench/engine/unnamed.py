@@ -25,7 +25,7 @@ def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
 
     Args:
         store: store of the benchmark's root.
-        young: include folders with files younger than a day, which a run may still be writing.
+        young: whether to include folders with files younger than a day, which a run may still be writing.
 
     Raises:
         StorageError: a manifest is damaged, or the store fails.

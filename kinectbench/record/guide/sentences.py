@@ -2,8 +2,8 @@
 
 The first condition that holds decides: the camera is lost; it moves too fast; the object is not known yet;
 the camera is too near, or too far away; a sector of the ring around the object is unseen from every height;
-an opening was not looked into; openings are left, and a sector is unseen from low or from high; enough was
-seen. A sentence stays for at least five seconds, unless the camera is lost.
+an opening was not looked into; openings are left, and a sector is unseen from a low or a high position;
+enough was seen. A sentence stays for at least five seconds, unless the camera is lost.
 """
 
 from collections.abc import Sequence
@@ -55,8 +55,8 @@ class Advice(NamedTuple):
     Attributes:
         kind: the motion asked for, such as "left", or the statement made, such as "lost".
         sentence: one line.
-        distance_m: distance from the middle of the object at which `nearer` and `farther` should end, metres.
-            The page needs it because a sentence stays for five seconds.
+        distance_m: for `nearer` and `farther`, the distance from the middle of the object at which to stop,
+            metres, as in the sentence; else None.
         turn_rad: angle to go `left` or `right` around the object to look into the opening; None: go on until
             the advice changes.
         rise_rad: angle to go up or down around the object for `higher`, `top`, `lower`; None: go on until the
@@ -221,8 +221,8 @@ def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
 def _rise_rad(each: Frontier, fits_m: float) -> float | None:
     """Return the elevation from which to look into an opening from `fits_m` away; None if that is too low.
 
-    The result is at most 60 degrees. A camera has to stay above the floor: if the best elevation is lower, the
-    result is the lowest possible one, unless an underside would be seen at too flat an angle from there.
+    The result is at most 60 degrees. A camera has to stay above the floor: if the best elevation is lower,
+    the result is the lowest possible one, unless an underside would be seen at too flat an angle from there.
     """
     lowest_rad = float(np.arcsin(np.clip((LOWEST_M - each.center_m[2]) / fits_m, -1, 1)))
     best_rad = float(np.arcsin(np.clip(each.look_from[2], -1, 1)))

@@ -196,7 +196,7 @@ class _Checker:
         return [side.tolist() for side in sides if len(side)]
 
     def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """Register a frame to each list of `_sides`; return the registrations that are possible."""
+        """Register a frame to the frames of each list of `_sides`; leave out registrations that fail."""
         checks = [self._check(frame, side, coarsest=2) for side in self._sides(frame, sound)]
         return [each for each in checks if each is not None]
 

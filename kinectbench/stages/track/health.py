@@ -177,7 +177,7 @@ class _Case:
 
     @cached_property
     def held_out(self) -> Bools:
-        """Frames (n,) with a pose, without keyframes; with keyframes if no other frame has a residual."""
+        """Frames (n,) that have a pose and are no keyframes; if these have no residual, all with a pose."""
         others = self.posed.copy()
         others[self.tracked.keyframes] = False
         return others if np.isfinite(self.residual_m[others]).any() else self.posed
@@ -226,7 +226,7 @@ def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
 
 
 def _steps(case: _Case) -> tuple[Float64, Bools]:
-    """Length of each step from one pose to the next, (m,) metres, and whether an accepted loop spans it.
+    """Return each step's length from pose to pose, (m,) metres, and whether an accepted loop spans it (m,).
 
     A spanning loop constrains the poses before the step relative to those after it.
     """
@@ -242,7 +242,7 @@ def _steps(case: _Case) -> tuple[Float64, Bools]:
 
 
 def _open_gap_s(case: _Case, closed: Bools) -> float | None:
-    """Return the longest duration, seconds, of lost frames that no loop spans; None if there are none.
+    """Return the duration, seconds, of the longest gap of lost frames that no loop spans; None without one.
 
     The pose after such a gap comes from one registration across the gap, which nothing checks.
     """

@@ -254,7 +254,7 @@ class _Builder:
         return self.row[each.a], self.row[each.b]
 
     def _between(self, a: int, b: int) -> Float64:
-        """T_a_b (4, 4) between two keyframes, by row, from their current poses."""
+        """Return T_a_b (4, 4) of the keyframes in the rows a and b, from their current poses."""
         return np.asarray(invert_rigid(self.T_world[a]) @ self.T_world[b])
 
     def _joining_constraints(self) -> dict[tuple[int, int], list[Constraint]]:

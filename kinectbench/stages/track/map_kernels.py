@@ -87,7 +87,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
-    """Average depth over 5 x 5 pixels, without those that differ by `gate` times depth; for normals."""
+    """Average depth over 5 x 5 pixels, except those that differ by `gate` times depth or more."""
     height, width = depth_m.shape
     out = np.zeros((height, width), np.float32)
     total, count = np.empty(width, np.float32), np.empty(width, np.float32)

@@ -93,7 +93,7 @@ class Odometry:
 
 @dataclass(frozen=True)
 class ReferenceQuality:
-    """The usual quality: running means of inlier ratio and intensity correlation of the registrations."""
+    """The usual quality of registrations: running means of inlier ratio and intensity correlation."""
 
     inlier_share: float
     correlation: float
@@ -274,7 +274,7 @@ class Follower:
         return Followed(before.segment, before.keyframe, T_segment_camera, registration)
 
     def _predictions(self, reference: int, index: int) -> list[Float64]:
-        """Predicted T_reference_camera, most likely first: given poses, constant velocity, zero motion."""
+        """Return predicted T_reference_camera, best first: given poses, constant velocity, no motion."""
         predictions = []
         if self.T_given is not None and np.isfinite(self.T_given[[reference, index]]).all():
             predictions.append(invert_rigid(self.T_given[reference]) @ self.T_given[index])
@@ -306,7 +306,7 @@ def _too_little(maps: FrameMaps) -> str | None:
 
 
 def point_stride(source: FrameMaps) -> int:
-    """Return n, if every n-th point of a frame is enough to register it."""
+    """Return the stride n of points for registering a frame: every n-th point is enough."""
     return EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
 
 

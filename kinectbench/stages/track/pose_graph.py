@@ -206,7 +206,7 @@ def adjoint(T: Float64) -> Float64:
 
 
 def _solve(blocks: Float64, rows: NDArray[np.int64], columns: NDArray[np.int64], right: Float64) -> Float64:
-    """Solve a sparse system of k x k blocks of 6 x 6: the solution (k, 6).
+    """Solve a sparse system of k x k blocks of 6 x 6; return the solution (k, 6).
 
     Args:
         blocks: (b, 6, 6) the nonzero blocks; blocks at the same place are added.

@@ -62,14 +62,14 @@ def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information:
 
 
 def second_differences(times_s: Float64) -> list[Float64]:
-    """Return the weights (1/s^2) of three consecutive values in their second derivative: three (n - 2,)."""
+    """Return weights (1/s^2) of three consecutive values for their second derivative: 3 arrays (n - 2,)."""
     before, behind, span = _spans(times_s)
     first, last = 1 / (before * span), 1 / (behind * span)
     return [first, -(first + last), last]
 
 
 def _spans(times_s: Float64) -> tuple[Float64, Float64, Float64]:
-    """Return the seconds (n - 2,) before and after each inner frame, and their mean; steps have a minimum."""
+    """Return seconds (n - 2,) before and after each inner frame, and their mean; short ones are raised."""
     steps = np.diff(times_s)
     steps = np.maximum(steps, LEAST_STEP * max(float(np.median(steps)), 1e-6))
     return steps[:-1], steps[1:], (steps[:-1] + steps[1:]) / 2

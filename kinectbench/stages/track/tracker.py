@@ -81,7 +81,7 @@ def track_frames(
 def _place(
     maps: MapCache, odometry: Odometry, graph: KeyframeGraph, progress: Callable[[int], None]
 ) -> Tracked:
-    """Register every frame to several optimised keyframes at once."""
+    """Register every frame to several optimised keyframes at once; drop outliers, and smooth the poses."""
     placer, placed = _Placer(maps, odometry, graph), []
     for index, first in enumerate(ahead(placer.first_try, range(len(maps.sequence)))):
         progress(index + 1)
