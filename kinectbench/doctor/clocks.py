@@ -32,7 +32,7 @@ SLOWER = "record again at a rate that the computer keeps up with; gaps make trac
 def check_clock(probe: Probe) -> Iterator[Finding]:
     """Report faults of depth's and colour's stamps, too few frames, repeated depth images, missing colour.
 
-    Of a recording with fewer than three frames, only that number is reported.
+    If the recording has fewer than three frames, only their number is reported.
     """
     recording = probe.recording
     if len(recording) < MIN_FRAMES:
@@ -142,7 +142,7 @@ def _doubled(probe: Probe) -> Iterator[Finding]:
 
 
 def check_partners(probe: Probe) -> Iterator[Finding]:
-    """Report missing colour: none at all, or over a tenth of the depth frames have no colour near in time."""
+    """Report missing colour: none at all, or none near in time for over a tenth of the depth frames."""
     depth_ns, color_ns = probe.recording.recorded_stamps_ns
     without = [frame.index for frame in probe.frames if frame.gray is None]
     share = 1 - len(without) / max(len(probe.frames), 1)

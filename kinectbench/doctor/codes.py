@@ -1,4 +1,4 @@
-"""Detect another scale or encoding of depth, or solve for the scale, with which given poses fit the depth."""
+"""Find the scale or encoding of depth with which given poses fit the depth."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -65,11 +65,13 @@ class Code:
 def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     """Report another scale or encoding of depth with which the given poses fit.
 
-    Nothing is tried without given poses, or if `depth_code` is set. Only distance along the ray is tried if
-    the poses fit already (it must then fit clearly better), or if the files have float depth, whose values
-    the probe no longer has. Another scale is tried, too, where such poses fit no better than a static camera,
-    or best at the limit of what `lengths` tries. If the images are not files, as in a bag, only other scales
-    are tried.
+    Nothing is tried without given poses, or if `depth_code` is set. Otherwise the candidates are:
+    - for float depth, only distance along the ray, because the probe no longer has the original values;
+    - if the poses fit as they are: distance along the ray; and other scales, if the poses fit no better than
+      a static camera, or fit best at the limit of the search of `lengths`;
+    - else all scales and encodings.
+    If the poses fit as they are, a candidate must fit clearly better. If the images are not files, as in a
+    bag, only scales are candidates.
 
     Args:
         probe: the probe of the recording.
@@ -214,8 +216,8 @@ class SolvedScale:
     """The depth scale with which given poses fit the depth best.
 
     Attributes:
-        units: units per metre: a known scale if one is within 2 %, else of three digits.
-        factor: that scale / the recording's; positions multiplied by it fit as well.
+        units: units per metre: a known scale if one is within 2 %, else rounded to three significant digits.
+        factor: `units` / those of the recording; positions of poses multiplied by it fit as well.
     """
 
     units: float
@@ -223,11 +225,11 @@ class SolvedScale:
 
 
 def solve_scale(probe: Probe) -> SolvedScale | None:
-    """Find the depth scale with which the poses, read as they are, disagree least with the depth.
+    """Find the depth scale with which the unchanged poses disagree least with the depth.
 
-    Scales from 1 to 100000 units a metre are tried if they make the depth plausible for a room, in steps of
-    5 %, and near the best in steps of 0.5 %. The result is None if there are too few poses to judge, or if no
-    scale fits clearly better than the recording's.
+    Scales from 1 to 100000 units per metre are tried in steps of 5 %, if they make the depth plausible for a
+    room; then scales near the best one in steps of 0.5 %. The result is None if there are too few poses to
+    judge, or if no scale fits clearly better than the recording's.
     """
     posed = posed_pairs(probe)
     if posed is None:
@@ -261,7 +263,8 @@ def solve_scale(probe: Probe) -> SolvedScale | None:
 def _table(factors: Float64, pairs: tuple[FramePair, ...] | list[FramePair], poses: Float64) -> Float64:
     """Return the disagreement in each pair at each multiple of the depth scale: (factors, pairs).
 
-    The positions are multiplied instead of the scale, because the disagreement is relative to the depth.
+    The factors are applied to the positions of the poses instead of the scale, which gives the same result,
+    because the disagreement is relative to the depth.
     """
     paired = np.full_like(poses, np.nan)
     paired[frames_of(pairs)] = poses[frames_of(pairs)]

@@ -1,4 +1,4 @@
-"""Checks of colour: exposure, blur, frames in no order of time, and frames of another scene."""
+"""Checks of colour: exposure, blur, frames not in the order of time, and frames of another scene."""
 
 from collections.abc import Iterator
 
@@ -27,7 +27,7 @@ MORE_SIMILAR, STILL_SIMILAR, FEWEST_IN_ORDER = 0.1, 0.9, 20
 
 
 def check_light(probe: Probe) -> Iterator[Finding]:
-    """Report faults of exposure, blur, frames in no order of time, and frames that show another scene."""
+    """Report faults of exposure, blur, frames not in the order of time, and frames of another scene."""
     yield from _exposure(probe)
     yield from _blur(probe)
     yield from _odd_frames(probe)
@@ -101,8 +101,8 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
 def _shuffled(probe: Probe) -> bool:
     """Return whether frames are in random order: neighbours hardly more similar than distant frames.
 
-    The frames of the longest run are compared, distant ones half that run apart. The result is False if it
-    has fewer than 20 frames, or if neighbours agree in 90 % of their pixels, as with a static camera.
+    The frames of the longest run are compared; distant frames are half that run apart. The result is False if
+    the run has fewer than 20 frames, or if neighbours agree in 90 % of their pixels, as with a static camera.
     """
     thumbs = [_thumb(frame) for frame in probe.longest_run()]
     if len(thumbs) < FEWEST_IN_ORDER:
@@ -121,7 +121,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
 
 
 def _match(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Return the share of the pixels with depth in both frames whose depths agree to 15 %; 1 without any."""
+    """Return the share of pixels whose depths agree to 15 %, of those with depth in both; 1 without any."""
     both = (first > 0) & (second > 0)
     if not both.any():
         return 1.0

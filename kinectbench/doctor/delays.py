@@ -65,9 +65,9 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
 def estimate_delay_ns(first: Motion, second: Motion) -> int | None:
     """Return how late the second stream's stamps are, in nanoseconds, by the motion in both streams.
 
-    Each lag up to half a second either way, in steps of 2 ms, is scored by the correlation of both motion
-    components at the samples of the first stream; the second stream is interpolated. A parabola refines the
-    best lag.
+    Lags up to half a second either way are tried in steps of 2 ms. The score of a lag is the correlation of
+    both motion components at the times of the first stream, with the second stream interpolated. A parabola
+    refines the best lag.
 
     Returns:
         The delay, negative if the stamps are early; None if no lag has a correlation above 0.6 over at least
@@ -135,8 +135,8 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
     """Report a drift between the clocks of colour and depth: a delay that grows over the recording.
 
     The delay is measured in runs of frames at the beginning, middle and end, or in the thirds of one long
-    run. It must grow by at least 60 ms, and in the middle lie where a linear drift puts it, which excludes
-    chance results.
+    run. It must grow by at least 60 ms. To exclude chance results, the delay in the middle must also be near
+    the value that a linear drift would give.
     """
     runs = [run for run in probe.runs() if len(run) >= END_RUN and all(f.gray is not None for f in run)]
     if len(runs) < 3:
@@ -203,10 +203,10 @@ def _motion_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) 
 
 
 def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
-    """Return colour's delay, corrected if under 80 % of the colour images then have a depth partner.
+    """Return colour's delay, corrected if it leaves over 20 % of the colour images without a depth partner.
 
-    The correction adds the median time by which colour, shifted by the delay, follows the nearest depth
-    image.
+    The correction adds the median time by which a colour image, once shifted by the delay, follows its
+    nearest depth image.
     """
     depth_ns, color_ns = (np.unique(stamps_ns) for stamps_ns in probe.recording.recorded_stamps_ns)
     if len(depth_ns) < 2 or not len(color_ns):
@@ -223,8 +223,9 @@ def _with_partners_ns(probe: Probe, delay_ns: int) -> int:
 def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
     """Return the delay of registered colour at which its edges coincide best with depth discontinuities.
 
-    Lags up to 12 frames either way are tried. The result is None if the best lag is not significant, or is
-    the first or last; if that of half the run is more than a frame away; or for fewer than 26 frames.
+    Lags up to 12 frames either way are tried. The result is None if there are fewer than 26 frames, if the
+    best lag is not significant or is the first or last one, or if the best lag of either half of the run is
+    more than one frame away from it.
     """
     if len(run) // 2 <= EDGE_LAGS:
         return None
@@ -243,7 +244,7 @@ def _edge_delay_ns(run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) ->
 
 
 def _edge_fits(run: tuple[SmallFrame, ...]) -> NDArray[np.float64]:
-    """Return the overlap of depth discontinuities of frame i with colour edges of frame j: [i, j] of (n, n).
+    """Return an array (n, n): [i, j] is the overlap of frame i's depth discontinuities and j's colour edges.
 
     The mean of each row and of each column is subtracted.
     """

@@ -107,7 +107,7 @@ def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
 
 
 def _measured(probe: Probe) -> NDArray[np.uint16]:
-    """Return depth values (n,), in native units, of a sample of the measured pixels of full-size frames."""
+    """Return depths (n,), native units: a sample of the measured pixels of the probe's full-size frames."""
     samples = [frame.depth[::SAMPLE_STEP_PX, ::SAMPLE_STEP_PX] for frame in probe.whole]
     return np.concatenate([np.zeros(0, np.uint16), *(sample[sample > 0] for sample in samples)])
 
@@ -150,7 +150,7 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """Return the mean absolute difference of measured horizontal neighbours / median depth; 0 without any."""
+    """Return the mean absolute difference of horizontal neighbours, divided by the median; 0 without any."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
     # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)

@@ -23,11 +23,11 @@ CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})
 
 
 def refuse_hopeless(recording: Recording) -> None:
-    """Refuse a recording with a fault of all frames that makes a build fail or wrong.
+    """Refuse a recording if a fault in all of its frames would make the build fail or its result wrong.
 
     Raises:
-        RecordingError: the depth has swapped bytes, over 2 % of it is a code for missing depth that is read
-            as depth, or the intrinsics are of another image size.
+        RecordingError: the depth has swapped bytes; over 2 % of it is a code for missing depth that is read
+            as depth; or the intrinsics are of another image size.
     """
     probe = probe_recording(recording, few=True)
     for finding in (*check_depth(probe), *check_intrinsics(probe)):
@@ -39,12 +39,10 @@ def refuse_hopeless(recording: Recording) -> None:
 
 
 def likely_cause(recording: Recording) -> str:
-    """Explain a failed build by faults of the poses, or of the scale or encoding of depth.
+    """Explain a failed build by a fault of the poses, or of the scale or encoding of depth.
 
-    The result is one line, "" if none of these is likely.
-
-    Depth that seems to have a wrong scale may also be that of a small object. So a recording is not refused
-    for it beforehand.
+    The result is one line; "" if none of these faults is likely. A recording is not refused before the build
+    because of a suspicious depth scale: it may just show a small object.
     """
     probe = probe_recording(recording)
     by_depth = [each for each in check_depth(probe) if each.name == "depth_scale"]

@@ -34,15 +34,16 @@ PLACED, PLACED_BETTER = 12.0, 1.5
 
 @dataclass(frozen=True)
 class ColorPlace:
-    """Where colour lies on depth, if it is enlarged about the middle of the image and then shifted.
+    """The zoom about the image's middle, and the shift, by which the edges of colour differ from depth.
 
-    A score is as in `EdgeFit`, but by edges without wide structure, and at all shifts.
+    A score is as in `EdgeFit`, with two differences: wide structure is taken from the colour edges first, and
+    the median and standard deviation are over all shifts.
 
     Attributes:
         zoom: size of objects in colour, relative to depth.
         shift_px: (2,) how far colour lies to the right of and below depth at the middle, depth pixels.
-        score: the score there.
-        here: the score without zoom, at shifts of at most one pixel of the images compared.
+        score: the score with this zoom and shift.
+        here: the best score without zoom, at shifts of at most one pixel of the images compared.
     """
 
     zoom: float
@@ -60,8 +61,8 @@ class ColorPlace:
 class EdgeFit:
     """The agreement of colour edges with depth discontinuities.
 
-    A score is a correlation minus the median of the correlations at all shifts up to 96 px, in images 320 px
-    wide, divided by their standard deviation.
+    A score is the correlation at one shift, minus the median of the correlations at all shifts up to 96 px,
+    divided by their standard deviation. These shifts are in pixels of images 320 px wide.
 
     Attributes:
         here: the score without a shift.
@@ -96,12 +97,12 @@ class EdgeFit:
 
     @property
     def elsewhere(self) -> bool:
-        """Whether colour fits clearly better with a shift, or enlarged and with a shift."""
+        """Whether colour fits clearly better with a shift, or with a zoom and a shift."""
         return self.shifted or (self.place is not None and self.place.clear)
 
     @property
     def registration(self) -> Registration:
-        """Whether edges confirm the stated registration of colour: "seen", "unclear" or "contradicted"."""
+        """What edges say about the stated registration of colour: "seen", "unclear" or "contradicted"."""
         if self.elsewhere:
             return "contradicted"
         seen = self.here > CLEAR or (self.place is not None and self.place.here > PLACED)
@@ -165,7 +166,7 @@ def _place(probe: Probe) -> ColorPlace | None:
 
 
 def _at_zoom(parts: list[tuple[NDArray[np.complex128], NDArray[np.float32]]], zoom: float) -> Float64:
-    """Return the scores at all shifts of colour that is reduced by a zoom: 0 in the middle of the table.
+    """Return a table of the scores of colour, reduced by `zoom`, at all shifts; shift 0 is in its middle.
 
     Args:
         parts: for each frame the conjugate spectrum of its depth jumps, and its colour edges (height, width).
@@ -274,9 +275,10 @@ def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDAr
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Normalise correlations; return the scores at shifts up to r = REACH_PX: (2 r + 1, 2 r + 1), 0 central.
+    """Turn correlations into scores; return those at shifts up to r = REACH_PX.
 
-    Their median is subtracted, then they are divided by their standard deviation, both at shifts up to 4 r.
+    A score is (correlation - median) / standard deviation, where both statistics are over shifts up to 4 r.
+    The result is (2 r + 1, 2 r + 1), with shift 0 in the middle.
     """
 
     def window(reach: int) -> NDArray[np.float64]:

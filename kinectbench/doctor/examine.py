@@ -57,7 +57,7 @@ def _open_anyhow(
     """Open a recording; if only its intrinsics prevent that, open it with the intrinsics of a Kinect.
 
     Returns:
-        The recording, None if it cannot be opened; and a list of the finding about that, or empty.
+        The recording, None if it cannot be opened; and a list with the finding about a problem, or [].
     """
     try:
         return open_recording(path, settings, follow_links=follow_links), []
@@ -159,9 +159,9 @@ def _examined(
 ) -> tuple[dict[str, object], list[Finding]]:
     """Run the checks that need valid depth; return their facts for the diagnosis, and all findings.
 
-    Those so far (`findings`) are among them. Findings that well-fitting poses exclude or another explains are
-    left out, with `own_pixels` also those on the floor and a static camera. If depth has another scale or
-    encoding (`check_codes`), the other checks are not run, and there are no facts.
+    The earlier `findings` are included. Left out are findings that well-fitting poses exclude, and findings
+    that another one explains; with `own_pixels`, also those about the floor and a static camera. If depth has
+    another scale or encoding (`check_codes`), the other checks are not run, and there are no facts.
     """
     # Poses of a static camera fit equally well in every convention, so they prove nothing.
     still, edges, poses = [*check_still(probe)], fit_edges(probe), fit_trajectory(probe)
@@ -203,7 +203,7 @@ def _examined(
 
 
 def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:
-    """Yield findings about colour, clock offsets and the given trajectory, by the fits of edges and poses."""
+    """Yield findings about colour, clock offsets and given poses, from the fits of edges and poses."""
     of_color = list(check_edges(probe, edges))
     yield from of_color
     # Unregistered colour gives no delay by edges.

@@ -1,4 +1,4 @@
-"""The doctor's report: findings of checks, figures of the recording, and the verdict."""
+"""The doctor's report: findings of checks, facts about the recording, and the verdict."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ UNITS = {"_hz": " Hz", "_px": " px", "_mm": " mm", "_deg": "°", "_m": " m", "_s
 # Meaning of the value of a fact without a unit.
 NOTES = {"pose_disagreement": " (0: the depth fits the poses, 1: nowhere)"}
 SIZE = ("width", "height")
-# What edges show of colour's registration, and what stands for "yes" by it.
+# What edges show about the registration of colour, and the text that is printed instead of "yes".
 Registration = Literal["seen", "unclear", "contradicted"]
 REGISTERED: dict[object, str] = {
     "unclear": "assumed: nothing shows it",
@@ -44,7 +44,7 @@ class Diagnosis:
     """The result of all checks of a recording.
 
     Attributes:
-        facts: {name: value} of the recording's figures, plain JSON values.
+        facts: {name: value}: measured properties of the recording, plain JSON values.
         findings: the findings, most severe first.
     """
 
@@ -53,7 +53,7 @@ class Diagnosis:
 
     @property
     def stops(self) -> bool:
-        """Whether a build would fail or be wrong, by a finding that "stops"."""
+        """Whether any finding has the severity "stops": a build would fail or be wrong."""
         return any(finding.severity == "stops" for finding in self.findings)
 
     @property
@@ -75,17 +75,17 @@ def camera_line(key: str, value: float) -> str:
 
 
 def gravest_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings without duplicates, the most severe first, else in their order."""
+    """Return the findings without duplicates, most severe first; equally severe ones keep their order."""
     return tuple(sorted(dict.fromkeys(findings), key=lambda finding: SEVERITIES.index(finding.severity)))
 
 
 def fact_lines(facts: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Return a diagnosis's facts as printable (name, value with unit), in order, without facts that are None.
+    """Return the facts that are not None as printable pairs (name, value with unit), in their order.
 
-    `color_registration` has no line: that of `color_registered` says it.
+    `color_registration` has no line of its own: it changes the text of `color_registered`.
 
     Args:
-        facts: facts of a `Diagnosis`: {name: plain JSON value}; the name of a value with a unit ends in it,
+        facts: facts of a `Diagnosis`: {name: plain JSON value}. Names of values with a unit end in the unit,
             such as duration_s.
     """
     shown = {name: value for name, value in facts.items() if value is not None}

@@ -50,7 +50,7 @@ FITTING_NOISES, MOST_FITTING_M = 3.0, 0.05
 
 @dataclass(frozen=True)
 class PoseConvention:
-    """A convention in which given poses may be stored; the defaults are the one that poses should have.
+    """A convention in which given poses may be stored; the defaults are the convention poses should have.
 
     Attributes:
         inverse: whether the poses map the world to the camera.
@@ -83,7 +83,7 @@ class PoseConvention:
         return ", ".join(part for part in parts if part) or "as given"
 
     def apply(self, poses: Float64) -> Float64:
-        """Convert poses (n, 4, 4), read as in the default convention, to T_world_camera; NaN stays NaN.
+        """Convert poses (n, 4, 4), parsed as if in the default convention, to T_world_camera; NaN stays NaN.
 
         The result has optical axes and is in metres.
         """
@@ -144,9 +144,9 @@ class FramePair:
 def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
     """Choose pairs of frames that have poses, evenly over the recording, some near and some distant.
 
-    The second frame comes 1 to 40 frames after the first, or near the end before it. If the poses are in no
-    order of time, it is one of those whose orientation is nearest to the first's instead: the angle between
-    two orientations is the same in every convention.
+    The second frame comes 1 to 40 frames after the first one (near the end: before it). If the poses are not
+    in the order of time, the second frame is instead one with a similar orientation: the angle between two
+    orientations is the same in every convention.
 
     Args:
         probe: the probe of the recording.
@@ -173,9 +173,9 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Return the frames 1, 4, 12 and 40 after `first`; from `count` on, as many before `first` instead.
+    """Return the indices 1, 4, 12 and 40 after `first`; if not below `count`, as many before it instead.
 
-    An index may be negative: there is no such frame.
+    A negative index means that there is no such frame.
     """
     return [first + ahead if first + ahead < count else first - ahead for ahead in AHEAD]
 
@@ -207,8 +207,8 @@ def frames_of(pairs: Sequence[FramePair]) -> NDArray[np.int64]:
 def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float64:
     """Return the disagreement of poses and depth in each frame pair: the mean error of its points, 0 to 1.
 
-    The first frame's points are projected into the second frame by the poses. A point's error is the
-    difference of its depth and the depth measured at its pixel, divided by a tenth of its depth, at most 1.
+    The first frame's points are projected into the second frame by the poses. A point's error is the absolute
+    difference of its depth and the depth measured at its pixel, divided by a tenth of its depth; at most 1.
     Points outside the image count as 1, because wrong poses often leave no overlap. Points at pixels without
     a measurement are left out; without other points the mean is 0.
 

@@ -71,10 +71,10 @@ class SeenFloor:
 
     Attributes:
         heights_m: (k,) height of the camera above the floor in each frame, metres; NaN where the frame shows
-            no floor; above a plane from the settings it is known in every frame.
-        warnings: reasons why the floor may be wrong, one line each, as in a build.
-        why: the reason why the search in these frames together found no floor, as in a build; None: it found
-            one, or frames were searched one by one.
+            no floor. With a plane from the settings, it is known in every frame.
+        warnings: reasons why the floor may be wrong, one line each, as a build gives them.
+        why: why a search in all k frames together found no floor, as a build says it; None if it found one,
+            or if each frame was searched separately.
     """
 
     heights_m: Points
@@ -114,7 +114,7 @@ def seen_floor(
 
 
 def check_floor(probe: Probe, floor: SeenFloor, ground: Ground) -> Iterator[Finding]:
-    """Report a floor that is missing though needed, or uncertain, and a camera implausibly high or low."""
+    """Report a floor that is needed but missing, an uncertain floor, and an implausible camera height."""
     heights_m = floor.heights_m
     seen = np.isfinite(heights_m)
     if seen.mean() < SEEN_SHARE:
@@ -216,7 +216,8 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
     """Find the floor in one frame, in its camera's axes; None without a floor.
 
-    The search scales depth to a median of 1.5 m; of its result only `plane_world` is scaled back to metres.
+    The search runs on depth scaled to a median of 1.5 m. In its result, only `plane_world` is scaled back to
+    metres.
     """
     from kinectbench.stages.segment.find.floor import find_floor
     from kinectbench.stages.segment.find.gravity import hint_of

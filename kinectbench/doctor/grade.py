@@ -30,8 +30,8 @@ def check_grade(
 ) -> Iterator[Finding]:
     """Grade a given trajectory by the stage `track`, on at most 150 frames.
 
-    Reported are a grade that is not good, a trajectory mode other than `trust` if that is recommended, and
-    that the trajectory could not be graded.
+    Report a grade that is not good, a recommended trajectory mode other than `trust`, or that the trajectory
+    could not be graded.
 
     Args:
         probe: the probe of a recording whose given trajectory can be read.
@@ -75,7 +75,7 @@ def check_grade(
 
 
 def _is_whole(recording: Recording, index: int) -> bool:
-    """Return whether a frame can be graded: neither damaged nor of another size; builds omit such frames."""
+    """Return whether a frame is neither damaged nor of another size; builds leave such frames out."""
     try:
         frame = recording.frame(index)
         check_size(frame, recording)
@@ -90,8 +90,8 @@ def _is_whole(recording: Recording, index: int) -> bool:
 def _as_sequence(recording: Recording, indices: Items[int]) -> Sequence:
     """Return some frames of a recording as a sequence, with the depth and colour of a build's sequence.
 
-    The frames, in increasing order, are sound and of one size. Colour that is not registered to depth, and
-    that no calibration can register, is left out.
+    The frames must be in increasing order, undamaged and of one size. Colour is left out if it is neither
+    registered to depth nor can be registered by a calibration.
     """
     problem = trajectory_problem(recording)
     register = onto_depth(recording)

@@ -31,7 +31,8 @@ class Lengths:
     Attributes:
         depth: factor on all depth values.
         focal: factor on both focal lengths.
-        left: disagreement of poses and depth with these factors / without them; 1 if no factors fit better.
+        left: disagreement of poses and depth with these factors, divided by that without; 1 if no factors
+            fit better.
     """
 
     depth: float
@@ -45,15 +46,16 @@ class Lengths:
 
     @property
     def at_limit(self) -> bool:
-        """Whether the factors fit so much better, and the factor on depth is at the limit of the search."""
+        """Whether `implausible` holds, and the factor on depth is at the limit of the search."""
         return self.implausible and abs(math.log(self.depth)) > (MOST_STEPS - 0.5) * math.log(STEP)
 
 
 def fit_lengths(pairs: Sequence[FramePair], T_world_camera: Float64) -> Lengths:
     """Find the factors on depth and focal lengths with which given poses fit best, by descent in 5 % steps.
 
-    The descent ends at a local minimum, at most four steps from 1 for each factor. Hidden surfaces disagree,
-    too, so both factors are 1 unless they also reduce the distance of the surfaces relative to the depth.
+    The descent ends at a local minimum, at most four steps from 1 for each factor. Occluded surfaces add to
+    the disagreement, too. So the factors are used only if they also reduce the median point-to-plane distance
+    relative to the depth; otherwise both are 1.
 
     Args:
         pairs: the pairs of frames to compare.

@@ -60,9 +60,9 @@ def _pictures(probe: Probe) -> Iterator[Picture]:
 
 
 def _edges(frame: WholeFrame, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return colour with depth discontinuities drawn on it: (height, width, 3) RGB, in depth's aspect ratio.
+    """Return colour with depth discontinuities drawn on it: (height, WIDTH_PX, 3) RGB.
 
-    Its width is WIDTH_PX.
+    The image has the aspect ratio of depth.
     """
     import cv2
 

@@ -83,8 +83,8 @@ def _trajectory_delay_ns(
 def _coarse_ns(costs: NDArray[np.float64]) -> int | None:
     """Return the best of LAGS_NS by costs (lags, pairs), refined by a parabola.
 
-    The result is 0 if no shift is best; None if the best is at either end or not clearly better than no
-    shift, or with fewer than four pairs.
+    The result is 0 if lag 0 is the best. It is None if the best lag is the first or last one, if it is not
+    clearly better than lag 0, or for fewer than four pairs.
     """
     if costs.shape[1] < LEAST_PAIRS:
         return None
@@ -129,7 +129,7 @@ def _lowest_ns(lags_ns: NDArray[np.int64], costs: NDArray[np.float64]) -> int | 
 def _poses(
     probe: Probe, given: GivenTrajectory, pairs: tuple[FramePair, ...], lag_ns: int
 ) -> NDArray[np.float64]:
-    """Return poses (n, 4, 4) of the probe's n frames: paired frames at their stamp plus a lag, others NaN."""
+    """Return poses (n, 4, 4) of the probe's n frames, at stamp + lag for paired frames, NaN for others."""
     needed = frames_of(pairs)
     poses = np.full((len(probe.frames), 4, 4), np.nan)
     moved = on_clock(probe, given)
@@ -138,6 +138,6 @@ def _poses(
 
 
 def longest_gap_s(given: GivenTrajectory) -> float:
-    """Return the longest gap to interpolate over, seconds: 0.2, or if larger 2.5 median steps of poses."""
+    """Return the longest gap to interpolate over, seconds: 0.2, or 2.5 median steps of poses if larger."""
     median_s = float(np.median(np.diff(given.stamps_ns))) / 1e9 if len(given.stamps_ns) > 1 else 0.0
     return max(MAX_GAP_S, 2.5 * median_s)

@@ -70,9 +70,9 @@ class Probe:
         frames: the sampled frames at low resolution, in order, without the damaged and the refused ones.
         whole: some of these frames at full size, evenly spread.
         damaged: one line for each sampled frame that is damaged, with the reason.
-        refused: one line for each sampled frame that is undamaged, but of another size or kind than the
-            others or unreadable, with the reason. If 5 % or more are of another size, frames whose depth has
-            another size are not refused: they stay in `frames`.
+        refused: one line for each sampled frame that is not damaged, but unreadable or of another size or
+            kind than the others, with the reason. But if 5 % of the frames or more have another size, those
+            whose depth has another size are not refused: they stay in `frames`.
         depth_step_px: the stride n of the small depth images.
     """
 
@@ -119,7 +119,7 @@ class ProbeBuilder:
     """Builds a probe from frames as they are read."""
 
     def __init__(self, recording: Recording, indices: NDArray[np.int64], whole: int = WHOLE_FRAMES) -> None:
-        """Prepare to gather frames with these indices (increasing), `whole` of them at full size."""
+        """Prepare to gather the frames `indices` (increasing), `whole` of them also at full size."""
         self.indices = indices
         self._wanted = frozenset(indices.tolist())
         self._whole_at = frozenset(indices[evenly(len(indices), whole)].tolist())
@@ -196,7 +196,7 @@ def frames_to_read(count: int) -> NDArray[np.int64]:
 
 
 def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
-    """Return a frame's colour as grey, reduced 2, 4 or 8 times if it then is at least 320 pixels wide.
+    """Return a frame's colour as grey, reduced 8, 4 or 2 times if that leaves a width of 320 pixels or more.
 
     The result is None without colour.
     """

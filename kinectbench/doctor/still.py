@@ -17,7 +17,7 @@ PLAIN = "nothing but the object gives depth, so that it does not matter whether 
 
 
 def check_still(probe: Probe) -> Iterator[Finding]:
-    """Report a static camera, with a moving object or a static scene; or a background without depth.
+    """Report a static camera, before a moving object or a static scene; or a background without depth.
 
     Nothing is reported for fewer than six frames.
     """

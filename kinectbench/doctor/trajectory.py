@@ -89,7 +89,8 @@ class PoseFit:
 def posed_pairs(probe: Probe) -> tuple[NDArray[np.float64], tuple[FramePair, ...]] | None:
     """Return the given poses (n, 4, 4) of the probe's n frames, NaN without one, and the pairs to compare.
 
-    The poses are as given, in any convention. The result is None without poses, or with too few pairs.
+    The poses are as given, in any convention. The result is None without poses, or if there are too few
+    pairs.
     """
     given = probe.recording.given_trajectory
     if given is None or not probe.frames:
@@ -151,7 +152,7 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
 def shows_motion(fit: PoseFit) -> bool:
     """Whether the poses fit the depth, and turn the camera by more than half its field of view.
 
-    Then the camera does not stand still, even if most of its depth does, such as that of a bare plane.
+    Then the camera moves, even if most of its depth stays the same, as with a bare plane.
     """
     camera, views = fit.pairs[0].camera, fit.T_world_camera[:, :3, 2]
     return fit.fits and bool((views @ views[0]).min() < math.cos(math.atan(camera.width / 2 / camera.fx)))
@@ -174,8 +175,8 @@ def _disagreements(
 def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
     """Report a given trajectory that is unreadable or whose times, convention, unit or clock are wrong.
 
-    Also reported are a depth scale or focal lengths that fit better, and in notes a missing trajectory, one
-    that could not be checked, and a viewing arc of less than 270 degrees.
+    A depth scale or focal lengths that fit better are reported as well. Notes report a missing trajectory, a
+    trajectory that could not be checked, and a viewing arc of less than 270 degrees.
     """
     given = probe.recording.given_trajectory
     if probe.recording.trajectory_error:
@@ -215,7 +216,7 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
 def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> int:
     """Return the index of the convention to use, by costs (n,): 0, the default, if none fits much better.
 
-    Then it is the simplest of those whose cost is within 3 % of the lowest.
+    Otherwise it is the simplest one among those whose cost is within 3 % of the lowest.
     """
     if costs.min() > BETTER * costs[0]:
         return 0
@@ -224,7 +225,7 @@ def _simplest(conventions: list[PoseConvention], costs: NDArray[np.float64]) -> 
 
 
 def _time_unit(poses_ns: NDArray[np.int64], frames_ns: NDArray[np.int64]) -> float | None:
-    """Return the factor (key of FACTORS) from pose stamps to frame times; None if none fits or is needed."""
+    """Return the factor (key of FACTORS) from pose stamps to frame stamps; None if none is needed or fits."""
     together = [
         int(((a >= b[0]) & (a <= b[-1])).sum()) for a, b in ((poses_ns, frames_ns), (frames_ns, poses_ns))
     ]

@@ -29,8 +29,8 @@ FORMAT_VERSION = 1
 # A file from this size on whose disk usage is less than its size by this factor is mostly a hole. Compressing
 # file systems make a recording less than ten times smaller.
 HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
-# Files of a recording of which names and sizes are compared: enough to know it from another one, and of
-# thousands of recordings with thousands of files each the status is still quick.
+# Number of a recording's files whose names and sizes are compared. This is enough to tell recordings apart,
+# and the status of thousands of recordings with thousands of files each is still quick.
 COMPARED_FILES = 32
 
 # Versions of files that are kept on disk and reused. Artefacts of another version are made again; those of
@@ -59,7 +59,7 @@ VERSIONS: dict[str, int] = {
 def fingerprint(
     stage: str, version: int, settings: Mapping[str, JsonValue], inputs: Mapping[str, str]
 ) -> str:
-    """The fingerprint of a stage's output: a hash of the stage's name, version, settings and inputs."""
+    """Return the fingerprint of a stage's output: a hash of its name, version, settings and inputs."""
     return sha256_text(canonical_json([FORMAT_VERSION, stage, version, settings, inputs]))
 
 
@@ -93,7 +93,7 @@ class Artefact:
 
     @contextlib.contextmanager
     def write(self) -> Iterator[Path]:
-        """Yield an empty folder to fill: it replaces the artefact, or is deleted if the block fails.
+        """Yield an empty folder to fill; after the block it replaces the artefact, or is deleted on failure.
 
         Raises:
             StorageError: the disk is full or read-only.
@@ -118,7 +118,7 @@ class Artefact:
 
 
 def whole_manifest(folder: Path) -> Manifest | None:
-    """The manifest of a folder if all its files are present and of the right size; else None."""
+    """Return the manifest of a folder if all its files are present and of the right size; else None."""
     if not os.path.isdir(folder):  # noqa: PTH112 - usual before a build; False if it cannot be looked at
         return None
     try:
@@ -134,7 +134,7 @@ def whole_manifest(folder: Path) -> Manifest | None:
 def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -> str:
     """Hash the names and contents of files.
 
-    A file whose size and times equal those in the cache is not read again. The time of change on the disk
+    A file whose size and times equal those in the cache is not read again. The times include ctime, which
     distinguishes files of equal name, size and modification time, such as those from two archives.
 
     Args:
@@ -168,7 +168,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
 
 
 def whole_hash(sources: Sources) -> str:
-    """The hash that `content_hash` returns for files, from the known hashes of their contents."""
+    """Return the hash that `content_hash` would return, from the known hashes of the files' contents."""
     return _hash_of(sources.sha256)
 
 
@@ -185,10 +185,11 @@ def has_sizes(
     Args:
         root: path that the names are relative to.
         cache: file where `content_hash` keeps names and sizes; if missing or damaged, the result is True.
-        sha256: the hash over the files, as by `content_hash`.
+        sha256: the hash over the files, as `content_hash` returns it.
         names: the names of all files at the path; None: added files are not noticed.
-        few: compare all files, and read each that has another time, such as a mask that was drawn again or
-            all of a copied folder. Else only sizes of some files are compared, and none is read.
+        few: whether there are only few files. If so, all are compared, and a file with another time is read
+            again (a mask that was drawn again, or each file of a copied folder). If not, the sizes of some
+            files are compared, and none is read.
     """
     of_size, of_sha256 = map(SourceFile._fields.index, ("size", "sha256"))
     try:
@@ -215,7 +216,7 @@ def has_sizes(
 
 
 def _place(root: Path, name: str) -> str:
-    """The path of a file from its name relative to the recording's path; the inverse of `_relative`."""
+    """Return the path of a file from its name relative to the recording's path: inverse of `_relative`."""
     path = f"{root}{os.sep}{name}" if name else str(root)
     # The system would follow a root that is a link before it goes up.
     return os.path.normpath(path) if name.startswith("..") else path
@@ -241,7 +242,7 @@ def _refuse_holes(path: Path, stat: os.stat_result) -> None:
 
 
 def _known(cache: Path) -> dict[str, SourceFile]:
-    """The rows of the cache by file name; empty if the cache is missing or damaged."""
+    """Return the rows of the cache by file name; {} if the cache is missing or damaged."""
     try:
         return Sources.read_file(cache).files
     except StorageError:

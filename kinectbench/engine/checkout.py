@@ -1,7 +1,7 @@
 """Check out a recording whose benchmark is in a store: copy the needed files into a local folder.
 
-The store has no locks. `sources/` keeps the hashes of a recording's files, by a hash of the store's listing,
-so that current artefacts are recognised without downloading the recording.
+The store has no locks. The folder `sources/` keeps the hashes of a recording's files, in a file named by a
+hash of the store's listing. So current artefacts are recognised without downloading the recording.
 """
 
 import contextlib
@@ -38,7 +38,7 @@ from kinectbench.stages.ingest.sources import MOST_FILES, check_there
 SOURCES = "sources"
 # Largest failed.json, which holds a line of text.
 MOST_FAILED_BYTES = 1 << 20
-# What keys of a recording name that lies in the store.
+# Folder of the store in which the file or folder named by each key of a recording lies.
 LIE_BELOW = {"path": "recordings", "masks": "masks", "reference": "meshes"}
 Report = Callable[[str, int, int], None]
 
@@ -49,7 +49,7 @@ class Checkout:
 
     Attributes:
         store: store of the benchmark's root.
-        job: the recording, in a local scratch folder.
+        job: the recording; its root is a local scratch folder.
         artefacts: the artefacts of the requested stages, by stage.
         current: names of those stages whose artefacts are up to date in the store.
         built: names of all files in the store below `build/<recording>/`.
@@ -157,7 +157,7 @@ def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkou
 
 
 def fetch_named(store: Store, job: Job) -> None:
-    """Download a person's masks and the reference mesh below the job's root, if benchmark.yaml names any."""
+    """Download the user's masks and the reference mesh below the job's root, if benchmark.yaml names any."""
     masks, mesh = name_there(store, job, "masks"), name_there(store, job, "reference")
     if masks is not None:
         fetch_files(store, job.root, store.objects(masks))
@@ -166,12 +166,10 @@ def fetch_named(store: Store, job: Job) -> None:
 
 
 def name_there(store: Store, job: Job, key: str) -> str | None:
-    """The name in the store of the file or folder that a recording's key names.
+    """Return the name in the store of the file or folder to which a key of the recording refers.
 
-    The key is "path", "masks" or "reference".
-
-    Returns:
-        None if the key is not set, or names an absolute path, on a disk that all machines share.
+    The key is "path", "masks" or "reference". The result is None if the key is not set, or if it is an
+    absolute path: such a path is on a disk that all machines share, not in the store.
 
     Raises:
         SettingsError: the path leads out of the store.
@@ -189,10 +187,10 @@ def name_there(store: Store, job: Job, key: str) -> str | None:
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """Stages of a recording that are up to date in its store, and why its last run failed, or None.
+    """Return the stages that are up to date in the store, and why the last run failed (None: it did not).
 
-    Downloads no recording; if its files have not been hashed, no stage is known to be up to date. A recording
-    that is missing, or a path that leads out of the store, counts as a failure.
+    The recording is not downloaded. If its files have not been hashed, no stage is known to be up to date. A
+    missing recording, or a path that leads out of the store, counts as a failure.
     """
     try:
         listing = _listing(job)
@@ -227,10 +225,10 @@ def fetch_files(
 
 
 def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
-    """List a recording's files in the store, with the files beside its folder that belong to it.
+    """List a recording's files in the store, including files beside its folder that belong to it.
 
     Returns:
-        The files, without hidden ones and the file with the point that a person clicked; [] if the
+        The files, without hidden files and without the file of the point that the user clicked; [] if the
         recording's path is absolute.
 
     Raises:
@@ -258,11 +256,11 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
 
 
 def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
-    """The name of the file in the store with the hashes of a recording's files.
+    """Return the name of the file in the store with the hashes of a recording's files.
 
-    It changes if a listed file's name, size or ETag (without ETags, its time) changes, and with the version
-    of `ingest`, which may read other files. For an absolute path it changes with the names, sizes and times
-    of the files there.
+    The name changes with the names, sizes and ETags of the listed files (without ETags, with their times);
+    for an absolute path, with the names, sizes and times of the files there. It also changes with the version
+    of `ingest`, because another version may read other files.
 
     Raises:
         RecordingError: nothing is at the absolute path, or what is there cannot be listed.

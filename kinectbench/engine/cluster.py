@@ -198,7 +198,7 @@ class Cluster:
             listener: receives the messages.
             memory_gb: expected memory of a task, GB; used if workers have a resource `memory_gb`. A task that
                 runs alone may use twice as much.
-            slowest_twice: see `Executor`.
+            slowest_twice: whether idle workers may run the last tasks a second time; see `Executor`.
         """
         run = Run(self._client, self.largest_gb, self.gone, function, tasks, listener, memory_gb)
         try:
@@ -222,7 +222,7 @@ class Cluster:
         return self._largest_gb
 
     def gone(self) -> ClusterError:
-        """The error for a scheduler that has stopped answering."""
+        """Return the error for a scheduler that has stopped answering."""
         return ClusterError(
             f"--cluster {self._address}: lost the scheduler; start it again and run the same command again: "
             "what is done is kept",

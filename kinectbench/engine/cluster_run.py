@@ -70,7 +70,7 @@ class Run(Generic[Task, Result]):
         self.versions = package_versions()
 
     def submit(self, number: int, *, alone: bool = False) -> None:
-        """Submit a task to the scheduler."""
+        """Submit the task of this index; `alone`: no other task runs, so it may use twice the memory."""
         task, largest_gb = self.tasks[number], self.largest_gb()
         asked_gb = 0.0
         if self.memory_gb is not None and largest_gb:
@@ -149,7 +149,7 @@ class Run(Generic[Task, Result]):
                 self.orphaned.setdefault(number, (time.monotonic(), why))
 
     def _tell_orphaned(self, ended: int | None = None) -> None:
-        """Warn of workers lost over a second ago, and at once of the lost worker of the task `ended`."""
+        """Warn of workers lost over a second ago; of the lost worker of the task `ended`, warn at once."""
         for number, (since, why) in list(self.orphaned.items()):
             if number == ended or time.monotonic() - since >= LISTEN_S:
                 del self.orphaned[number]
@@ -160,7 +160,7 @@ class Run(Generic[Task, Result]):
         """The outcome of a task; None if the task is tried again at the end, or runs elsewhere.
 
         Raises:
-            TimeoutError: the result does not arrive; the future will end again.
+            TimeoutError: the result has not arrived in time; the future will end again.
             KinectBenchError: raised by the task.
             ClusterError: the task raised another error, or the scheduler has gone.
         """

@@ -25,19 +25,22 @@ def image_digest(sequence: Sequence, frame: int) -> str:
 
 
 def views_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
-    """As `views_shown`, but empty if the views were not made from the sequence with this fingerprint."""
+    """Return `views_shown`, or {} if the views were not made from the sequence with this fingerprint."""
     manifest = whole_manifest(views)
     return {} if manifest is None or manifest.inputs.get("ingest") != sequence else views_shown(views)
 
 
 def views_shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
-    """Map mask names to views: (number of a view, False) or (index of a frame, True) -> view."""
+    """Return the views that show a recorded frame, each under the two keys by which a mask may name it.
+
+    The keys are (number of the view, False) and (index of its frame, True).
+    """
     shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
     return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}
 
 
 def picture_digests(pictures: Mapping[str, bytes], sequence: Sequence, frame: int) -> set[str]:
-    """The digests of a frame's pictures: as they are, and with the recorded colour and all its metadata."""
+    """Return the digests of a frame's pictures, as they are and with the recorded colour file instead."""
     _, color = sequence.frames.color_encoded(frame) or ("", b"")
     return {
         picture_digest(each) for each in (pictures, {**pictures, "color.jpg": color} if color else pictures)

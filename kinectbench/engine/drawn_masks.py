@@ -1,8 +1,8 @@
-"""Check that a person's masks are used on the images they were drawn on, which masks.json records.
+"""Check that the user's masks are used on the images they were drawn on, which masks.json records.
 
-A mask without an entry is first recorded as drawn on the images in `build/`, before these are made again;
-without a build, on the frame that its name gives. The number of a view or frame does not identify what was
-drawn on: views change, and the pictures of a frame change with the poses and the corrections of its depth.
+A mask without an entry gets one before the images in `build/` are made again: it counts as drawn on these
+images or, without a build, on the frame that its name gives. The number of a view or frame does not identify
+an image: views change, and the pictures of a frame change with the poses and the corrections of its depth.
 """
 
 import contextlib
@@ -53,7 +53,7 @@ class Carried(NamedTuple):
 
 @dataclass(frozen=True)
 class DrawnMasks:
-    """The masks that a person drew for a recording.
+    """The masks that the user drew for a recording.
 
     Attributes:
         recording: id of the recording.
@@ -96,7 +96,7 @@ class DrawnMasks:
     def bound_to_build(self, build: Path) -> tuple[Self, tuple[str, ...]]:
         """Record that new masks were drawn on the present images and pictures of `build/<recording>/`.
 
-        This runs before anything is made again, because the person saw the existing pictures.
+        This runs before anything is made again, because the user drew on the existing pictures.
 
         Returns:
             The masks with the new entries, and lines to print: the frames assumed for masks named by views.
@@ -122,7 +122,7 @@ class DrawnMasks:
 
     @staticmethod
     def _picture(views: Path, view: Shown | None) -> str | None:
-        """The digest of a view's pictures in a build; None if they are missing or damaged."""
+        """Return the digest of a view's pictures in a build; None if they are missing or damaged."""
         with contextlib.suppress(StorageError):
             return None if view is None else picture_digest(read_pictures(views, view.name))
         return None
@@ -188,10 +188,10 @@ class DrawnMasks:
         )
 
     def check_views(self, sequence: Sequence, views: Path) -> Self:
-        """Refuse masks of views whose frame or pictures have changed; do nothing with `of_recorded`.
+        """Refuse masks of views whose frame or pictures have changed; with `of_recorded`, do nothing.
 
-        A mask named by a frame counts as one of the view that shows the frame, if any. For masks without a
-        recorded picture, record that of the view.
+        A mask named by a frame belongs to the view that shows the frame, if there is one. If the picture of a
+        mask is not recorded yet, that of its view is recorded.
 
         Args:
             sequence: the recording.
@@ -223,14 +223,17 @@ class DrawnMasks:
         return self._on_pictures(sequence, frames, OTHERS_DRAWN, look)
 
     def _picture_now(self, file: str, sequence: Sequence, views: Path, view: Shown) -> str:
-        """The digest of a view's pictures; the recorded digest, if their colour just lost its metadata."""
+        """Return the digest of a view's pictures; the recorded one if colour has only lost its metadata."""
         pictures, known = read_pictures(views, view.name), self.entries[file].picture
         return known if known in picture_digests(pictures, sequence, view.frame) else picture_digest(pictures)
 
     def _on_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
     ) -> Self:
-        """Refuse masks drawn on other pictures than these; record the picture where none is recorded."""
+        """Refuse masks drawn on other pictures than `frames` says; record the picture where none is recorded.
+
+        `frames` is {mask: (frame, digest of its pictures now)}; `drawn` and `look` are parts of the error.
+        """
         entries, other = dict[str, DrawnOn](), list[str]()
         for file, (frame, now) in frames.items():
             image, was = self.entries[file].image, self.entries[file].picture
@@ -276,7 +279,7 @@ class DrawnMasks:
         return Carried(tuple(moves.items()), tuple(left))
 
     def _clashes(self, moves: Mapping[str, str]) -> list[str]:
-        """Masks (old names) whose new name another mask has already or is about to get."""
+        """Return the masks (old names) whose new name another mask has or is about to get."""
         files = Counter(moves.get(file, file) for file in self.names)
         return [file for file, new in moves.items() if files[new] > 1]
 
@@ -317,14 +320,15 @@ class DrawnMasks:
 
 
 def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
-    """Record which images a person's masks were drawn on, before the build makes anything again.
+    """Record which images the user's masks were drawn on, before the build makes anything again.
 
     Args:
         job: the recording.
         used: whether views will be sampled with the masks.
 
     Returns:
-        Lines to print: the images assumed for masks, and files that are not used because of their names.
+        Lines to print: which images are assumed for masks, and which files are not used because of their
+        names.
 
     Raises:
         StorageError: masks.json is damaged or cannot be written.
@@ -341,7 +345,7 @@ def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
 
 
 def _unnamed(drawn: DrawnMasks) -> tuple[str, ...]:
-    """A line on PNG files that are not used, as their names name no frame or view; empty without any."""
+    """Return a line about PNG files not used because their names give no frame or view; () if none."""
     pngs = (path.name for path in listed_paths(drawn.folder) if path.suffix.lower() == ".png")
     others = sorted(name for name in pngs if name not in drawn.names and not name.startswith("."))
     if not others:

@@ -69,7 +69,8 @@ class Executor(Protocol):
                 counts; only for tasks that do not wait for each other.
 
         Raises:
-            Exception: raised by the function; on a cluster, a ClusterError unless it is a KinectBenchError.
+            Exception: an error of the function. On a cluster, errors other than KinectBenchError are raised
+                as ClusterError.
             ClusterError: the cluster cannot be used any more.
         """
 

@@ -25,7 +25,7 @@ OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
 
 
 def stored_failure(build: Path) -> Failed | None:
-    """Why the last run of `build/<recording>/` failed; None if it succeeded or the reason is unreadable."""
+    """Return why the last run of `build/<recording>/` failed; None if it succeeded or that is unreadable."""
     try:
         return Failed.read_if_there(build)
     except (OSError, StorageError):
@@ -33,12 +33,12 @@ def stored_failure(build: Path) -> Failed | None:
 
 
 def would_fail_again(failed: Failed) -> bool:
-    """Whether a retry is useless: this package version has failed, by fault of the recording or settings."""
+    """Whether a retry is useless: with this package version, the recording or settings caused the failure."""
     return failed.fingerprint is not None and failed.package_version == __version__
 
 
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
-    """The stored failure of the same stage with the same inputs, which would only fail again.
+    """Return the stored failure if the same stage failed with the same inputs, so that it would fail again.
 
     Args:
         build: `build/<recording>/`.
@@ -82,7 +82,7 @@ def keep_failure(
 
 
 def forget_failure(build: Path, stages: Collection[str]) -> None:
-    """Remove failed.json of `build/<recording>/` unless it names a stage that is not among `stages`."""
+    """Remove failed.json of `build/<recording>/` if it names one of `stages`, or no stage."""
     failed = stored_failure(build)
     if failed is None or failed.stage is None or failed.stage in stages:
         (build / Failed.FILE).unlink(missing_ok=True)

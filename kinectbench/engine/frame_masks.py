@@ -1,4 +1,4 @@
-"""Masks for all frames of a recording: from a person, from the recording, or of a detected turntable."""
+"""Masks for all frames of a recording: the user's, the recording's own, or those of a turntable."""
 
 from pathlib import Path
 
@@ -15,15 +15,15 @@ from kinectbench.stages.segment.find.turntable import plane_below, turntable_mas
 
 
 def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -> Masks | None:
-    """The masks that define the object: a function from a frame's index to its mask, or None if `by` is None.
+    """Return the masks that define the object, as a function from frame index to mask; None if `by` is None.
 
     Args:
         sequence: the recording.
         by: the source of the masks; None: no masks.
-        folder: folder of a person's masks of frames; None: use the recording's own masks.
+        folder: folder of the user's masks of frames; None: use the recording's own masks.
 
     Raises:
-        SegmentationError: there are no masks, a person's masks cannot be used, or nothing turns.
+        SegmentationError: there are no masks, the user's masks cannot be used, or nothing turns.
     """
     if by is None:
         return None
@@ -44,7 +44,7 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 def plane_given(
     sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
 ) -> Vector4 | None:
-    """The plane (a, b, c, d) below the object, world frame: `floor`, or the turntable's if `by` names one."""
+    """Return the plane (a, b, c, d) below the object, world frame: `floor`, else a turntable's, or None."""
     if by != "turntable" or floor is not None:
         return floor
     plane_world = plane_below(whole(sequence), trajectory)
@@ -55,12 +55,12 @@ def plane_given(
 
 
 def _of_folder(folder: Path, sequence: Sequence) -> Masks:
-    """Read a person's masks `frame_<index>.png` or `<index>.png`; the index counts from 0, as in frames.json.
+    """Read the user's masks `frame_<index>.png` or `<index>.png`; the index counts from 0, as in frames.json.
 
     Raises:
         SegmentationError: no file is named by a frame of the recording, two files are named by one frame, or
-            a name says that the mask only adds to another or takes from it. Raised later, on use: a mask is
-            damaged or has another size.
+            a name says that the mask only adds to another mask or takes from it. The returned function raises
+            it if a mask is damaged or has another size.
     """
     given = read_masks(folder)
     names: dict[int, str] = {}
@@ -88,7 +88,7 @@ def _of_folder(folder: Path, sequence: Sequence) -> Masks:
         )
 
     def mask(index: int) -> Bools | None:
-        """The mask of a frame: (height, width) bool; None if the frame has no mask."""
+        """Return the mask of a frame: (height, width) bool; None if the frame has no mask."""
         if index not in names:
             return None
         own, size = given.read(names[index]), (sequence.camera.height, sequence.camera.width)

@@ -31,8 +31,8 @@ _seen: list[int] = []
 def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> Iterator[None]:
     """Make an interrupt or SIGTERM within the block raise KeyboardInterrupt, and remember it.
 
-    A signal that arrives in a callback that cannot raise, such as one of the import system, is only
-    remembered.
+    A signal is only remembered if it arrives in a callback that cannot raise, such as one of the import
+    system.
 
     Args:
         unanswered: called with the signal, on another thread, if Python has not handled it after 1.5 s
@@ -117,7 +117,7 @@ def check_interrupt() -> None:
 
 
 def interrupt_answered() -> None:
-    """Forget an interrupt that has ended what it was meant to end, so that the command can go on.
+    """Forget a Ctrl-C that has ended what it was meant to end, so that the command can go on.
 
     `check_interrupt` no longer raises for it. A SIGTERM stays: it is meant for the whole command.
     """
@@ -128,12 +128,12 @@ def interrupt_answered() -> None:
 def interrupts_held() -> Iterator[None]:
     """Delay interrupts until the block ends; processes started in it never receive any.
 
-    Ctrl-C reaches all processes of a terminal. Workers inherit that SIGINT is blocked, so that they do not
-    print tracebacks; their parent stops them. The parent also needs the handler, because threads of libraries
-    receive the signal although it is blocked here. Workers do not inherit the delay of SIGTERM: it ends them
-    silently, and their parent uses it to stop them.
+    Ctrl-C reaches all processes of a terminal. SIGINT is blocked here, and processes started in the block
+    inherit this: they print no tracebacks, and their parent stops them. This process also needs a handler,
+    because threads of libraries receive the signal although it is blocked. SIGTERM is only delayed by the
+    handler, which is not inherited: it ends workers silently, and their parent uses it to stop them.
 
-    A signal to the whole process group also ends workers that are starting, so that the block fails. The
+    A signal to the whole process group may end workers that are just starting, so that the block fails. The
     interrupt then replaces that error.
     """
     asked: list[int] = []

@@ -1,8 +1,8 @@
 """Lock a folder so that one run at a time works in it, and remove leftovers of killed runs.
 
 The lock is one of the operating system (flock): it disappears with the process that holds it, so no lock can
-be stale. The file `.lock` only names the holder. The package filelock would instead use lock files on a disk
-without locks, and a killed run may leave these behind.
+be stale. The file `.lock` only names the holder. The package filelock is not used: on a disk without locks it
+would rely on lock files, and a killed run may leave these behind.
 """
 
 import contextlib
@@ -67,10 +67,10 @@ def locked(
 
 @contextlib.contextmanager
 def only_writer(folder: Path) -> Iterator[None]:
-    """Lock a folder against other callers of this function within the block, which is short; print nothing.
+    """Hold a lock on a folder within the block, which is short, against other callers of this function.
 
-    The lock is on the folder itself: a file `.lock` would be one more in a folder that people share. Where
-    the disk keeps no such locks, the block runs without.
+    Nothing is printed while waiting. The folder itself is locked, because users share its files, and a file
+    `.lock` would be one more of them. On a disk without locks the block runs without a lock.
     """
     with storage_errors(folder):
         handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
@@ -83,7 +83,7 @@ def only_writer(folder: Path) -> Iterator[None]:
 
 
 def sweep(path: Path) -> None:
-    """Remove the temporary files of killed runs beside `path`, a path or pattern that nobody uses now.
+    """Remove temporary files that killed runs left beside `path`, a path or pattern that no run uses now.
 
     A file that was moved aside is moved back if its replacement is missing.
     """

@@ -85,9 +85,9 @@ def build(
 ) -> list[Outcome]:
     """Bring recordings up to date, several at a time; a recording that fails does not stop the others.
 
-    A recording whose process is killed is tried again. It fails if its process is killed even while
-    no other runs, or if it hangs, which is noticed only in worker processes and with `limit_s`. The reason
-    is in `failed.json`.
+    A recording whose process is killed is tried again; it fails if its process is killed even while no other
+    one runs. A recording that hangs fails as well, but a hang is noticed only in worker processes and with
+    `limit_s`. The reason is in `failed.json`.
 
     Args:
         jobs: the recordings.
@@ -174,12 +174,12 @@ def _killed(job: Job, lost: WorkerLost) -> Outcome:
 
 
 def expected_gb(job: Job) -> float:
-    """Estimate the peak memory of building a recording, GB; it is not an upper bound."""
+    """Estimate the peak memory of building a recording, GB; the estimate is not an upper bound."""
     return LIBRARIES_GB + (BYTES_PER_PIXEL * _pixels(job) + BYTES_PER_VOXEL * _voxels(job)) / 1e9
 
 
 def _pixels(job: Job) -> float:
-    """Number of pixels in all depth images, from `ingest`'s result or estimated from file sizes."""
+    """Return the number of pixels in all depth images, from `ingest` or estimated from file sizes."""
     if url_of(job.root) is not None:
         return UNKNOWN_PIXELS
     try:
@@ -197,7 +197,7 @@ def _pixels(job: Job) -> float:
 
 
 def _voxels(job: Job) -> float:
-    """Number of voxels of the grid around a person's box, from the floor up; without a box, a high guess."""
+    """Estimate the number of voxels around the user's box, from the floor up; without a box, a high guess."""
     from kinectbench.stages.segment.solid.grids import MARGIN_M, REFERENCE_VOXEL_M
 
     box = job.recording.box

@@ -44,7 +44,7 @@ class Outcome:
         error: why the recording failed, one line; None if it did not.
         seconds: how long the run took, with waiting for other runs.
         repeated: the error is that of an earlier run; nothing was tried because no input has changed.
-        row: figures of a recording in a store; None: read them from its local folder.
+        row: the summary of a recording in a store; None: it can be read from the local folder.
         warnings: warnings of the run, one line each; stages keep their own warnings in their artefacts.
         code: code of the error, as in docs/errors.md.
     """
@@ -127,9 +127,10 @@ def build_recording(
 
 
 def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
-    """Check masks drawn by a person before slow work, and note in masks.json which image each was drawn on.
+    """Before slow work, check the user's masks, and record in masks.json which image each was drawn on.
 
-    Masks that cannot be used raise an error. Warnings name masks whose image is assumed, and unused files.
+    Masks that cannot be used raise an error. The returned warnings name masks whose image is assumed, and
+    files that are not used.
     """
     samples = next((stage for stage in stages if stage.name == "sample-views"), None)
     with _failure_kept(job, samples or stages[-1], {}):
@@ -143,7 +144,7 @@ def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
 
 
 def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
-    """Before slow work, refuse masks of frames that do not exist; `ingest` has counted the frames."""
+    """Before slow work, refuse masks of frames that do not exist; `ingest` must have counted the frames."""
     from kinectbench.engine.drawn_masks import check_mask_numbers
 
     with _failure_kept(job, stages[-1], {}):
@@ -152,7 +153,7 @@ def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
 
 @contextmanager
 def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Iterator[None]:
-    """Store why a stage fails in the block, except `suggest`, whose failures the page does not show."""
+    """Store why a stage fails in the block; not for `suggest`, whose failures the page does not show."""
     try:
         yield
     except Exception as failure:
@@ -163,7 +164,7 @@ def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> 
 
 
 def error_line(failure: Exception) -> str:
-    """An error as one line to print; with KINECTBENCH_DEBUG set, raise an unforeseen error instead."""
+    """Return an error as one line to print; with KINECTBENCH_DEBUG set, raise an unforeseen error instead."""
     if isinstance(failure, KinectBenchError):
         return str(failure)
     if isinstance(failure, MemoryError):
@@ -179,7 +180,7 @@ def is_current(job: Job, upto: str) -> bool:
 
 
 def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
-    """The artefacts of the stages up to the named one, by stage in order, as the job now defines them."""
+    """Return the artefacts of the stages up to the named one, in order, as the job now defines them."""
     artefacts: dict[str, Artefact] = {}
     for stage in stages_upto(upto):
         artefacts[stage.name] = _artefact(job, stage, stage.sources(job), artefacts)
@@ -187,7 +188,7 @@ def artefacts_upto(job: Job, upto: str) -> dict[str, Artefact]:
 
 
 def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
-    """Settings that differ from those of the artefacts on disk: {dotted key: (then, now)}.
+    """Return the settings that differ from those of the artefacts on disk: {dotted key: (then, now)}.
 
     Artefacts of another version of their stage are not compared.
 
@@ -206,7 +207,7 @@ def changed_settings(job: Job, upto: str) -> dict[str, tuple[object, object]]:
 def _differences(
     then: Mapping[str, object], now: Mapping[str, object], above: str = ""
 ) -> dict[str, tuple[object, object]]:
-    """Settings that differ: {dotted key, after `above`: (then, now)}; a missing one is "default"."""
+    """Return settings that differ: {`above` + dotted key: (then, now)}; a missing value is "default"."""
     found: dict[str, tuple[object, object]] = {}
     for key in {**then, **now}:
         old, new = then.get(key, "default"), now.get(key, "default")
@@ -218,7 +219,7 @@ def _differences(
 
 
 def listed_box(job: Job, number: int) -> BoxPart:
-    """The box with this number in the recording's current list of candidates, by `suggest`.
+    """Return the box with this number in the recording's current list of candidates, made by `suggest`.
 
     Raises:
         SettingsError: there is no current list, or the list has no such number.
@@ -252,7 +253,7 @@ def _make(
     artefact: Artefact,
     report: Callable[[str, int, int], None],
 ) -> None:
-    """Run a stage and write its artefact. The stage gets the inputs in its fingerprint, not the job."""
+    """Run a stage and write its artefact. The stage gets only inputs that are in its fingerprint."""
     from kinectbench.engine.steps import OVERTAKEN, STEPS
 
     started = time.monotonic()
@@ -277,8 +278,9 @@ def _make(
 def _checked_masks(job: Job) -> Callable[[Path], object] | None:
     """Refuse masks of frames whose images have changed; return the check of masks of views, to call later.
 
-    The check takes the folder of the new views; None without masks. Checks can only refuse masks, and never
-    change a stage's result. So masks.json is in no fingerprint, and after a refusal the stage is tried again.
+    The returned check takes the folder of the new views; it is None without masks. Checks only refuse masks,
+    and never change a stage's result. So masks.json is in no fingerprint, and after a refusal the stage is
+    tried again.
     """
     from kinectbench.engine.drawn_masks import DrawnMasks
     from kinectbench.stages.ingest.sequence_folder import read_sequence
@@ -290,7 +292,7 @@ def _checked_masks(job: Job) -> Callable[[Path], object] | None:
 
 
 def _explained(job: Job, failure: KinectBenchError) -> str:
-    """The message of a failure, after its likely cause if the recording shows one."""
+    """Return the message of a failure, preceded by its likely cause if the recording shows one."""
     from kinectbench.doctor.during_build import likely_cause
     from kinectbench.stages.ingest.readers import open_recording
 

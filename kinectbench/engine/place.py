@@ -44,7 +44,7 @@ def build_at_its_place(
 
 
 def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """The stages of a recording that are up to date, and why its last run failed, or None."""
+    """Return the stages that are up to date, and why the last run failed (None: it did not)."""
     if url_of(job.root) is not None:
         from kinectbench.engine.checkout import status_there
 
@@ -64,7 +64,7 @@ def keep_killed(job: Job, error: str) -> None:
 
 
 def for_elsewhere(job: Job) -> Job:
-    """The job with an absolute root, for processes that run in another working folder."""
+    """Return the job with an absolute root, for processes that run in another working folder."""
     return replace(job, root=job.root.absolute()) if url_of(job.root) is None else job
 
 
@@ -74,7 +74,7 @@ def waits_for_others(job: Job) -> bool:
 
 
 def clear_away(job: Job) -> None:
-    """Remove temporary files that killed workers left of a local recording, unless another run builds it."""
+    """Remove temporary files that killed workers left in a local build, unless another run uses it now."""
     if url_of(job.root) is not None or not job.build.is_dir():
         return
     with contextlib.suppress(StorageError), locked(job.build, wait=False):
@@ -96,9 +96,9 @@ class RecordingStatus(StoredPart):
 
 
 def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
-    """The status of each recording under the present settings, without building or reading recordings.
+    """Return the status of each recording under the present settings, without building or reading it.
 
-    A change of a recording is seen only by names and sizes of some files; `build` notices any change.
+    Changes of a recording are noticed only in the names and sizes of some files; `build` notices any change.
     """
     return in_parallel(partial(_status, job) for job in jobs)
 

@@ -57,7 +57,7 @@ def worker_pool(
 def submit_all(
     pool: ProcessPoolExecutor, function: Callable[[Task], Result], tasks: Iterable[Task]
 ) -> list[Future[Result]]:
-    """Submit all tasks, which starts the processes; these ignore Ctrl-C, which their parent handles."""
+    """Submit all tasks. This starts the processes; they ignore Ctrl-C, because their parent handles it."""
     resource_tracker.ensure_running()  # started later, it would unblock the signal
     with interrupts_held():
         return [pool.submit(function, task) for task in tasks]
@@ -87,7 +87,7 @@ def _start_worker(prepare: Callable[..., None] | None, arguments: tuple[object, 
 
 
 def _end_with_parent() -> None:
-    """Wait for the parent to end, and then end this process: a killed parent cannot stop its workers."""
+    """Wait for the parent to end, then end this process: a killed parent cannot stop its workers."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,6 +1,6 @@
 """Delete the frames of a built recording, and keep the files that releases and reports need.
 
-The stages stay up to date. One that would need the deleted frames is refused until the scan is back.
+The stages stay up to date. A stage that needs the deleted frames is refused until the scan is back.
 """
 
 from pathlib import Path
@@ -43,8 +43,8 @@ def keep_failed_source(build: Path) -> None:
     """Store the hash of a scan in failed.json, so that the failure stays valid once the scan is deleted.
 
     Args:
-        build: `build/<recording>/`; nothing is done without failed.json or the hashes of the scan's files,
-            or if `slim` deleted its frames.
+        build: `build/<recording>/`. Nothing is done if it has no failed.json or no hashes of the scan's
+            files, or if `slim` deleted its frames.
     """
     failed, sources = Failed.read_if_there(build), Sources.read_if_there(build)
     if failed is not None and sources is not None and not is_slim(build / "sequence"):
@@ -60,7 +60,7 @@ def is_slim(folder: Path) -> bool:
 
 
 def kept_source(build: Path) -> str | None:
-    """The hash over the files of a scan that was deleted after its build; None if none was deleted."""
+    """Return the hash over the files of a scan that was deleted after its build; None if it was not."""
     manifest = whole_manifest(build / "sequence")
     if manifest is not None:
         return None if manifest.removed is None else manifest.inputs.get("recording")

@@ -33,7 +33,7 @@ from kinectbench.settings.pick import PickSettings
 Section = TypeVar("Section", bound=Settings)
 # Name of the source for the recording's files.
 RECORDING = "recording"
-# Name of the source for a person's masks.
+# Name of the source for the user's masks.
 MASKS = "masks"
 # Name of the source for a mesh that replaces the fused ground truth.
 REFERENCE = "reference"
@@ -55,8 +55,8 @@ class StageSettings(Settings):
     """Base class of the settings of a stage.
 
     Attributes:
-        ADDED: keys (`section.key` if nested) that are newer than the stage's version. The fingerprint omits
-            them at their default, so that artefacts made before stay valid.
+        ADDED: keys (`section.key` if nested) that were added after the stage's version was set. The
+            fingerprint omits them while they have their defaults, so that existing artefacts stay valid.
     """
 
     ADDED: ClassVar[tuple[str, ...]] = ()
@@ -167,7 +167,7 @@ class PairsSettings(StageSettings):
 
 @dataclass(frozen=True)
 class Source:
-    """An input of a stage from outside `build/`: the recording, a person's masks, or a reference mesh.
+    """An input of a stage from outside `build/`: the recording, the user's masks, or a reference mesh.
 
     Attributes:
         path: the file or folder.
@@ -198,5 +198,5 @@ class Work(Generic[Needed]):
 
     @property
     def masks(self) -> Path | None:
-        """The folder of a person's masks; None if the stage does not depend on any."""
+        """The folder of the user's masks; None if the stage does not depend on any."""
         return self.sources[MASKS].path if MASKS in self.sources else None

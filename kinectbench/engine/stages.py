@@ -71,7 +71,7 @@ class Job:
 
     @property
     def masks(self) -> Path | None:
-        """The folder of a person's masks, or None."""
+        """The folder of the user's masks; None if benchmark.yaml names none."""
         return None if self.recording.masks is None else self.root / self.recording.masks
 
     @property
@@ -86,7 +86,7 @@ class Job:
 
     @property
     def unused_masks(self) -> Path | None:
-        """`masks/<recording>/` if it exists although benchmark.yaml names no masks for the recording."""
+        """`masks/<recording>/` if it exists although benchmark.yaml names no masks; else None."""
         folder = self.root / "masks" / self.recording.id
         return folder if self.recording.masks is None and folder.is_dir() else None
 
@@ -191,22 +191,22 @@ def check_masks(job: Job) -> None:
 
 
 def _masks_named(job: Job) -> tuple[str, ...]:
-    """(MASKS,) if benchmark.yaml names a person's masks, of views or of frames; else ()."""
+    """Return (MASKS,) if benchmark.yaml names masks by the user, of views or of frames; else ()."""
     return () if job.masks is None else (MASKS,)
 
 
 def _frame_masks_named(job: Job) -> tuple[str, ...]:
-    """(MASKS,) if benchmark.yaml names a person's masks of frames; () without masks or for masks of views."""
+    """Return (MASKS,) if benchmark.yaml names masks of frames by the user; () if none or masks of views."""
     return _masks_named(job) if job.recording.segment_by == "masks" else ()
 
 
 def _of_object_named(job: Job) -> tuple[str, ...]:
-    """Names of the inputs that define the object: a person's masks of frames, and the reference mesh."""
+    """Return the names of inputs that define the object: the user's masks of frames, the reference mesh."""
     return (*_frame_masks_named(job), *(() if job.reference is None else (REFERENCE,)))
 
 
 def _cache(build: Path, name: str) -> Path:
-    """The file in `build/<recording>/` that keeps names, sizes and hashes of an input's files."""
+    """Return the file in `build/<recording>/` that keeps names, sizes and hashes of an input's files."""
     return build / (Sources.FILE if name == RECORDING else f"{name}.{Sources.FILE}")
 
 
@@ -217,7 +217,7 @@ def _masks(job: Job) -> Source:
 
 
 def _given_masks(job: Job) -> list[Path]:
-    """The files of a person's masks; none if benchmark.yaml names no folder of masks."""
+    """Return the files of the user's masks; [] if benchmark.yaml names no folder of masks."""
     if job.masks is None:
         return []
     from kinectbench.stages.ingest.sources import files_below
@@ -258,7 +258,7 @@ def _whole(path: Path) -> Path:
 
 
 def _own_files(job: Job, files: list[Path]) -> list[Path]:
-    """The recording's own files: without results of the benchmark and files that are other inputs."""
+    """Return the recording's own files: without the benchmark's results, and without other inputs."""
     folders = {folder: _whole(folder) for folder in {file.parent for file in files}}
     there = [folders[file.parent] / file.name for file in files]
     others = _results(job, there) | _named_apart(job, there)
@@ -270,7 +270,7 @@ def _own_files(job: Job, files: list[Path]) -> list[Path]:
 
 
 def _results(job: Job, files: Sequence[Path]) -> set[Path]:
-    """Files and folders of the benchmark itself, if its root is in the recording's folder; else none."""
+    """Return the benchmark's own files and folders if its root is in the recording's folder; else none."""
     root = _whole(job.root)
     if not root.is_relative_to(_whole(job.source)):
         return set()
@@ -281,9 +281,9 @@ def _results(job: Job, files: Sequence[Path]) -> set[Path]:
 
 
 def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
-    """A recording's files that are other inputs, too: the reference mesh, a person's masks, masks.json.
+    """Return files in the recording's folder that are other inputs: reference mesh, user's masks, masks.json.
 
-    Masks in a folder that `ingest` also reads stay with the recording.
+    Masks in a folder that `ingest` also reads are not returned: they stay files of the recording.
     """
     masks = _whole(job.masks) if job.masks else None
     drawn = [file for file in files if file.parent == masks]
@@ -326,7 +326,7 @@ SUGGEST = Stage("suggest", "candidates", ("ingest", "track", "fuse"), _suggest)
 
 
 def stages_upto(name: str) -> tuple[Stage, ...]:
-    """The stages up to the named one, in order; for `suggest`, those up to `fuse`, and `suggest`."""
+    """Return the stages up to the named one, in order; for `suggest`, those up to `fuse`, and `suggest`."""
     if name == SUGGEST.name:
         return (*stages_upto("fuse"), SUGGEST)
     names = [stage.name for stage in STAGES]
@@ -334,7 +334,7 @@ def stages_upto(name: str) -> tuple[Stage, ...]:
 
 
 def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
-    """Whether an input from outside `build/` has a hash, by `has_sizes`; True if the input is gone."""
+    """Whether an input from outside `build/` still has a hash (`has_sizes`); True if the input is gone."""
     path = {RECORDING: job.source, MASKS: job.masks, REFERENCE: job.reference}[name]
     if path is None or not os.path.exists(path):  # noqa: PTH110 - of any name
         return True
@@ -349,7 +349,10 @@ def _has_input(job: Job, build: Path, name: str, sha256: str) -> bool:
 
 
 def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, has_input: Callable[[str, str], bool]) -> bool:
-    """Whether an artefact's inputs from outside `build/` are the job's; `has_input` compares a hash."""
+    """Whether an artefact was made from the job's present inputs from outside `build/`.
+
+    `has_input` takes the name and the hash of an input, and returns whether the input still has that hash.
+    """
     named = stage.outside(job)
     if manifest.inputs.keys() - set(stage.inputs) != set(named):
         return False
@@ -357,11 +360,11 @@ def _is_of_sources(manifest: Manifest, stage: Stage, job: Job, has_input: Callab
 
 
 def current_stages(build: Path, job: Job | None = None) -> dict[str, Path]:
-    """The folders in `build/<recording>/` of stages that are up to date, by stage.
+    """Return the folders in `build/<recording>/` of the stages that are up to date, by stage.
 
-    Such a folder is complete, and was made by the stage's present version from the present artefacts of
-    its input stages. A change of the recording is seen only by names and sizes of some files, one of masks or
-    of the reference mesh also by the files' times; an input that is gone is not compared.
+    Such a folder is complete, and was made by the stage's present version from the present artefacts of its
+    input stages. Changes of the recording are noticed only in the names and sizes of some files. Changes of
+    masks and the reference mesh are noticed in all their files. An input that is gone is not compared.
 
     Args:
         build: `build/<recording>/`.

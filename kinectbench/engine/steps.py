@@ -134,7 +134,7 @@ def _suggest(work: Work[SuggestSettings]) -> None:
 def _picked(
     sequence: Sequence, trajectory: Trajectory, settings: SuggestSettings | SegmentSettings
 ) -> PickedPoint | None:
-    """The picked point on the object; None without a pick, or if masks or a turntable define the object."""
+    """Return the picked point on the object; None without one, or if `segment_by` defines the object."""
     if settings.pick is None or settings.segment_by is not None:
         return None
     return picked_point(sequence, trajectory, settings.pick.frame, settings.pick.pixel)
@@ -208,6 +208,6 @@ def _track_scene(
 
 
 def _moves(T_world_camera: Float64) -> bool:
-    """Whether the positions of poses (n, 4, 4), NaN where lost, vary by more than those on a tripod."""
+    """Whether the positions of poses (n, 4, 4), NaN where lost, vary by more than on a tripod: 2 cm."""
     at = T_world_camera[has_pose(T_world_camera), :3, 3]
     return bool(len(at) and np.ptp(at, axis=0).max() > STRAY_M)

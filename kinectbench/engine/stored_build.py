@@ -1,7 +1,7 @@
 """Build a recording whose benchmark is in a store: check it out, build it locally, and upload its stages.
 
-The store has no locks or renames, so an artefact lies under its fingerprint. If another machine makes the
-same artefact with different bytes, it continues from the one that was stored first.
+The store has no locks or renames, so an artefact lies under its fingerprint. If two machines make the same
+artefact with different bytes, the second one goes on with the artefact that was stored first.
 """
 
 import contextlib
@@ -59,7 +59,7 @@ def build_stored(
 ) -> Outcome:
     """Build a recording in a store as `build_recording` does.
 
-    The outcome includes the figures `row`, unless the recording could not be checked out or stored.
+    The outcome includes the summary `row`, unless the recording could not be checked out or stored.
 
     Args:
         job: the recording.
@@ -67,7 +67,7 @@ def build_stored(
         force: names of stages to make again even if they are current.
         progress: called with (stage, done, total); `fetch` and `put` count as stages.
         limit_s: time limit of the stages, seconds; None: no limit.
-        hung: see `build_recording`.
+        hung: called with the reason, on another thread, if the build still hangs long after the limit.
 
     Raises:
         StoreGoneError: the store has stopped answering.
@@ -100,7 +100,8 @@ def _built(
     """Call `build` if a stage up to `upto` is missing or forced, and upload the stages that it made.
 
     Returns:
-        The outcome; None if another run has stored different bytes of a stage: then start again.
+        The outcome; None if another run has stored different bytes of a stage, so that the caller must
+        start again.
     """
     missing = [each for each in stages_upto(upto) if each.name not in copy.current or each.name in force]
     if not missing:
@@ -130,13 +131,13 @@ def _built(
 
 
 def _masks_file(copy: Checkout) -> str:
-    """The content of the local masks.json, which a build may extend; "" without it."""
+    """Return the content of the local masks.json, which a build may extend; "" without it."""
     masks = None if copy.job.masks is None else MasksFile.read_if_there(copy.job.masks)
     return "" if masks is None else masks.text()
 
 
 def _nothing_made(copy: Checkout, failed: Failed | None) -> Outcome:
-    """The outcome if no stage has to be built; downloads only the figures of the table."""
+    """Return the outcome if no stage has to be built; download only the files that the summary needs."""
     in_parallel(
         partial(fetch_file, copy.store, copy.job.recording.id, copy.artefacts[name], SHOWN[name], copy.built)
         for name in copy.current

@@ -1,9 +1,9 @@
 """A stage's artefact in a store: `build/<recording>/<stage>/<fingerprint>/`, written once and never changed.
 
-The manifest is written last; a folder without one does not count. The files lie in a sibling folder named by
-their content: if two machines make different bytes for a stage, the first manifest names the folder that
-counts, and nothing is mixed. The many small files of a sequence, of views and of pairs form one tar; JSON
-files are stored separately.
+The manifest is written last; a folder without one does not count. The files lie beside it, in a folder named
+by a hash of their content. If two machines make different bytes for a stage, the first manifest names the
+folder that counts, and nothing is mixed. The many small files of a sequence, of views and of pairs form one
+tar; JSON files are stored separately.
 """
 
 import tempfile
@@ -108,7 +108,7 @@ def fetch_file(
         recording: id of the recording.
         artefact: an artefact that the store holds.
         name: name of the file.
-        names: listing of `build/<recording>/`; if it has the file just once, the manifest is not needed.
+        names: listing of `build/<recording>/`; if it has the file just once, the manifest is not read.
     """
     where, folder = stored_folder(recording, artefact), _made(artefact.folder)
     if name == Manifest.FILE:

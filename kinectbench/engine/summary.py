@@ -1,4 +1,4 @@
-"""The figures of a run on one recording, as in the table at the end of a build."""
+"""The summary of a run on one recording: a row of the table at the end of a build."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from kinectbench.engine.pipeline import FOLDERS, Outcome
 from kinectbench.engine.recording_summary import RecordingSummary as RecordingSummary
 from kinectbench.engine.stages import Job
 
-# Figures of health.json and quality.json that have the same names in the table.
+# Values of health.json and quality.json that have the same names in the table.
 OF_POSES = ("source", "grade", "verdict", "recommended")
 OF_OBJECT = (
     *("repeatability_iou", "estimated_iou", "estimated_iou_low", "estimated_iou_high"),
@@ -30,13 +30,13 @@ MOST_NAMED = 3
 
 @dataclass(frozen=True)
 class BuiltRecording:
-    """The outcome of one recording; its figures are read from the files of the build on request.
+    """The outcome of one recording; its summary is read from the files of the build on request.
 
     Attributes:
         recording: id of the recording.
         error: why the recording failed, or None.
         made: names of the stages that the run made.
-        read: reads the figures.
+        read: reads the summary.
     """
 
     recording: str
@@ -46,17 +46,17 @@ class BuiltRecording:
 
     @classmethod
     def of(cls, row: RecordingSummary) -> Self:
-        """A recording whose figures are already read."""
+        """Return a recording whose summary is already read."""
         return cls(row.recording, row.error, row.made, lambda: row)
 
     @cached_property
     def summary(self) -> RecordingSummary:
-        """The figures of the recording."""
+        """The summary of the recording, read at the first use."""
         return self.read()
 
 
 def summary(job: Job, outcome: Outcome) -> RecordingSummary:
-    """The figures of the stages that a run made or found up to date; other stages are left out."""
+    """Return the summary of a recording, from the stages that the run made or found up to date."""
     if outcome.row is not None:
         return outcome.row
     stages = (*outcome.made, *outcome.current)
@@ -102,7 +102,7 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
 
 
 def _without_pair(job: Job, pairs: PairsFile | None) -> tuple[str, ...]:
-    """A warning that names views without a pair, if a person's masks may be the cause; else empty."""
+    """Return a warning that names views without a pair, if the user's masks may be the cause; else ()."""
     refused = pairs.refused if pairs and job.masks else ()
     if not refused:
         return ()
@@ -118,10 +118,10 @@ def _to_do_first(
     quality: QualityFile | None,
     views: ViewsFile | None,
 ) -> str | None:
-    """The warning to deal with first; None without warnings.
+    """Return the warning to deal with first; None without warnings.
 
-    Causes come before effects: units and intrinsics, poses, floor and choice of the object, unseen parts,
-    and then all other warnings.
+    Causes come before effects. The order is: units and intrinsics, poses, floor and choice of the object,
+    unseen parts, all other warnings.
     """
     of_object = quality.warnings if quality else ()
     poses = (line for line in of_object if health is not None and health.verdict in line)

@@ -25,7 +25,7 @@ def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
 
     Args:
         store: store of the benchmark's root.
-        young: include folders with files younger than a day, which a run may still be writing.
+        young: whether to include folders with files younger than a day, which a run may still be writing.
 
     Raises:
         StorageError: a manifest is damaged, or the store fails.
@@ -62,7 +62,7 @@ def _remove_of(store: Store, folder: str, files: list[StoredObject]) -> int:
 
 
 def _unnamed_of(store: Store, folder: str, files: list[StoredObject]) -> list[StoredObject]:
-    """Files of one folder that its manifest does not name; without a manifest, all its files."""
+    """Return the files of a folder that its manifest does not name; without a manifest, all its files."""
     place = f"{folder}/{Manifest.FILE}"
     if not any(each.name == place for each in files):
         return files

@@ -85,7 +85,7 @@ class BuildProcess(Executor):
         return self._process.pid
 
     def ended(self) -> None:
-        """Notify the process that the folder is complete, so that it takes the last frames, too."""
+        """Tell the process that the folder is complete, so that it takes the last frames, too."""
         with suppress(OSError):
             self._mine.send(None)
 
@@ -159,7 +159,7 @@ class GrowingBuild:
         """Read the folder's lists of images again, because they may have grown.
 
         Raises:
-            RecordingError: the camera is another one now.
+            RecordingError: the folder now names another camera than before.
         """
         try:
             recording = open_recording(self.folder)
@@ -175,8 +175,8 @@ class GrowingBuild:
         """Take the next frame; return False if there is none.
 
         Args:
-            whole: whether the folder is complete; else the last frames are left, as their colour may still
-                arrive.
+            whole: whether the folder is complete. If not, the last two frames are not taken yet, because
+                their colour may still arrive.
         """
         writer = self._writer
         if writer is None:
@@ -225,7 +225,7 @@ class _Taking:
         self._pool.submit(self._take)
 
     def _take(self) -> None:
-        """Take one frame, or wait for one; then submit itself, so that requests come in between."""
+        """Take one frame, or wait for one; then submit this method again, so that requests get a turn."""
         try:
             if not self._busy or self.ended.is_set() != self._whole:  # only now are the last rows final
                 self._whole = self.ended.is_set()
@@ -240,13 +240,13 @@ class _Taking:
             self._pool.submit(self._take)
 
     def sequence(self) -> PartialSequence | None:
-        """A copy of the sequence so far, while further frames are taken."""
+        """Return a copy of the sequence so far; further frames are taken meanwhile."""
         with suppress(BrokenExecutor):  # `_prepare` failed: the build reports why
             return self._pool.submit(lambda: copy.deepcopy(self._growing.sequence())).result()
         return None
 
     def odometry(self) -> PartialOdometry | None:
-        """The odometry so far; no more frames are taken."""
+        """Return the odometry so far; take no more frames."""
         self.stop()
         growing = self._growing
         del self._growing  # it holds the frames' images
@@ -269,7 +269,7 @@ def _prepare() -> None:
 
 
 def _end_with_recorder(stored: Path) -> None:
-    """Wait until the recorder has ended, and end at once: a stage may send no progress for a long time."""
+    """Wait for the recorder to end, then exit at once: a stage may report no progress for a long time."""
     recorder = multiprocessing.parent_process()
     if recorder is not None:
         recorder.join()
@@ -278,7 +278,7 @@ def _end_with_recorder(stored: Path) -> None:
 
 
 def _run(connection: Connection, folder: Path, threads: int) -> None:
-    """The process: take frames until the other end of the connection sends a task, or closes."""
+    """Run the process: take frames until the other end of the connection sends a task, or closes."""
     for each in IGNORED:
         signal.signal(each, signal.SIG_IGN)
     warnings.simplefilter("ignore")  # the recorder owns the terminal

@@ -1,7 +1,7 @@
 """Write a recording frame by frame, on threads, as a folder in the format of the TUM RGB-D benchmark.
 
-A row is added to `depth.txt` or `rgb.txt` once its image is complete, so that the folder can be read at any
-moment, and after a crash up to the last frame.
+A row is added to `depth.txt` or `rgb.txt` only when its image is complete. So the folder can be read at any
+time; after a crash, it has all frames up to the last row.
 """
 
 import os
@@ -80,7 +80,7 @@ class FolderWriter:
         self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="record")
 
     def add(self, frame: Frame) -> int | None:
-        """Queue a frame for writing; return its number, or None if it is dropped as the queue is full."""
+        """Queue a frame for writing; return its number, or None if the queue is full: it is dropped."""
         with self._lock:
             if self._waiting_bytes + frame.nbytes > BACKLOG_BYTES and self._waiting_bytes:
                 self.dropped += 1
@@ -91,18 +91,19 @@ class FolderWriter:
         return number
 
     def close(self) -> None:
-        """Wait until all added frames are written; after an error, those not started are left out.
+        """Wait until all frames are written; after an error, those that were not started are left out.
 
-        After a KeyboardInterrupt it can be called again.
+        After a KeyboardInterrupt, this can be called again.
         """
         self._pool.shutdown(wait=True)
         while self._lists:
             os.close(self._lists.popitem()[1])
 
     def _write(self, number: int, frame: Frame) -> None:
-        """Write a frame's images, then the rows of all frames before the first that is still incomplete.
+        """Write a frame's images; then add rows to the lists, in the order of frames.
 
-        After an error no further frame is started; earlier frames are completed.
+        Rows are added up to the first frame whose images are not complete yet. After an error, no further
+        frame is started, but frames that were started before are completed.
         """
         try:
             if self.error is None:
@@ -150,7 +151,7 @@ class FolderWriter:
 
 
 def _append(handle: int, row: str) -> None:
-    """Append a whole row to a file without buffering; after an OSError, which is raised, none of it stays."""
+    """Append a row to a file without buffering; if that raises an OSError, no part of the row stays."""
     data = f"{row}\n".encode()
     before = os.fstat(handle).st_size
     try:

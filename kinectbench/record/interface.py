@@ -20,7 +20,7 @@ Item = TypeVar("Item")
 
 
 class Acceleration(NamedTuple):
-    """A measurement of an accelerometer: stamp in ns; (x, y, z), m/s^2, in the depth camera's optical axes.
+    """An accelerometer measurement: stamp (ns), and (x, y, z) in m/s^2, in the depth camera's optical axes.
 
     At rest, it is the reaction to gravity and points up.
     """
@@ -37,8 +37,8 @@ class Frame:
         stamp_ns: stamp of the depth image, nanoseconds of the device's clock.
         depth: (height, width) uint16 in native units, 0 = no measurement; the device does not reuse the
             array.
-        color: (suffix, encoded image) if the device encodes; (height, width, 3) uint8 RGB if it gives pixels;
-            or None.
+        color: (file suffix, encoded image) if the device encodes colour; (height, width, 3) uint8 RGB if it
+            gives pixels; None without colour.
         color_stamp_ns: stamp of colour, nanoseconds; None: the stamp of depth.
         accelerations: measurements since the previous frame.
     """
@@ -67,8 +67,8 @@ class Setup:
         camera: intrinsics of the depth images (pinhole images), pixels.
         depth_scale: native depth units per metre.
         color_registered: whether colour pixels lie on depth pixels.
-        color_calibration: the colour camera relative to the depth camera, if colour is not registered; None:
-            registered or not known.
+        color_calibration: the colour camera relative to the depth camera; None if colour is registered, or
+            if it is not known.
     """
 
     camera: Camera

@@ -65,7 +65,7 @@ class Clock:
         self._last: tuple[int, int] | None = None
 
     def put_right(self, frame: Frame, now_ns: int) -> Frame:
-        """Return the frame, with its stamps shifted if necessary, so that it is later than the one before.
+        """Return the frame with its stamps shifted, if necessary, to be later than those of the frame before.
 
         Args:
             frame: the frame from the device.
@@ -93,8 +93,8 @@ def record(
 ) -> Recorded:
     """Record until the device ends or fails, a frame cannot be written, time is up, or KeyboardInterrupt.
 
-    Another Ctrl-C does not lose the outcome: frames that wait are still written, observers are waited for no
-    more. A third one ends it at once; the folder can be read to its last row.
+    At the end, waiting frames are written, and observers finish. Ctrl-C in this phase only ends the waiting
+    for observers. Another Ctrl-C ends the function at once; the folder can be read up to its last row.
 
     Args:
         device: the device, which is opened and closed here.

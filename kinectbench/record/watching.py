@@ -24,7 +24,7 @@ class Observer(Protocol):
 
 
 class Watcher:
-    """Hands an observer the newest frame, one at a time.
+    """Hands the newest frame to an observer, one at a time; older frames that still wait are skipped.
 
     Attributes:
         skipped: number of frames that the observer did not get.
@@ -32,7 +32,7 @@ class Watcher:
     """
 
     def __init__(self, observer: Observer, setup: Setup) -> None:
-        """Start the observer's thread, which ends with the process at the latest."""
+        """Start the observer's thread (a daemon thread)."""
         self.skipped = 0
         self.failure: Exception | None = None
         self._observer, self._setup = observer, setup

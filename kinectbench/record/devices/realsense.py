@@ -131,7 +131,7 @@ class RealSense(Device):
         return None
 
     def _frame(self, depth: "rs.frame", colors: list["rs.frame"], felt: tuple[Acceleration, ...]) -> Frame:
-        """Return depth with the nearest of `colors` in time, and `felt`; drop that colour and older ones."""
+        """Return depth with the colour nearest in time, and `felt`; drop that colour and older `colors`."""
         number, stamp_ns = depth.get_frame_number(), _stamp_ns(depth)
         if self._last is not None:
             self.missed += max(number - self._last - 1, 0)
@@ -161,7 +161,7 @@ def _stamp_ns(frame: "rs.frame") -> int:
 def _usual(
     profiles: Sequence["rs.stream_profile"], stream: "rs.stream", form: "rs.format"
 ) -> "rs.stream_profile | None":
-    """Return a stream's profile in a format: of the usual size and rate, else the first; None without any."""
+    """Return a stream's profile in a format: of the USUAL size and rate, else the first; None without any."""
     found = [each for each in profiles if each.stream_type() == stream and each.format() == form]
     for each in found:
         if each.is_video_stream_profile():

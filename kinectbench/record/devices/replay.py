@@ -54,7 +54,7 @@ class Replay(Device):
     def frames(self) -> Iterator[Frame]:
         """Yield each frame at its time; a damaged frame, or one requested too late, counts as missed.
 
-        A jump of the clock is shortened to the longest step that still counts as a pause
+        If the clock jumps, the wait is shortened to the longest step that still counts as a pause
         (`core.trajectory.stamps`).
 
         Raises:

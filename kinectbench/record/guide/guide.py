@@ -55,10 +55,10 @@ class Snapshot:
         advice: the sentence, and the motion that it asks for.
         lost: whether the camera has no pose.
         distance_m: distance from the camera to the middle of the object, metres; None: not known yet.
-        speed_mps: speed of the camera, metres a second; while it is lost, the last known one.
+        speed_mps: speed of the camera, metres per second; while the camera is lost, its last known speed.
         T_world_camera: (4, 4), camera to the tracker's current world; None: the camera is lost.
         T_floor_camera: (4, 4), camera to floor frame; None: the floor is not known, or the camera is lost.
-        looks: number of reconstructions of the object so far (`look`); each has a new mesh.
+        looks: number of reconstructions of the object so far (`look`); each one gives a new mesh.
     """
 
     number: int
@@ -115,7 +115,7 @@ class Guide:
         return Snapshot(number, said, now.lost, distance_m, self._shift_mps, *poses, self._looks)
 
     def pick(self, frame: Frame, pixel: tuple[int, int], keep: Callable[[], None] = lambda: None) -> str:
-        """Choose the object at a pixel of a frame's depth; return "", or a sentence why that is not accepted.
+        """Choose the object at a depth pixel of a frame; return "", or a sentence why it is not accepted.
 
         Args:
             frame: a frame that was given to `take`.
@@ -146,7 +146,11 @@ class Guide:
         return bool(abs(transform_points(T_floor_camera, point_camera)[2]) <= self.seen.floor_cut_m)
 
     def shown(self) -> dict[str, object]:
-        """Return the camera's path (n, 3), metres, the ring's seen parts, the object's box; floor frame."""
+        """Return what the page draws, in the floor frame: path, ring and box of the object.
+
+        "path" has camera positions (n, 3), metres; "ring" (12, 3) bool says which directions of `Ring` were
+        seen; "box" has center_m, size_m and yaw_rad. While the object is unknown, they are [], [] and None.
+        """
         if self.seen is None:
             return {"path": [], "ring": [], "box": None}
         _, T_world = self.tracker.poses()
@@ -165,7 +169,7 @@ class Guide:
             self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _look_again(self, now_s: float) -> None:
-        """Take over the result of `look` if it has ended; start it again if time and new keyframes allow."""
+        """Take over the result of `look` if it has ended; start `look` again if it is due."""
         if self._look is not None and self._look.done():
             with self._moving:
                 self._take_look(*self._look.result())
@@ -194,7 +198,7 @@ class Guide:
         self._count(self.seen.T_floor_world @ self.tracker.poses()[1])
 
     def _count(self, T_floor_camera: Float64) -> None:
-        """Add to the ring the directions of the poses (n, 4, 4), camera to floor, that face the object."""
+        """Add to the ring the directions of those poses (n, 4, 4), camera to floor, that face the object."""
         assert self.seen is not None
         center = np.array(self.seen.box.center_m)
         ways = center - T_floor_camera[:, :3, 3]
@@ -244,7 +248,7 @@ class Guide:
 
 
 def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph, ObjectLook | None]:
-    """Build the keyframe graph and reconstruct with it; return the graph, and the result or None."""
+    """Build the keyframe graph, and reconstruct the object with it (None if that fails); return both."""
     graph = known.graph()
     T_world_camera = None if picked is None else known.placed(graph, picked[0])
     at = None if picked is None or T_world_camera is None else transform_points(T_world_camera, picked[1])
@@ -255,7 +259,7 @@ def _looked(known: KeyframesSoFar, picked: Picked | None) -> tuple[KeyframeGraph
 
 
 def mesh_bytes(mesh: TriangleMesh) -> bytes:
-    """Encode a mesh for the page: uint32 n and m, vertices (n, 3) float32, metres, faces (m, 3) uint32."""
+    """Encode a mesh for the page: n, m (uint32), vertices (n, 3) float32 in metres, faces (m, 3) uint32."""
     counts: NDArray[np.uint32] = np.array([len(mesh.vertices), len(mesh.faces)], np.uint32)
     vertices, faces = mesh.vertices.astype("<f4"), mesh.faces.astype("<u4")
     return counts.astype("<u4").tobytes() + vertices.tobytes() + faces.tobytes()

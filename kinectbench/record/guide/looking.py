@@ -1,7 +1,7 @@
-"""Reconstruct coarsely, from the guide's keyframes, the part of the object that was seen until now.
+"""Make a coarse reconstruction of the part of the object seen so far, from the guide's keyframes.
 
-It uses the functions of a build: `fuse`, `find_floor_and_object`, `classify_voxels`, `make_solid` and
-`find_frontiers`. Here they get fewer and smaller frames, and larger voxels.
+This module uses the functions of a build (`fuse`, `find_floor_and_object`, `classify_voxels`, `make_solid`,
+`find_frontiers`), with fewer and smaller frames, and larger voxels.
 """
 
 from dataclasses import dataclass, replace
@@ -41,14 +41,15 @@ FUSION, CUTS = FusionSettings(scene_voxel_size_m=0.015), FloorCuts()
 
 @dataclass(frozen=True)
 class ObjectLook:
-    """A coarse reconstruction of the object from the keyframes until now.
+    """A coarse reconstruction of the object from the keyframes so far.
 
     Attributes:
         T_floor_world: (4, 4), world to frame `floor`: z up, floor at z = 0.
         box: box around the object, floor frame.
         mesh: the object and its surroundings, floor frame.
         frontiers: openings to unseen space, which no keyframe looked into, the largest first.
-        floor_cut_m: surface nearer to the floor than this counts as floor, metres; smaller for near cameras.
+        floor_cut_m: surface nearer to the floor than this counts as floor, metres. It is smaller if the
+            cameras are near.
     """
 
     T_floor_world: Float64
@@ -58,7 +59,10 @@ class ObjectLook:
     floor_cut_m: float
 
     def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
-        """Return this reconstruction in a new world; `T_world_before` (4, 4): old to new; None gives None."""
+        """Return this reconstruction in a new world; None if `T_world_before` is None.
+
+        `T_world_before` (4, 4) maps the old world to the new one.
+        """
         if T_world_before is None:
             return None
         return replace(self, T_floor_world=on_so3(self.T_floor_world @ invert_rigid(T_world_before)))
@@ -78,7 +82,7 @@ class _Depths:
 
 
 def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = None) -> ObjectLook:
-    """Reconstruct the object from the keyframes, and find the openings that no keyframe saw into.
+    """Reconstruct the object from the keyframes, and find openings that no keyframe looked into.
 
     Args:
         maps: calibrated depth maps of the keyframes.
@@ -111,7 +115,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:
-    """Return the scene within half the object's size of its box, decimated, in the floor frame."""
+    """Return the decimated scene around the object's box, out to half its size, in the floor frame."""
     mesh = scene.transformed(T_floor_world)
     near = box.grown(0.5 * max(box.size_m)).contains(mesh.vertices)
     return decimated(mesh.keep_faces(np.asarray(near[mesh.faces].all(axis=1))), SHOWN_TRIANGLES)

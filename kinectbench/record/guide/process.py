@@ -100,7 +100,11 @@ class GuideProcess:
         return self._process.pid
 
     def see(self, number: int, frame: Frame, setup: Setup) -> None:
-        """Send a frame to the guide, and wait for its answer. CaptureError: the guide has ended."""
+        """Send a frame to the guide, and wait for its answer.
+
+        Raises:
+            CaptureError: the guide has ended.
+        """
         try:
             self._mine.send((number, frame, setup))
             kind, what = self._mine.recv()
@@ -122,7 +126,7 @@ class GuideProcess:
 
 
 def _run(connection: Connection, port: int, folder: Path | None) -> None:
-    """The guide's process: serve the page, and process frames until the other end closes."""
+    """Run the guide's process: serve the page, and process frames until the other end closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the recorder
     warnings.simplefilter("ignore")  # the recorder owns the terminal
     with suppress(OSError):
@@ -171,7 +175,10 @@ class _Shown:
         return self._last
 
     def state(self, query: str) -> tuple[str, bytes] | None:
-        """Return the state that the page shows: JSON, no mesh or picture; None without frames."""
+        """Return content type and JSON of the state that the page shows; None before the first frame.
+
+        The mesh and the picture are separate requests. `query` is not used.
+        """
         last, guide, picture = self._last, self._guide, self._picture
         if last is None or guide is None or picture is None:
             return None
@@ -186,15 +193,15 @@ class _Shown:
         return "application/json", json.dumps(value).encode()
 
     def mesh(self, query: str) -> tuple[str, bytes] | None:
-        """Return the mesh of the last reconstruction of the object (`mesh_bytes`); None before the first."""
+        """Return content type and `mesh_bytes` of the last reconstruction; None before the first one."""
         seen = self._guide.seen if self._guide is not None else None
         return None if seen is None else ("application/octet-stream", mesh_bytes(seen.mesh))
 
     def pick(self, body: bytes) -> str:
         """Handle a click on the object: JSON `{"picture": number, "x": ..., "y": ...}`.
 
-        x and y are fractions of the picture's width and height; the pixel of depth at the same fractions is
-        picked.
+        x and y are fractions of the picture's width and height. The picked depth pixel lies at the same
+        fractions of the depth image.
 
         Returns:
             A sentence why the click is not accepted; "" if it is.
@@ -223,7 +230,7 @@ class _Shown:
             return f"it is not kept: {error}"
 
     def picture(self, query: str) -> tuple[str, bytes] | None:
-        """Return the picture whose number is the query, if it is among the newest announced to the page."""
+        """Return the picture with the number `query` if it is among the newest of `state`; else None."""
         frame = self._asked.get(int(query)) if query.isdecimal() and len(query) < 10 else None
         return None if frame is None else _jpeg(frame)
 
@@ -233,7 +240,9 @@ class _Shown:
 
 
 def _jpeg(frame: Frame, marked: tuple[int, int] | None = None) -> tuple[str, bytes] | None:
-    """Encode a frame's colour, or else grey depth, as a small JPEG; with a ring around depth pixel `marked`.
+    """Encode a frame's colour, or grey depth without colour, as a small JPEG; draw a ring around `marked`.
+
+    `marked` is a depth pixel (column, row), or None.
 
     Returns:
         Content type and file; None if colour is damaged.

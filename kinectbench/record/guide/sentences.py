@@ -2,8 +2,8 @@
 
 The first condition that holds decides: the camera is lost; it moves too fast; the object is not known yet;
 the camera is too near, or too far away; a sector of the ring around the object is unseen from every height;
-an opening was not looked into; openings are left, and a sector is unseen from low or from high; enough was
-seen. A sentence stays for at least five seconds, unless the camera is lost.
+an opening was not looked into; openings are left, and a sector is unseen from a low or a high position;
+enough was seen. A sentence stays for at least five seconds, unless the camera is lost.
 """
 
 from collections.abc import Sequence
@@ -31,15 +31,15 @@ FASTEST_SHIFT_PER_S, FASTEST_TURN_RAD_PER_S = 3 * KEYFRAME_SHIFT, 3 * KEYFRAME_T
 # Distances as multiples of the distance from which a ball around the object just fits into the picture.
 # Nobody is sent nearer than the minimum range of a Kinect (0.5 m, with a margin).
 TOO_NEAR, TOO_FAR, LEAST_DISTANCE_M, MARGIN_M = 0.7, 2.0, 0.6, 0.2
-# A camera within this angle of an opening's best viewing direction looked into it; what is unseen after so
-# many such keyframes cannot be seen (chosen by hand).
+# A camera within this angle of an opening's best viewing direction looked into it. After so many keyframes of
+# this kind, what is still unseen there cannot be seen (chosen by hand).
 LOOKED_RAD, LOOKED_ENOUGH = np.radians(20.0), 2
 # A camera within these angles of a direction has reached it (chosen by hand: half a sector, and a third of a
 # height).
 THERE_TURN_RAD, THERE_RISE_RAD = np.radians(15.0), np.radians(10.0)
 # Angle by which the way to an opening goes beyond it, so that two keyframes look into it (chosen by hand).
 BEYOND_RAD = np.radians(10.0)
-# For a steeper opening nobody walks around the object: one looks into it from where one stands.
+# For a steeper opening nobody has to walk around the object: the camera looks into it from any side.
 STEEP_RAD = np.radians(60.0)
 # A camera is held at least this high above the floor. An underside that it would see at a flatter angle than
 # the second value is skipped: rays would graze it (chosen by hand).
@@ -53,10 +53,10 @@ class Advice(NamedTuple):
     """A sentence, and the motion that it asks for.
 
     Attributes:
-        kind: what is asked for, such as `left`; or what is said, such as `lost`.
+        kind: the motion asked for, such as "left", or the statement made, such as "lost".
         sentence: one line.
-        distance_m: distance from the middle of the object at which `nearer` and `farther` should end, metres.
-            The page needs it because a sentence stays for five seconds.
+        distance_m: for `nearer` and `farther`, the distance from the middle of the object at which to stop,
+            metres, as in the sentence; else None.
         turn_rad: angle to go `left` or `right` around the object to look into the opening; None: go on until
             the advice changes.
         rise_rad: angle to go up or down around the object for `higher`, `top`, `lower`; None: go on until the
@@ -71,7 +71,7 @@ class Advice(NamedTuple):
 
 
 class Ring:
-    """Counts the frames that saw the object, by their direction.
+    """Counts the frames that saw the object, by the direction from which they saw it.
 
     Attributes:
         frames: (12, 3) number of frames from each sector (counterclockwise from the floor's x axis) and
@@ -103,7 +103,7 @@ class Situation:
         position: (3,) position of the camera; None: the object is not known yet.
         center: (3,) centre of the object.
         fits_m: distance from the object at which a ball around it just fits into the picture.
-        first_rad: azimuth, around the object, of where the recording began.
+        first_rad: azimuth around the object at which the recording began.
         ring: directions from which the object was seen.
         frontiers: openings to unseen space, which no keyframe looked into, the largest first.
         positions: (n, 3) positions of the keyframes.
@@ -172,7 +172,7 @@ def _around(now: Situation, position: Float64) -> Advice | None:
 
 
 def _into_openings(now: Situation, position: Float64) -> Advice | None:
-    """Return advice to look into the largest opening that fewer than two keyframes looked into, or None."""
+    """Return advice to look into the largest opening that fewer than two keyframes looked into; else None."""
     for each in now.frontiers:
         center, rise_rad = np.array(each.center_m), _rise_rad(each, now.fits_m)
         if each.obstructed or rise_rad is None or _was_looked_into(each, rise_rad, now.positions):
@@ -201,7 +201,7 @@ def _into_openings(now: Situation, position: Float64) -> Advice | None:
 
 
 def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
-    """Return advice to go around again, low, then high, if openings are still unseen; else None."""
+    """If openings are left, return advice to go around again, first low, then high; else None."""
     if all(each.obstructed or _rise_rad(each, now.fits_m) is None for each in now.frontiers):
         return None
     towards_rad, at_rad = (float(values[0]) for values in directions_of(position[None], now.center))
@@ -219,9 +219,10 @@ def _at_other_heights(now: Situation, position: Float64) -> Advice | None:
 
 
 def _rise_rad(each: Frontier, fits_m: float) -> float | None:
-    """Return the elevation from which to look into an opening `fits_m` away; None if too low for a camera.
+    """Return the elevation from which to look into an opening from `fits_m` away; None if that is too low.
 
-    A camera low above the floor can look up into a higher opening, though less steeply than would be best.
+    The result is at most 60 degrees. A camera has to stay above the floor: if the best elevation is lower,
+    the result is the lowest possible one, unless an underside would be seen at too flat an angle from there.
     """
     lowest_rad = float(np.arcsin(np.clip((LOWEST_M - each.center_m[2]) / fits_m, -1, 1)))
     best_rad = float(np.arcsin(np.clip(each.look_from[2], -1, 1)))
@@ -231,7 +232,10 @@ def _rise_rad(each: Frontier, fits_m: float) -> float | None:
 
 
 def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> bool:
-    """Return whether two or more keyframes lie near the viewpoint into an opening (`rise_rad` up)."""
+    """Return whether two or more keyframes looked into an opening.
+
+    They lie near its viewing direction: the azimuth of `look_from`, and the elevation `rise_rad`.
+    """
     if not len(positions):
         return False
     towards_rad, at_rad = directions_of(positions, np.array(each.center_m))
@@ -243,20 +247,27 @@ def _was_looked_into(each: Frontier, rise_rad: float, positions: Float64) -> boo
 
 
 def _to_nearest(unseen_rad: Float64, towards_rad: float, first_rad: float, why: str) -> Advice:
-    """Return advice to go from `towards_rad` to the nearest azimuth of `unseen_rad`, as `why` explains."""
+    """Return advice to go from azimuth `towards_rad` to the nearest one in `unseen_rad`.
+
+    The sentence names the side of the object, relative to the azimuth `first_rad` at which the recording
+    began, and ends in `why`, such as "is unseen".
+    """
     turns_rad = _wrapped(unseen_rad - towards_rad)
     nearest = int(np.argmin(np.abs(turns_rad)))
     return _sideways(float(turns_rad[nearest]), f"{_side(float(unseen_rad[nearest]), first_rad)} {why}")
 
 
 def _sideways(turn_rad: float, why: str, to_go_rad: float | None = None) -> Advice:
-    """Return advice to go right (`turn_rad` > 0, counterclockwise from above) or left, by `to_go_rad`."""
+    """Return advice to go right or left around the object, by `to_go_rad` (None: until the advice changes).
+
+    It is right for `turn_rad` > 0, which is counterclockwise from above. `why` ends the sentence.
+    """
     kind: Kind = "right" if turn_rad > 0 else "left"
     return Advice(kind, f"go {kind}: {why}", turn_rad=to_go_rad)
 
 
 def _side(towards_rad: float, first_rad: float) -> str:
-    """Return the name of the object's side at an azimuth; "the front" is where the recording began."""
+    """Return the name of the object's side at azimuth `towards_rad`; "the front" is at `first_rad`."""
     quarter = round(float(_wrapped(towards_rad - first_rad)) / (np.pi / 2)) % 4
     return ("the front", "the right side", "the back", "the left side")[quarter]
 

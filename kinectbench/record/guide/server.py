@@ -1,7 +1,7 @@
 """The guide's page: a small server on this machine, behind a token.
 
-It listens on 127.0.0.1. A request must name that host (against DNS rebinding), have no other origin than the
-page, and begin with a random token. An SSH tunnel to any port works.
+It listens on 127.0.0.1. A request must name that host (against DNS rebinding), must not come from another
+origin than the page, and its path must begin with a random token. An SSH tunnel from any local port works.
 """
 
 import hmac
@@ -83,7 +83,7 @@ class _Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers GET and POST; requests that are not the page's get an empty 403, other methods 501."""
+    """Answers GET and POST; requests that do not come from the page get an empty 403, other methods 501."""
 
     token: str
     answers: Mapping[str, Answer]
@@ -93,7 +93,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        """Answer with a file of the page, or with data that the page requests again and again."""
+        """Answer with a file of the page, or with data that the page polls."""
         name = self._allowed()
         if name is None:
             return self._answer(HTTPStatus.FORBIDDEN, "text/plain", b"")
@@ -122,7 +122,7 @@ class _Handler(BaseHTTPRequestHandler):
         return self._answer(status, "text/plain; charset=utf-8", why.encode())
 
     def _allowed(self) -> str | None:
-        """Return the path below the token; None if host, origin or token are not the page's."""
+        """Return the part of the path after the token; None if host, origin or token is wrong."""
         host = self.headers.get("Host", "")
         origin = self.headers.get("Origin")
         if _name_of(host) not in HOSTS or origin not in (None, f"http://{host}"):

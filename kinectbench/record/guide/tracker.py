@@ -20,13 +20,13 @@ from kinectbench.stages.track.frame_maps import MapCache
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph, build_graph
 from kinectbench.stages.track.odometry import FRAMES_BEFORE, RECENT_S, Follower, Odometry
 
-# Images of so many newest frames are kept. Data for registration is kept as far back as the odometry goes, at
-# least for these frames; of older frames only keyframes are kept.
+# Number of newest frames whose images are kept. Data for registration is kept for these frames at least, and
+# as far back as the odometry may register to; of older frames, only keyframes keep theirs.
 NEWEST = FRAMES_BEFORE + 2
 
 
 class LiveFrames:
-    """The newest frames, by their index in the tracker, as the frames of a `Sequence`."""
+    """The newest frames, by their index in the tracker, in the form that `Sequence.frames` needs."""
 
     def __init__(self) -> None:
         self._frames: dict[int, Frame] = {}
@@ -62,7 +62,7 @@ class KeyframesSoFar(NamedTuple):
     odometry: Odometry
 
     def placed(self, graph: KeyframeGraph, index: int) -> Float64 | None:
-        """Return a frame's pose (4, 4) in the graph's world, by its keyframe's pose; None if unknown."""
+        """Return a frame's pose (4, 4) in the graph's world, from its keyframe's pose; None if unknown."""
         frame = self.odometry.frames[index]
         if frame is None:
             return None
@@ -139,11 +139,13 @@ class LiveTracker:
         return KeyframesSoFar(self._follower.maps.copied(), odometry)
 
     def go_on_from(self, graph: KeyframeGraph) -> Float64 | None:
-        """Move the keyframes to their poses in a graph; newer frames move with their segment's last keyframe.
+        """Move the keyframes to their poses in a graph; all other frames move with their keyframes.
+
+        A keyframe that is newer than the graph moves with the last keyframe of its segment in the graph.
 
         Returns:
-            The transform (4, 4) from the old world to the graph's; None: the graph did not join the old
-                world.
+            The transform (4, 4) from the old world to the graph's world; None if the old world is no part of
+                the graph's world.
         """
         frames, placed = self._follower.frames, dict(zip(graph.keyframes, graph.T_world, strict=True))
         T_moved: dict[int, Float64] = {}  # by keyframe

@@ -39,12 +39,12 @@ class GivenCheck:
 
     Attributes:
         T_given: (n, 4, 4), NaN where a frame has no given pose.
-        frames: each frame compared with frames of similar views.
+        frames: the comparison of each frame with frames of similar views.
         distant: constraints between distant frames, registered from the given poses.
-        figures: figures for health.json. `refined_distant_residual_m` is measured at the refined poses or,
-            without these, at the poses of the pairwise registrations.
-        sharpness: sharpness of the colour, by frame index, where colour was read.
-        calibration: the depth correction under which the frames agree best; all figures use it.
+        figures: statistics for health.json. `refined_distant_residual_m` is measured at the refined poses; if
+            there are none, at the relative poses found by the pairwise registrations.
+        sharpness: {frame index: sharpness of its colour}, of the frames whose colour was read.
+        calibration: the depth correction under which the frames agree best; all statistics use it.
     """
 
     T_given: Float64
@@ -56,7 +56,7 @@ class GivenCheck:
 
     @property
     def agrees(self) -> Bools:
-        """Whether each frame (n,) was compared with others and does not disagree, outliers included."""
+        """Whether each frame (n,) was compared with others and does not disagree; True for outliers, too."""
         return np.isfinite(self.frames.shift_m) & ~self.frames.disagrees
 
 
@@ -94,10 +94,10 @@ def check_given(
 def as_refined(
     sequence: Sequence, checked: GivenCheck, T_refined: Float64, settings: TrackingSettings
 ) -> GivenCheck:
-    """Return the check, with two figures of refined poses (n, 4, 4) added.
+    """Return a copy of the check with two statistics of the refined poses (n, 4, 4) added.
 
-    They are the residual between distant frames at the refined poses; and the rms distance of the refined
-    camera centres from the given ones, after alignment (None if fewer than three frames have both poses).
+    The first is the residual between distant frames at the refined poses. The second is the rms distance
+    between refined and given camera centres after alignment; None if fewer than three frames have both.
     """
     maps, every = MapCache(sequence), settings.check_stride_px
     maps.calibrate(checked.calibration)
@@ -109,7 +109,9 @@ def as_refined(
 
 
 def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
-    """Keep the given poses, without those of frames that disagree, are outliers, or have no depth.
+    """Return the given poses as a tracking result; some frames get no pose.
+
+    These are frames that disagree with the depth, are outliers, or have no depth.
 
     Raises:
         TrackingError: more than half of the compared frames disagree.
@@ -145,7 +147,7 @@ def trusted(checked: GivenCheck, settings: TrackingSettings) -> Tracked:
 
 
 def warnings_of(sequence: Sequence, checked: GivenCheck) -> list[str]:
-    """Warnings about a given trajectory: jumps, implausible drift, many disagreeing or unchecked frames."""
+    """Return warnings: jumps, implausible drift, many frames that disagree or could not be checked."""
     jumps = checked.frames.jumps
     # Stamps that only count frames add no information.
     counted = counts_frames(sequence.stamps_ns)

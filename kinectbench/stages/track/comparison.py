@@ -1,4 +1,4 @@
-"""Compare a built trajectory with one in TUM format: figures, JSON and a picture."""
+"""Compare a built trajectory with a reference in TUM format: error statistics and a plot."""
 
 import math
 from dataclasses import dataclass
@@ -28,11 +28,11 @@ class TrajectoryComparison:
     clock: ClockOffset | None = None
 
     def row(self) -> dict[str, float | int | None]:
-        """The figures as printed and written as JSON: lengths in mm, angles in degrees, times in ms.
+        """Return the error statistics that are printed and written as JSON, in mm, degrees and ms.
 
-        Relative errors (rmse) are from one matched frame to the next, and over a metre of path; the latter
-        are None if the path is shorter. `ate_rmse_moved_mm` is the absolute error after the clock offset is
-        removed. It and `clock_late_ms` are None if no offset is found.
+        Relative errors (rmse) are from one matched frame to the next (`rpe_frame_*`), and over one metre of
+        path (`rpe_metre_*`; None if the path is shorter). `ate_rmse_moved_mm` is the absolute error after
+        the clock offset is removed. It and `clock_late_ms` are None if no offset is found.
         """
         error, metre_m, metre_rad = self.error, self.error.rpe_metre_m, self.error.rpe_metre_rad
         return {
@@ -56,7 +56,7 @@ def compare_with(trajectory: Trajectory, reference: GivenTrajectory) -> tuple[Tr
     """Compare a trajectory with a reference, at the frames for which both have a pose.
 
     Returns:
-        The figures, and a picture (PNG file).
+        The error statistics, and a plot (PNG file).
 
     Raises:
         TrackingError: fewer than three poses match by stamp.

@@ -51,17 +51,20 @@ def keyframe_thumbnail(maps: FrameMaps) -> KeyframeThumbnail:
 
 
 def shared_view(a: KeyframeThumbnail, b: KeyframeThumbnail, T_a_b: Float64) -> float:
-    """Fraction (0 to 1) of b's points that a sees: from the front, and at about their depth."""
+    """Return the fraction (0 to 1) of b's points that a sees; `T_a_b` (4, 4) maps camera b to camera a.
+
+    A point is seen if it faces a, and a's depth at its pixel is within 0.15 m plus 5 % of the point's depth.
+    """
     if not len(b.points):
         return 0.0
     return float(_shared(a.depth_m, a.intrinsics, b.points, np.ascontiguousarray(T_a_b)))
 
 
 def covisible(thumbnails: Sequence[KeyframeThumbnail], T_world: Float64) -> list[tuple[float, int, int]]:
-    """Pairs i < j of keyframes that look at nearby places, with their shared view: (share, i, j).
+    """Return (share, i, j) for the pairs i < j of keyframes that look at nearby places.
 
-    The share is the lesser `shared_view` of both directions, and may be 0. Each keyframe is paired with the
-    nearest 60 others at most, so the cost grows linearly with their number.
+    `share` is the smaller of the pair's two `shared_view` values; it may be 0. Each keyframe is paired with
+    at most the 60 nearest others, so the cost grows linearly with the number of keyframes.
 
     Args:
         thumbnails: thumbnails of the keyframes.

@@ -63,9 +63,10 @@ class CalibrationView:
 
 
 def calibrate(views: Iterable[CalibrationView]) -> DepthCalibration:
-    """Estimate the correction under which pairs of frames agree best; each pair's motion is free.
+    """Estimate the correction under which pairs of frames agree best; each pair's relative pose is free.
 
-    There is no correction for fewer than six pairs, or if the estimate from one half does not help the other.
+    The result is `NO_CALIBRATION` for fewer than six pairs, or if the correction estimated from one half of
+    the pairs does not lower the residuals of the other half.
 
     Args:
         views: pairs in the order of time, with depth as recorded, not yet corrected.
@@ -103,20 +104,22 @@ def evenly_chosen(pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _accepted(sums: Sequence[Float64]) -> DepthCalibration:
-    """The correction fitted to all pairs; none for under six, or if one half's does not improve the other.
+    """Return the correction fitted to all pairs if it passes the conditions of `calibrate`.
 
-    `sums` has a normal matrix for each pair, with the residual in the last row and column.
+    `sums` has the normal matrix of each pair; its last row and column belong to the residual.
     """
     accepted = len(sums) >= MIN_PAIRS and _left(sums, sums) < 1
     return DepthCalibration(_solved(sums)) if accepted else NO_CALIBRATION
 
 
 def _left(solved: Sequence[Float64], judged: Sequence[Float64]) -> float:
-    """Cross-validated ratio of squared residuals, with to without correction: the worse of two halves.
+    """Return the sum of squared residuals with correction, divided by that without: the worse of two halves.
+
+    Each half of the pairs is evaluated with the correction estimated from the other half.
 
     Args:
-        solved: normal matrix of each pair, with the residual in the last row and column, for the estimates.
-        judged: the same for the residuals; each half of the pairs is corrected by the other's estimate.
+        solved: normal matrix of each pair for the estimates; its last row and column belong to the residual.
+        judged: normal matrix of each pair for the evaluation, in the same form.
     """
     half = len(solved) // 2
     return max(
@@ -125,9 +128,9 @@ def _left(solved: Sequence[Float64], judged: Sequence[Float64]) -> float:
 
 
 def _falls_to(products: Sequence[Float64], coefficients_per_m: Float64) -> float:
-    """Ratio of squared residuals, with these k coefficients to without correction.
+    """Return the sum of squared residuals with these k coefficients, divided by that without correction.
 
-    `products` are normal matrices (k + 1, k + 1), with the residual in the last row and column.
+    `products` are normal matrices (k + 1, k + 1); their last row and column belong to the residual.
     """
     one, whole = np.append(coefficients_per_m, 1.0), np.sum(products, axis=0)
     return 1 + float(one @ whole @ one - whole[-1, -1]) / max(float(whole[-1, -1]), 1e-12)
@@ -144,10 +147,11 @@ def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[Float64, Float64]]
 
 
 def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
-    """Two matrices (k + 1, k + 1), each the sum of w J J^T over the pair's points; None: too little overlap.
+    """Return two normal matrices (k + 1, k + 1) of a pair; None if fewer than 10 k points overlap.
 
-    J is (derivatives of the residual by the k coefficients, residual), w its weight. In the first matrix, the
-    pair's motion is fixed; in the second, it is eliminated.
+    Each is the sum of w J J^T over the points, where J is (derivatives of the residual with respect to the k
+    coefficients, residual) and w a weight. In the first matrix, the relative pose of the pair is fixed; in
+    the second, it is eliminated.
     """
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)
@@ -158,7 +162,7 @@ def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
 
 
 def _linearised(view: CalibrationView) -> tuple[Float64, Float64, Float64]:
-    """Linearise a pair's m residuals by the pair's motion and the k coefficients of the correction.
+    """Linearise a pair's m residuals with respect to its relative pose and the k correction coefficients.
 
     Returns:
         rows (m, 6 + k), residuals (m,), and their weights (m,). For a small twist and small coefficients the

@@ -70,12 +70,11 @@ def check_pose(
     every: int,
     recheck_above_m: float = 0.0,
 ) -> Disagreement | None:
-    """Register a frame to others, starting at its given pose; or None.
+    """Register a frame to others, starting at its given pose, and return how far it moved.
 
-    None: the overlap is below 5 %, or fewer than 100 points agree.
-
-    If the frame moves by more than `recheck_above_m` but fits as well at its given pose, it has only slid
-    along a surface: the result then is no shift and no turn.
+    The result is None if the overlap is below 5 %, or if there are fewer than 100 inliers. If the frame moves
+    by more than `recheck_above_m` but fits as well at its given pose, it has only slid along a surface; the
+    result is then no shift and no turn.
 
     Args:
         source: the frame.
@@ -103,8 +102,8 @@ def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
     given pose the overlap must be at least 5 %, and the inlier ratio 90 %.
 
     Args:
-        as_given: the figures at the given pose.
-        registration: the figures at the registered pose.
+        as_given: the quality measured at the given pose.
+        registration: the quality at the registered pose.
     """
     close_m = max(AS_CLOSE * registration.residual_m, WELL_BELOW_NOISE * as_given.noise_m)
     return (
@@ -116,7 +115,7 @@ def agrees_as_well(as_given: Registration, registration: Registration) -> bool:
 
 
 def disagreement(source: FrameMaps, T_target_source: Float64, registration: Registration) -> Disagreement:
-    """The difference between a registration and the frame's given pose.
+    """Return the difference between a registration and the frame's given pose.
 
     The certain part of the shift follows from the registration's information matrix. It is zero along an
     unobservable direction.
@@ -137,11 +136,11 @@ def disagreement(source: FrameMaps, T_target_source: Float64, registration: Regi
 
 
 def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, every: int) -> Float64:
-    """Point-to-plane distances (m,) >= 0, metres, of points that meet the same surface in the target.
+    """Return absolute point-to-plane distances (m,), metres, of points that lie on a surface of the target.
 
-    That is, the target's depth at their pixel is within 0.1 m, and its normal within 60 degrees.
-
-    Unlike a registration's residuals they are not truncated at the noise, so they measure a pose error.
+    A point counts if, at its pixel, the target's depth is within 0.1 m of the point's depth, and its normal
+    within 60 degrees. These distances measure a pose error, because they are not truncated at the noise level
+    as a registration's residuals are.
 
     Args:
         source: the frame.
@@ -159,7 +158,9 @@ def residuals_m(source: FrameMaps, target: Level, T_target_source: Float64, ever
 def distant_constraints(
     maps: MapCache, T_given: Float64, frames: NDArray[np.int64], every: int
 ) -> tuple[tuple[Constraint, ...], Float64, float]:
-    """Register frames, a sixth of the recording or more apart, that see the same place under the given poses.
+    """Register pairs of distant frames that, by the given poses, see the same place.
+
+    Frames are distant if they are at least a sixth of the recording apart.
 
     Args:
         maps: maps of the recording, n frames.
@@ -168,9 +169,9 @@ def distant_constraints(
         every: stride of the points used.
 
     Returns:
-        The accepted registrations, as loop constraints; the median displacement (m,) of frame b's points by
-        each, from the given pose, metres; and the ratio of the tried pairs that neither register nor fit at
-        the given poses, NaN for fewer than eight pairs.
+        The m accepted registrations, as loop constraints; for each, the median displacement of frame b's
+        points from the given pose, (m,) metres; and the share of the tried pairs that neither register nor
+        fit at the given poses, NaN for fewer than eight tried pairs.
     """
     apart = MIN_APART * len(T_given)
     seen = covisible([keyframe_thumbnail(maps[frame]) for frame in frames.tolist()], T_given[frames])
@@ -194,7 +195,7 @@ def distant_constraints(
 
 
 def _fits(as_given: Registration) -> bool:
-    """Whether depth agrees at the given pose, although no registration is accepted."""
+    """Whether a pair fits at the given poses: enough overlap and inliers, and a residual within the noise."""
     return (
         as_given.overlap >= MIN_OVERLAP
         and as_given.inlier_share >= ENOUGH_INLIERS
@@ -205,7 +206,7 @@ def _fits(as_given: Registration) -> bool:
 def distant_residual_m(
     maps: MapCache, constraints: tuple[Constraint, ...], every: int, T_world_camera: Float64 | None = None
 ) -> float:
-    """Median over the constraints of the median absolute residual from b to a, metres.
+    """Return the median, over the constraints, of the median absolute residual of b's points in a, metres.
 
     Constraints with fewer than 100 residuals, or without poses, are left out; NaN if none is left.
 

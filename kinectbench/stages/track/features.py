@@ -64,7 +64,7 @@ class FeatureCache(OrderedDict[int, Features]):
         self.maps = maps
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle as the maps, which the constructor takes, and the features found so far."""
+        """Pickle the maps, which are the argument of the constructor, and the features found so far."""
         return type(self), (self.maps,), None, None, iter(self.items())
 
     def __missing__(self, index: int) -> Features:
@@ -95,14 +95,17 @@ def find_features(maps: FrameMaps) -> Features:
 
 
 def shading(normals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Shade normals (height, width, 3), lit obliquely from above: (height, width) grey, 0 to 255."""
+    """Return a grey image (height, width), 0 to 255, of normals (height, width, 3) lit from above."""
     light = np.array([0.45, -0.55, -0.70], np.float32)
     lit = normals @ light
     return np.asarray(np.where(normals[..., 2] == 0, 0.0, 60 + 195 * np.clip(lit, 0, 1)), np.float32)
 
 
 def match(source: Features, target: Features) -> NDArray[np.int64]:
-    """Indices (k, 2) of matching features in source and target: mutual and clearly best matches."""
+    """Match features; return index pairs (k, 2) into source and target.
+
+    A match is mutual, and passes the ratio test: its distance is below 0.85 of the second best one.
+    """
     import cv2
 
     if len(source.descriptors) < 2 or len(target.descriptors) < 2:
@@ -123,7 +126,7 @@ def match(source: Features, target: Features) -> NDArray[np.int64]:
 def pose_from_features(source: Features, target: Features, camera: Camera) -> tuple[Float64, int] | None:
     """Estimate T_target_source (4, 4) by PnP; return it and the number of inliers, or None.
 
-    None: fewer than 12 features match, or fewer than 10 matches are inliers.
+    The result is None if fewer than 12 features match, or if fewer than 10 matches are inliers.
 
     Args:
         source: features whose pixels are the observations.

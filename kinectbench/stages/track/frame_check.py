@@ -47,16 +47,17 @@ class FrameCheck:
 
     Attributes:
         compared: (k,) indices of the reference frames; each frame was compared with the most similar of them.
-        shift_m: (n,) median displacement of each frame's points until it agrees with others, metres.
-        turn_rad: (n,) rotation of the camera until the frame agrees, radians.
+        shift_m: (n,) median displacement of each frame's points by the motion that makes the frame agree with
+            others, metres.
+        turn_rad: (n,) rotation angle of that motion, radians.
         residual_m: (n,) median absolute point-to-plane residual at the given pose, metres.
         noise_m: (n,) the residual expected from a Kinect's depth noise at the median depth, metres.
         inlier_share: (n,) inlier ratio of the frame's points after registration.
         degenerate: (n,) bool, the depth has an unobservable direction of motion.
         disagrees: (n,) bool, the certain shift exceeds its limit, or fewer than 65 % of the points fit.
-        outlier: (n,) bool, within the limits, but far worse than nearly all frames.
+        outlier: (n,) bool, within the limits, but agrees far worse than nearly all frames.
         blind: (n,) bool, the frame has a given pose, but no depth to compare.
-        jumps: jumps of the trajectory: the frame after the jump, and its size, metres.
+        jumps: (frame after the jump, size in metres) of each jump of the trajectory.
     """
 
     compared: Int64
@@ -79,8 +80,8 @@ def check_frames(
 
     A frame that disagrees is compared again with agreeing frames before and after it in time, so that one
     wrong frame does not make its correct neighbours disagree. Agreement with either side is enough, because a
-    frame next to a jump agrees with one side only. Views in no order of time are compared again with the most
-    similar views, and have no jumps.
+    frame next to a jump agrees with one side only. If the frames are not in the order of time, they are
+    compared again with the most similar views instead, and there are no jumps.
 
     Args:
         maps: maps of the recording, n frames.
@@ -107,7 +108,7 @@ def evenly_spread(frames: Int64) -> Int64:
 
 
 class _Checker:
-    """Collects the figures of `FrameCheck` frame by frame."""
+    """Collects the values of `FrameCheck`, frame by frame."""
 
     def __init__(self, maps: MapCache, T_given: Float64, settings: TrackingSettings, compared: Int64) -> None:
         n = len(T_given)
@@ -170,7 +171,7 @@ class _Checker:
                 self.found[frame] = best
 
     def _residual_m(self, frame: int, others: list[int]) -> float:
-        """The median residual of a frame at its given pose to other frames; NaN without common points."""
+        """Return a frame's median residual to others at the given poses, metres; NaN without overlap."""
         residuals = np.concatenate(
             [
                 residuals_m(self.maps[frame], self.maps[k][0], T, 2 * self.every)
@@ -184,9 +185,10 @@ class _Checker:
         return self.compared[np.isin(self.compared, list(self.found)) & ~np.isin(self.compared, wrong)]
 
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
-        """The last three of the frames `sound` before a frame, and the first three after it.
+        """Return the last three of the frames `sound` before a frame, and the first three after it.
 
-        If the frames are in no order of time: one list, of the three with the most similar views.
+        Empty lists are left out. If the frames are not in the order of time, there is one list: the three
+        frames with the most similar views.
         """
         sides = [sound[sound < frame][-NEXT_IN_TIME:], sound[sound > frame][:NEXT_IN_TIME]]
         if not self.ordered:
@@ -194,16 +196,16 @@ class _Checker:
         return [side.tolist() for side in sides if len(side)]
 
     def _both_sides(self, frame: int, sound: Int64) -> list[Disagreement]:
-        """Register a frame to the nearest of the frames `sound` before it, and to the nearest after it."""
+        """Register a frame to the frames of each list of `_sides`; leave out registrations that fail."""
         checks = [self._check(frame, side, coarsest=2) for side in self._sides(frame, sound)]
         return [each for each in checks if each is not None]
 
     def outlier(self, disagrees: Bools) -> Bools:
-        """Which frames (n,) are within the limits, but agree far worse than nearly all others.
+        """Return which frames (n,) are within the limits, but agree far worse than nearly all others.
 
-        Candidates are measured again against the frames before and after them, and the better side counts,
-        also in `residual_m`: a wrong frame makes its correct neighbours look worse, and next to a jump only
-        one side agrees. A candidate without common points on either side stays one.
+        The residual of each candidate is measured again: once to the frames before it, once to those after.
+        The smaller value replaces `residual_m`: a wrong frame makes its correct neighbours look worse,
+        and next to a jump only one side agrees. Without common points on either side, the old value stays.
         """
         odd = find_outliers(self.residual_m / self.noise_m, ~disagrees)
         sound = self._sound(np.flatnonzero(odd | disagrees).tolist())
@@ -214,10 +216,11 @@ class _Checker:
         return odd & find_outliers(self.residual_m / self.noise_m, ~disagrees)
 
     def _elsewhere(self, frame: int, sound: Int64, best: Disagreement | None) -> Disagreement | None:
-        """Search for a pose at which a frame fits the nearest of the frames `sound` clearly better.
+        """Search for a pose at which a frame fits clearly better than at its given pose; else return `best`.
 
-        The search starts at the frame's given pose and, if frames are in the order of time, also at the
-        nearest frame's. `best`, the result so far, is returned if nothing better is found.
+        The fit is to one of the frames `sound`: the nearest in time or, if the frames are not in the order of
+        time, the one with the most similar view. The search starts at the frame's given pose; in the order of
+        time, it also starts at the pose of the other frame. `best` is the result so far.
         """
         others = sound[sound != frame]
         if self.ordered:
@@ -260,9 +263,10 @@ class _Checker:
         return checked.certain_shift_m > self.max_shift_m or checked.registration.inlier_share < MIN_INLIERS
 
     def jumps(self, kept: Int64) -> tuple[tuple[int, float], ...]:
-        """Jumps (frame, metres) along frames (k,): single wrong steps, confirmed by the frames on both sides.
+        """Return the jumps (frame after the jump, size in metres) along the frames `kept` (k,).
 
-        A wrong frame makes two wrong steps in a row, which are no jump.
+        A jump is a single wrong step that registrations across it confirm. Two wrong steps in a row are no
+        jump: they come from one wrong frame.
         """
         rows = np.arange(1, len(kept))
         off = np.concatenate([[False], self.step_m[kept[rows]] > self.max_shift_m, [False]])
@@ -334,9 +338,10 @@ class _TypicalQuality:
 
 
 def nearest_views(T: Float64, frame: int, among: Int64) -> Int64:
-    """The other frames of `among` (k,), the most similar view first.
+    """Return the frames `among` (k,), without `frame`, the most similar view first.
 
-    Views differ by the distance of the cameras, metres, plus the angle between the optical axes, radians.
+    The dissimilarity of two views is the distance of the cameras, metres, plus the angle between their
+    optical axes, radians.
     """
     others = among[among != frame]
     apart_m = np.linalg.norm(T[others, :3, 3] - T[frame, :3, 3], axis=1)

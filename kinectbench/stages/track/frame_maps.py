@@ -85,9 +85,11 @@ class Level:
         depth_m: (height, width) float32, 0 = none.
         normals: (height, width, 3) float32, camera frame, towards the camera; 0 = none.
         intensity: (height, width) float32, 0 to 255; of shape (0, 0) where there is no registered colour.
-        points: (m, 8) float32: position (metres, camera frame), normal, sigma (metres), intensity.
-        normal_noise: standard deviation of the normals along either tangent (radians), divided by sigma /
-            depth and by the cosine of the slant.
+        points: (m, 8) float32: position (metres, camera frame), normal, standard deviation sigma of the depth
+            (metres), intensity.
+        normal_noise: noise of the normals, normalised so that one number holds for the whole frame. The
+            standard deviation of a normal along each of its two tangents, radians, is normal_noise * sigma /
+            depth * cos(angle between normal and viewing ray).
     """
 
     camera: Camera
@@ -109,7 +111,7 @@ class FrameMaps:
         self._made: dict[int, Level] = {}
 
     def __getitem__(self, level: int) -> Level:
-        """A resolution by its level, 0 the finest."""
+        """Return one resolution; level 0 is the finest."""
         if level not in self._made:
             self._made[level] = _level(*self._input(level), POINTS[level])
         return self._made[level]
@@ -125,7 +127,7 @@ class FrameMaps:
         return self._inputs[0][2].size > 0
 
     def reduced(self, enough_px: int, *, with_intensity: bool) -> "FrameMaps":
-        """The same frame, at half the resolution if it then is at least `enough_px` wide."""
+        """Return the same frame, at half the resolution if it is then still at least `enough_px` wide."""
         camera, depth_m, intensity = self._inputs[0]
         if camera.width >= 2 * enough_px:
             camera, depth_m, intensity = _halved_inputs(camera, depth_m, intensity)
@@ -134,12 +136,12 @@ class FrameMaps:
 
 @dataclass
 class MapCache:
-    """The maps of a sequence's frames, computed on demand; the 150 used last are kept to bound memory.
+    """The maps of a sequence's frames, computed on demand; only the 150 used last are kept, to bound memory.
 
-    The reduced images of the first 2000 frames read stay in memory, because reading is slow; with
-    `keeps_all`, those of all frames that are not forgotten, because none can be read again. Threads may
-    share the cache as long as `improve`, `calibrate` and `undo_shutter` are not called: at worst two of them
-    compute the same maps.
+    Reading is slow, so the reduced images of the first 2000 frames read stay in memory. With `keeps_all`, the
+    images of all frames stay until `forget` is called; it is for live frames, which cannot be read again.
+    Threads may share the cache as long as `improve`, `calibrate` and `undo_shutter` are not called: at worst
+    two of them compute the same maps.
 
     Attributes:
         sequence: the recording.
@@ -164,7 +166,7 @@ class MapCache:
         return {**vars(self), "_kept": OrderedDict()}
 
     def copied(self) -> "MapCache":
-        """A copy for another thread, without maps and sharpness; neither sees changes of the other."""
+        """Return a copy for another thread, without maps and sharpness; later changes are not shared."""
         read = {**self._read}
         return replace(self, averaged={**self.averaged}, sharpness={}, _kept=OrderedDict(), _read=read)
 
@@ -182,7 +184,7 @@ class MapCache:
         return maps
 
     def upright(self, index: int, shutter: RollingShutter) -> FrameMaps:
-        """The maps of a frame with this shutter undone, from its own depth without averaging; not cached."""
+        """Return uncached maps of a frame, from its own depth, with this rolling shutter undone."""
         return self._made(index, shutter, None)
 
     def _made(
@@ -220,9 +222,10 @@ class MapCache:
         return frame
 
     def improve(self, index: int, depth: NDArray[np.uint16]) -> None:
-        """Set the depth of a frame from now on: (height, width) uint16, 0.1 mm, working resolution.
+        """Replace the depth of a frame from now on.
 
-        If depth is calibrated, this depth must be, too.
+        `depth` is (height, width) uint16, 0.1 mm, at working resolution. If the maps are calibrated (see
+        `calibrate`), it must have been corrected in the same way.
         """
         if self.correction_per_m is not None:
             depth_m = corrected_depth_m(depth_in_metres(depth, STORED_PER_M), -self.correction_per_m)
@@ -303,10 +306,10 @@ def _level(camera: Camera, depth_m: Float32, intensity: Float32, n_points: int) 
 
 
 def _normal_noise(normals: Float32, depth_m: Float32, intrinsics: NDArray[np.float64]) -> float:
-    """Estimate the normal noise from normals nine pixels apart, which mostly lie on one plane.
+    """Estimate `Level.normal_noise` from normals nine pixels apart, which mostly lie on one plane.
 
-    With this noise along both tangents, the squared difference of two normals is exponentially distributed
-    with mean 4 sigma^2, which is estimated from the median.
+    If a normal's noise along each tangent has standard deviation s, the squared difference of two normals is
+    exponentially distributed with mean 4 s^2. The mean is estimated from the median.
     """
     squared = normal_differences(normals, depth_m, intrinsics)
     if not len(squared):
@@ -332,7 +335,7 @@ class DepthAverage:
         _add(self._total, self._count, self._own, frame.depth_m, frame.camera.intrinsics, T_frame_keyframe)
 
     def stored(self) -> NDArray[np.uint16]:
-        """The mean depth in 0.1 mm: (height, width) uint16, 0 = none."""
+        """Return the mean depth in 0.1 mm: (height, width) uint16, 0 = none."""
         mean_m = self._total / np.maximum(self._count, 1)
         return stored_depth(mean_m)
 

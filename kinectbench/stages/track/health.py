@@ -51,14 +51,15 @@ COVISIBLE_KEYFRAMES = 60
 def health(
     sequence: Sequence, source: Source, tracked: Tracked, warnings: Rows[str], given: GivenCheck | None = None
 ) -> TrajectoryHealth:
-    """Compute health.json and its verdict; docs/keys.md lists the figures, docs/tracking.md defines them.
+    """Compute health.json and its verdict; docs/keys.md lists the values, docs/tracking.md defines them.
 
     Args:
         sequence: the recording, n frames.
-        source: trust: the given poses; refine: the given poses, corrected; tracked: no given poses.
+        source: where the poses come from: "trust" (the given poses), "refine" (the given poses, corrected),
+            or "tracked" (without given poses).
         tracked: the tracker's result, without poses for frames that are left out.
-        warnings: warnings for people, one line each.
-        given: the check of the given trajectory, if there is one; required for trust.
+        warnings: warnings for the user, one line each.
+        given: the check of the given trajectory, if there is one; required for "trust".
     """
     case = _Case(sequence, source, tracked, given)
     shifts_m = case.shift_m[case.posed & np.isfinite(case.shift_m)]
@@ -105,7 +106,7 @@ def health(
 
 @dataclass(frozen=True)
 class _Case:
-    """The inputs of `health`, and values that several figures share."""
+    """The inputs of `health`, and intermediate values that it needs several times."""
 
     sequence: Sequence
     source: Source
@@ -160,7 +161,7 @@ class _Case:
 
     @property
     def trusted(self) -> GivenCheck | None:
-        """The check of the given poses, if they are the trajectory; else None."""
+        """The check of the given poses if these are the trajectory (source "trust"); else None."""
         return self.given if self.source == "trust" else None
 
     @cached_property
@@ -176,7 +177,7 @@ class _Case:
 
     @cached_property
     def held_out(self) -> Bools:
-        """Frames (n,) with a pose that are no keyframes; if none of these has a residual, all with a pose."""
+        """Frames (n,) that have a pose and are no keyframes; if these have no residual, all with a pose."""
         others = self.posed.copy()
         others[self.tracked.keyframes] = False
         return others if np.isfinite(self.residual_m[others]).any() else self.posed
@@ -205,7 +206,7 @@ def _rejected(case: _Case, frame: int) -> RejectedFrame:
 
 
 def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
-    """Make a row of figures for each frame."""
+    """Return the row of health.json for each frame."""
     tracked, residual_m = case.tracked, case.residual_m
     speed_m_per_s, turn_rad_per_s = motion(tracked.T_world_camera, case.sequence.stamps_ns)
     blurred = relative_blur(sharpness(case.sequence, tracked.sharpness))
@@ -225,7 +226,7 @@ def _frame_rows(case: _Case) -> tuple[FrameHealth, ...]:
 
 
 def _steps(case: _Case) -> tuple[Float64, Bools]:
-    """Length of each step from one pose to the next, (m,) metres, and whether an accepted loop spans it.
+    """Return each step's length from pose to pose, (m,) metres, and whether an accepted loop spans it (m,).
 
     A spanning loop constrains the poses before the step relative to those after it.
     """
@@ -241,7 +242,7 @@ def _steps(case: _Case) -> tuple[Float64, Bools]:
 
 
 def _open_gap_s(case: _Case, closed: Bools) -> float | None:
-    """The longest gap of lost frames that no loop spans, seconds; None without one.
+    """Return the duration, seconds, of the longest gap of lost frames that no loop spans; None without one.
 
     The pose after such a gap comes from one registration across the gap, which nothing checks.
     """
@@ -253,17 +254,17 @@ def _open_gap_s(case: _Case, closed: Bools) -> float | None:
 
 
 def _arc_rad(case: _Case) -> float | None:
-    """The arc, radians, from which the posed frames see their common focus; None if most look elsewhere."""
+    """Return the arc, radians, of the cameras around the point they look at; None if most look elsewhere."""
     frames = np.flatnonzero(case.posed)
     depth_m = median_middle_depth_m(case.sequence, frames)
     return covered_arc_rad(case.tracked.T_world_camera[frames], depth_m)
 
 
 def _loop_correction_m(loops: Iterable[ConstraintCorrection]) -> float | None:
-    """Rms correction of the accepted loops, metres; None without such loops.
+    """Return the rms correction of the accepted loops, metres; None if there are none.
 
-    A loop between views that hardly overlap may itself be wrong by decimetres. Of the largest corrections
-    (one in twenty), those within the expected error of their loop are therefore left out.
+    A loop between views that hardly overlap may itself be wrong by decimetres. So the largest 5 % of the
+    corrections count only if they exceed the expected error of their own loop.
     """
     believed = [each for each in loops if each.accepted and np.isfinite(each.shift_m)]
     believed.sort(key=lambda each: -each.shift_m)

@@ -1,7 +1,7 @@
-"""Figures of health.json about constraints and frames.
+"""Statistics of constraints and frames for health.json.
 
-For constraints: their disagreement with the final poses, from which the uncertainty of poses follows. For
-frames: median depth, motion, jumps and sharpness; and where the camera was lost.
+Constraints: their disagreement with the final poses, from which the uncertainty of the poses follows.
+Frames: median depth, motion, jumps, sharpness, and where the camera was lost.
 """
 
 from collections import Counter
@@ -35,7 +35,7 @@ TYPICAL_DEPTH_M = 1.5
 
 @dataclass(frozen=True)
 class ConstraintCorrection:
-    """A constraint, and the motion of frame b between its measured and its final pose relative to a.
+    """A constraint between frames a and b, and the motion from the measured to the final pose of b in a.
 
     Attributes:
         constraint: constraint between frames a and b.
@@ -61,7 +61,7 @@ def median(values: Float64) -> float:
 
 
 def median_depths_m(sequence: Sequence, frames: Iterable[int]) -> dict[int, float]:
-    """{frame: median depth}, metres; 1.5 m for frames without depth."""
+    """Return {frame: median depth in metres}; 1.5 m for frames without depth."""
     medians = {}
     for frame in sorted(set(frames)):
         depth_m = sequence.depth_m(frame)[::4, ::4]
@@ -95,7 +95,7 @@ def constraint_correction(
 def pose_sigma_m(
     sequence: Sequence, tracked: Tracked, corrections: Iterable[ConstraintCorrection]
 ) -> Float64:
-    """Uncertainty of each pose, from the corrections of its keyframe's constraints.
+    """Return the uncertainty of each pose, from the corrections of its keyframe's constraints.
 
     It is the weighted rms of the corrections, divided by the square root of 2, because either frame of a
     constraint may cause the correction. A frame's keyframe is the nearest one in time.
@@ -120,7 +120,7 @@ def pose_sigma_m(
 
 
 def _nearest_keyframes(stamps_ns: NDArray[np.int64], keyframes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The keyframe (n,) nearest in time to each frame; the earlier of two equally near ones."""
+    """Return the keyframe (n,) nearest in time to each frame; the earlier of two equally near ones."""
     after = np.clip(np.searchsorted(keyframes, np.arange(len(stamps_ns))), 0, len(keyframes) - 1)
     before = np.maximum(after - 1, 0)
     to_after_ns = np.abs(stamps_ns[keyframes[after]] - stamps_ns)
@@ -171,7 +171,7 @@ def jumps(T_world_camera: Float64, stamps_ns: NDArray[np.int64]) -> Iterator[Jum
 def lost_stretches(
     stamps_ns: NDArray[np.int64], lost: Bools, reasons: Mapping[int, str]
 ) -> list[LostStretch]:
-    """Runs of lost frames, each with first and last frame and the most frequent reason.
+    """Return the runs of consecutive lost frames, each with its most frequent reason.
 
     Args:
         stamps_ns: (n,) stamps of all frames.

@@ -1,6 +1,6 @@
 """Connect keyframes by constraints: between covisible keyframes, at loop closures, and between segments.
 
-A new constraint is a registration accepted in both directions. Tries per keyframe are limited.
+A new constraint is a registration accepted in both directions. Only a few are tried for each keyframe.
 """
 
 from collections import defaultdict
@@ -52,7 +52,7 @@ class KeyframeGraph:
         keyframes: (k,) frame indices of the keyframes.
         T_world: (k, 4, 4), NaN where a keyframe's segment could not be joined.
         constraints: the accepted constraints, with their weights.
-        refused: constraints that were rejected, switched off by the optimisation, or lie outside the world.
+        refused: constraints rejected, switched off by the optimisation, or outside the world.
         joined: indices of the segments that were joined into the world.
         thumbnails: (k,) thumbnails of the keyframes.
         calibration: the depth calibration of the constraints.
@@ -73,7 +73,7 @@ def build_graph(
     """Find constraints between keyframes, join segments, and optimise the poses, in several rounds.
 
     Args:
-        maps: maps of the frames; get the depth calibration.
+        maps: maps of the frames; their depth is calibrated here.
         features: features of the frames.
         odometry: keyframes, and constraints between consecutive keyframes.
         T_given: (n, 4, 4) given poses of all frames, used as a weak prior; or None.
@@ -125,7 +125,7 @@ class _Builder:
         return Constraint(each.a, each.b, registration, each.kind) if is_accepted(registration) else each
 
     def add_loop_candidates(self) -> None:
-        """Register similar keyframes more than three apart in order, and the two at each segment border."""
+        """Register similar keyframes more than three keyframes apart, and the two at each segment border."""
         similar = similarity(list(ahead(self.features.__getitem__, self.keyframes)))
         order = np.arange(len(self.keyframes))
         similar[np.abs(order[:, None] - order[None]) <= NEAR_IN_ORDER] = 0
@@ -163,7 +163,7 @@ class _Builder:
         return pairs
 
     def _try(self, pairs: Iterable[tuple[int, int, Float64 | None]]) -> None:
-        """Register pairs (a, b, T_a_b or None) not tried before; store accepted and refused constraints."""
+        """Register pairs (row a, row b, initial T_a_b or None) not tried before; store the constraints."""
         fresh = []
         for a, b, T_a_b in pairs:
             frames = self.keyframes[a], self.keyframes[b]
@@ -175,7 +175,7 @@ class _Builder:
                 (self.constraints if made.weight else self.refused).append(made)
 
     def _constraint(self, pair: tuple[int, int, Float64 | None]) -> Constraint | None:
-        """Register keyframe b to a: a constraint, of weight 0 if rejected; None: no initial pose found."""
+        """Register a pair; return a constraint, of weight 0 if rejected; None without an initial pose."""
         a, b, T_a_b = pair
         frames = self.keyframes[a], self.keyframes[b]
         near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]
@@ -254,11 +254,11 @@ class _Builder:
         return self.row[each.a], self.row[each.b]
 
     def _between(self, a: int, b: int) -> Float64:
-        """T_a_b (4, 4) between two keyframes, by row, from their current poses."""
+        """Return T_a_b (4, 4) of the keyframes in the rows a and b, from their current poses."""
         return np.asarray(invert_rigid(self.T_world[a]) @ self.T_world[b])
 
     def _joining_constraints(self) -> dict[tuple[int, int], list[Constraint]]:
-        """{(lower group, higher group): constraints between them with nearly the odometry's inlier ratio}."""
+        """Return {(lower, higher group): constraints between them of nearly the odometry's inlier ratio}."""
         along = [each.registration for each in self.constraints if each.kind == "odometry"]
         typical_share = np.median([each.inlier_share for each in along] or [0.0])
         between: dict[tuple[int, int], list[Constraint]] = defaultdict(list)
@@ -269,7 +269,7 @@ class _Builder:
         return between
 
     def _confirm_joins(self) -> None:
-        """Register the neighbours of keyframes that join two groups, as these should overlap as well."""
+        """Register the neighbours of keyframes that join two groups: in a correct join they overlap, too."""
         near = []
         for _, constraints in sorted(self._joining_constraints().items()):
             for each in constraints[:JOINS_CONFIRMED]:
@@ -281,11 +281,11 @@ class _Builder:
         self._try(near)
 
     def _join_groups(self) -> None:
-        """Join two groups if two constraints agree on their relative pose.
+        """Join pairs of groups if two constraints agree on their relative pose, until no such pair is left.
 
         One constraint suffices between consecutive keyframes, or for a group of one keyframe. Joins of
-        consecutive keyframes, between which the camera was never lost, come first. Opposite sides of a
-        symmetric object also fit each other, and more often: loops that contradict such a join are refused.
+        consecutive keyframes between which the camera was never lost come first, and loops that contradict
+        them are refused: such loops often connect opposite sides of a symmetric object.
         """
         while True:
             candidates = []
@@ -318,7 +318,7 @@ class _Builder:
         return b == a + 1 and not self.lost[each.a : each.b].any()
 
     def _agreed(self, constraints: Sequence[Constraint]) -> tuple[int, Constraint] | None:
-        """How many constraints agree on a relative pose, and the one most agree with; None if too few do."""
+        """Return the number of constraints that agree, and the one they agree with; None if too few agree."""
         relative = [self._T_group_group(each) for each in constraints]
         best: tuple[int, Constraint] | None = None
         for each, T in zip(constraints, relative, strict=True):
@@ -337,7 +337,7 @@ class _Builder:
         return best if best[0] >= 2 or b == a + 1 or small else None
 
     def _T_group_group(self, each: Constraint) -> Float64:
-        """T_low_high (4, 4) by one constraint, from the world of the higher group number to the lower's."""
+        """Return T_low_high (4, 4) by one constraint: from the higher group's world to the lower group's."""
         a, b = self._ends(each)
         T = self.T_world[a] @ each.T_a_b @ invert_rigid(self.T_world[b])
         return T if self.group[a] < self.group[b] else invert_rigid(T)

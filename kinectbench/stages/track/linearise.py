@@ -47,17 +47,20 @@ class LinearTerms:
     Attributes:
         geometric: (6, 6) normal matrix of the point-to-plane residuals.
         photometric: (6, 6) normal matrix of photometry, with gain and offset of intensity eliminated.
-        gradient: (6,) of geometry and photometry together.
+        gradient: (6,) gradient of geometry and photometry together.
         inliers: number of points with a residual within three standard deviations plus 3 mm.
-        violations: number of other points: the target sees through them or sees another surface.
+        violations: number of points that contradict the target: it sees through them, or sees another surface
+            there. Occluded points count neither here nor as inliers.
         residual_m: root mean square of the inliers' residuals, metres.
-        noise_m: the same as expected from the depth noise alone, metres.
-        normal_information: (6, 6) sum of J J^T of the inliers, each multiplied by (depth / (sigma *
-            cosine))^2: divided by the squared noise of its normal, up to a common factor.
-        moments: (4, 4) sum of p p^T of the inliers, p = (x, y, z, 1).
-        intensity_correlation: weighted, -1 to 1; NaN if fewer than 100 intensities were compared.
+        noise_m: root mean square residual expected from the depth noise alone, metres.
+        normal_information: (6, 6) sum of J J^T over the inliers. Each term is divided by the squared noise of
+            the point's normal, up to a common factor: by (sigma * cosine / depth)^2, with the cosine of the
+            angle between normal and viewing ray.
+        moments: (4, 4) sum of p p^T over the inliers, p = (x, y, z, 1).
+        intensity_correlation: weighted correlation of the intensities, -1 to 1; NaN if fewer than 100 were
+            compared.
         exposure: (2,) gain and offset before the step.
-        exposure_step: (2, 7), F: a step x (6,) adds F[:, 6] - F[:, :6] @ x to gain and offset.
+        exposure_step: (2, 7) matrix F: a step x (6,) adds F[:, 6] - F[:, :6] @ x to gain and offset.
     """
 
     geometric: Float64
@@ -160,19 +163,19 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_observability):  # type: ignore[no-untyped-def]
     """Sum the normal equations of a pair of frames over the source's points, at the pose T.
 
-    `points` are the source's, as in `Level.points`; `depth`, `normals`, `intensity` and `intrinsics` are the
-    target's; the other arguments are those of `linearise`.
+    `points` belong to the source (`Level.points`). `depth`, `normals`, `intensity` and `intrinsics` belong to
+    the target. The other arguments are those of `linearise`.
 
     Returns:
-        A, P, S, M, each symmetric, then the numbers of inliers, violations and compared intensities, then
-        sums over inliers of the squared residuals and of their expected variances:
-        A: (7, 7) sum of w J J^T of the point-to-plane residuals, J = (twist, residual).
-        P: (9, 9) the same of photometry, J = (gain, offset, twist, residual).
-        S: (6, 6) sum over inliers of J J^T of A's twist, divided by the squared noise of the normal.
+        (A, P, S, M), inliers, violations, compared intensities (three counts), and two sums over the inliers:
+        of the squared residuals, and of their expected variances. The matrices are symmetric:
+        A: (7, 7) sum of w J J^T over the point-to-plane residuals, J = (twist, residual).
+        P: (9, 9) sum of w J J^T over the photometric residuals, J = (gain, offset, twist, residual).
+        S: (6, 6) sum over inliers of J J^T, J = twist of A, divided by the squared noise of the normal.
         M: (4, 4) sum over inliers of p p^T, p = (x, y, z, 1). S and M are 0 without `with_observability`.
 
-    The vectors J are gathered in blocks that stay in the cache, one contiguous array a component, so that
-    the products are vectorised.
+    The vectors J are gathered in blocks that stay in the cache, with one contiguous array per component, so
+    that the products are vectorised.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

@@ -1,7 +1,7 @@
 """Pixel kernels of `frame_maps`: reduced depth, normals, and points with evenly spread normals.
 
-Images are (height, width), depth along z, in metres unless it is native, 0 = none; intrinsics are fx, fy,
-cx, cy in pixels.
+Images are (height, width). Depth is along z, 0 = none, in metres unless the name says native. Intrinsics are
+fx, fy, cx, cy in pixels.
 """
 
 import numba
@@ -20,7 +20,7 @@ SAME_DEPTH, SAME_DEPTH_OF_LEVELS = 1.02, 1.03
 NORMAL_CELLS = 12
 # Marks a pixel without cell; the 12 x 12 cells have smaller numbers.
 NO_CELL = 255
-# Lower bound of the cosine of the slant in the model of normal noise.
+# Lower bound of the cosine of the angle between normal and viewing ray, in the model of normal noise.
 MIN_COSINE = 0.3
 # Columns of the points: position (3), normal (3), standard deviation of depth, intensity.
 POINT_COLUMNS = 8
@@ -28,7 +28,7 @@ POINT_COLUMNS = 8
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no-untyped-def]
-    """Reduce native depth by blocks of pixels to uint16; the mean of the nearest surface keeps edges sharp.
+    """Reduce blocks of native depth to uint16: the mean of the nearest surface only, to keep edges sharp.
 
     Args:
         native: (height, width) depth; only 0.3 to 4.5 m counts.
@@ -87,7 +87,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
-    """Average depth over the pixels of 5 x 5 that differ by less than `gate` times depth; for normals."""
+    """Average depth over 5 x 5 pixels, except those that differ by `gate` times depth or more."""
     height, width = depth_m.shape
     out = np.zeros((height, width), np.float32)
     total, count = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -111,9 +111,10 @@ def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
-    """Normals (height, width, 3) from the pixels two to each side, left, right, above and below.
+    """Return normals (height, width, 3), each from the pixels two to the left, right, above and below.
 
-    0 where one of these differs from the centre by more than `gate` times the depth: not one surface.
+    A normal is 0 if one of these pixels differs from the centre by more than `gate` times the depth, because
+    they do not show one surface; and at the image border.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
@@ -160,7 +161,7 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: ignore[no-untyped-def]
-    """Sample about `n_points` points evenly over their normals: (m, 8), as in `Level.points`.
+    """Sample about `n_points` points with evenly distributed normals; return (m, 8), as `Level.points`.
 
     Normal-space sampling: Rusinkiewicz & Levoy 2001.
 
@@ -204,10 +205,11 @@ def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: i
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped-def]
-    """Squared differences of normals nine pixels apart, normalised by depth noise and slant: (m,).
+    """Return squared differences (m,) of normals nine pixels apart, divided by (sigma * cosine / depth)^2.
 
-    A pixel's width grows with depth, and a slanted surface is larger than its image. The noise of normals is
-    therefore proportional to sigma / depth and to the cosine of the slant.
+    The noise of a normal is proportional to sigma / depth * cosine, where sigma is the standard deviation of
+    depth and cosine that of the angle between normal and viewing ray: a pixel covers more of a surface that
+    is farther away or more oblique.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
@@ -230,7 +232,7 @@ def normal_differences(normals, depth_m, intrinsics):  # type: ignore[no-untyped
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cell(nx, ny):  # type: ignore[no-untyped-def]
-    """The index of a normal's cell in an even grid over its x and y."""
+    """Return the index of a normal's cell in an even grid over its x and y."""
     i = min(NORMAL_CELLS - 1, int((nx + 1) * 0.5 * NORMAL_CELLS))
     j = min(NORMAL_CELLS - 1, int((ny + 1) * 0.5 * NORMAL_CELLS))
     return i * NORMAL_CELLS + j
@@ -238,7 +240,7 @@ def _cell(nx, ny):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cap(counts, total):  # type: ignore[no-untyped-def]
-    """The cap c for which the sum of min(count, c) is `total`; infinity if the counts sum to less."""
+    """Return the cap c for which the sum of min(count, c) is `total`; infinity if the counts sum to less."""
     if counts.sum() <= total:
         return np.inf
     ascending = np.sort(counts)

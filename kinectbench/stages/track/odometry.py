@@ -64,8 +64,8 @@ class Followed:
         segment: index of the frame's segment.
         keyframe: frame index of the keyframe it was registered to; a keyframe has its own index.
         T_segment_camera: (4, 4), pose in the segment's world.
-        registration: registration to its keyframe, of a keyframe to the previous one; None for the first
-            frame of a segment.
+        registration: registration to its keyframe; if the frame is a keyframe, to the previous keyframe; None
+            for the first frame of a segment.
     """
 
     segment: int
@@ -93,13 +93,13 @@ class Odometry:
 
 @dataclass(frozen=True)
 class ReferenceQuality:
-    """The usual quality: running means of inlier ratio and intensity correlation of the registrations."""
+    """The usual quality of registrations: running means of inlier ratio and intensity correlation."""
 
     inlier_share: float
     correlation: float
 
     def after(self, registration: Registration) -> "ReferenceQuality":
-        """The running means after another accepted registration."""
+        """Return the running means after another accepted registration."""
         correlation = registration.intensity_correlation
         known = self.correlation if np.isnan(correlation) else correlation
         return ReferenceQuality(
@@ -126,7 +126,7 @@ INITIAL_QUALITY = ReferenceQuality(0.99, 0.99)
 
 
 def median_quality(registrations: Sequence[Registration]) -> ReferenceQuality:
-    """The median quality of accepted registrations; `INITIAL_QUALITY` without any."""
+    """Return the median quality of accepted registrations; `INITIAL_QUALITY` if there are none."""
     correlations = [r.intensity_correlation for r in registrations if np.isfinite(r.intensity_correlation)]
     if not registrations:
         return INITIAL_QUALITY
@@ -191,7 +191,7 @@ class Follower:
         return self.so_far()
 
     def so_far(self) -> Odometry:
-        """The odometry of the frames taken so far; the last keyframe's depth is averaged up to now."""
+        """Return the odometry so far; give the maps the last keyframe's depth, averaged up to now."""
         self._end_average()
         frames, keyframes = tuple(self.frames), tuple(self.keyframes)
         return Odometry(frames, dict(self.reasons), keyframes, tuple(self.constraints))
@@ -208,7 +208,7 @@ class Follower:
         return Followed(segment, index, np.eye(4), None)
 
     def _accepted(self, index: int, followed: Followed) -> Followed:
-        """Accept a registered frame; make it a keyframe if it is far from its own or overlaps it little."""
+        """Accept a registered frame; make it a keyframe if far from its keyframe or overlapping it little."""
         assert followed.registration is not None
         self.reference = self.reference.after(followed.registration)
         if not is_keyframe(followed.registration, self.maps[index]):
@@ -232,7 +232,7 @@ class Follower:
             self.maps.improve(self.keyframes[-1], self.average.stored())
 
     def _references(self, index: int) -> list[int]:
-        """Frames to try as reference: the last keyframe and the last frame of each recent segment."""
+        """Return frames to try as reference: the last keyframe and the last frame of each recent segment."""
         references: list[int] = []
         segments: list[int] = []
         stamps_ns = self.maps.sequence.stamps_ns
@@ -274,7 +274,7 @@ class Follower:
         return Followed(before.segment, before.keyframe, T_segment_camera, registration)
 
     def _predictions(self, reference: int, index: int) -> list[Float64]:
-        """Predicted T_reference_camera, most likely first: given poses, constant velocity, zero motion."""
+        """Return predicted T_reference_camera, best first: given poses, constant velocity, no motion."""
         predictions = []
         if self.T_given is not None and np.isfinite(self.T_given[[reference, index]]).all():
             predictions.append(invert_rigid(self.T_given[reference]) @ self.T_given[index])
@@ -298,7 +298,7 @@ class Follower:
 
 
 def _too_little(maps: FrameMaps) -> str | None:
-    """Why a frame cannot be registered to any other; None if it can."""
+    """Return why a frame cannot be registered to any other; None if it can."""
     if len(maps[0].points) < MIN_POINTS:
         return NO_DEPTH
     alone = measure(maps, [maps], [np.eye(4)], EVERY_ALONE)
@@ -306,12 +306,12 @@ def _too_little(maps: FrameMaps) -> str | None:
 
 
 def point_stride(source: FrameMaps) -> int:
-    """The stride of the points for registering a frame: every n-th point is enough."""
+    """Return the stride n of points for registering a frame: every n-th point is enough."""
     return EVERY_WITH_COLOR if source.has_intensity else EVERY_WITHOUT
 
 
 def is_accepted(registration: Registration) -> bool:
-    """Whether a registration is accepted: its figures show that both frames see the same place."""
+    """Whether a registration is accepted: its quality shows that both frames see the same place."""
     correlation = registration.intensity_correlation
     return (
         registration.inlier_share >= ENOUGH_INLIERS

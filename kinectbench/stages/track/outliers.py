@@ -1,4 +1,4 @@
-"""Outlier frames: their depth agrees far worse with other frames than that of nearly all frames."""
+"""Find outlier frames: their depth agrees with other frames far worse than the depth of nearly all does."""
 
 from collections.abc import Mapping
 
@@ -45,7 +45,7 @@ def find_outliers(residual: Float64, judged: Bools) -> Bools:
 
 
 def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
-    """A warning about frames left out as outliers; no warning without such frames.
+    """Return a warning about frames left out as outliers; [] if there are none.
 
     Args:
         reasons: why a frame has no pose, by frame.
@@ -58,9 +58,9 @@ def outlier_warnings(reasons: Mapping[int, str], source: Source) -> list[str]:
 
 
 def far_warnings(T_world_camera: Float64) -> list[str]:
-    """A warning about frames whose cameras are too far from most others to see the same scene; or none.
+    """Return a warning about cameras too far from most others to see the same scene; [] if there are none.
 
-    No other frame can contradict such a pose.
+    Their poses cannot be checked, because no other frame sees the same place.
 
     Args:
         T_world_camera: (n, 4, 4), NaN where a frame has no pose.

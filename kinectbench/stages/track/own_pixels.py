@@ -29,9 +29,10 @@ def track_own_pixels(
 
     Args:
         sequence: the recording, unmasked.
-        masks: index -> (height, width) bool, the object; None for a frame without mask.
-        mode: use of a given trajectory, as for `track`; its poses fit only if the object was at rest.
-        settings: of the check of given poses.
+        masks: function from a frame's index to the object's mask, (height, width) bool, or None.
+        mode: "trust", "refine" or "ignore" a given trajectory, whose poses fit only if the object was at
+            rest; None: trust it if there is one.
+        settings: settings for the check of given poses.
         progress: called with (done, total).
 
     Raises:
@@ -57,7 +58,7 @@ def track_own_pixels(
 
 
 def _at_rest(sequence: Sequence, trajectory: Trajectory, settings: TrackingSettings) -> list[str]:
-    """A warning if the given poses, which were ignored, agree with those found: the object did not move."""
+    """Return a warning if the ignored given poses agree with those found: the object did not move."""
     given = sequence.given_trajectory
     if given is None:
         return []

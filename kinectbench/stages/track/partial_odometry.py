@@ -49,7 +49,10 @@ def using_partial_odometry(ask: Ask) -> Iterator[None]:
 
 
 def partial_odometry_of(sequence: Sequence) -> Follower | None:
-    """The earlier odometry, if its frames equal the sequence's; else None. Only the first call gets it."""
+    """Return the odometry of `using_partial_odometry` if its frames equal those of the sequence; else None.
+
+    Only the first call within the block gets it.
+    """
     ask, frames = _ask.get(), sequence.frames
     _ask.set(None)
     partial = ask() if ask and isinstance(frames, FolderFrames) else None

@@ -1,4 +1,4 @@
-"""Pictures of a trajectory: path from above, health over time, covisibility, and errors."""
+"""Plots of a trajectory: path from above, health over time, covisibility, and errors."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -47,7 +47,7 @@ def write_pictures(folder: Path, trajectory: Trajectory) -> None:
 
 
 def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
-    """The horizontal axis for plots over frames, and its label.
+    """Return the horizontal axis for plots over frames, and its label.
 
     Args:
         stamps_ns: (n,) stamps of the sequence, n > 0.
@@ -61,7 +61,7 @@ def timeline(stamps_ns: NDArray[np.int64]) -> tuple[Float64, str]:
 
 
 def path_picture(trajectory: Trajectory) -> bytes:
-    """Draw the cameras from above, with the first camera's viewing direction upwards: a PNG file.
+    """Plot the cameras from above, the first one's viewing direction upwards; return a PNG file.
 
     The picture shows time (colour), keyframes (at most 150, with 24 viewing directions), loops and lost
     stretches; and the point where the optical axes meet, if the health has an arc. Axes are in metres from
@@ -107,7 +107,7 @@ def path_picture(trajectory: Trajectory) -> bytes:
 
 
 def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> bytes:
-    """Draw residual, inlier ratio, speed, turn rate and blur of each frame over time: a PNG file.
+    """Plot residual, inlier ratio, speed, turn rate and blur of each frame over time; return a PNG file.
 
     Without stamps the horizontal axis is the frame index. Frames without a pose are shaded; a line marks
     where the camera was found again.
@@ -150,7 +150,7 @@ def health_picture(health: TrajectoryHealth, stamps_ns: NDArray[np.int64]) -> by
 
 
 def covisibility_picture(health: TrajectoryHealth) -> bytes:
-    """Draw the ratio of each keyframe's points that other keyframes see, and the loops: a PNG file."""
+    """Plot the share of each keyframe's points that each other one sees, and the loops; return a PNG file."""
     figure = new_figure(5.6, 4.8, margins=(0.11, 0.11, 0.03, 0.07))
     axes = figure.add_subplot(xlabel="… that this keyframe sees", ylabel="points of this keyframe …")
     keyframes = np.array(health.covisibility.keyframes, np.int64)
@@ -180,7 +180,7 @@ def comparison_picture(
     moments: Float64,
     when: str,
 ) -> bytes:
-    """Draw a trajectory aligned to a reference, from above, and its errors over time: a PNG file.
+    """Plot a trajectory aligned to a reference, from above, and its errors over time; return a PNG file.
 
     Args:
         error: errors of these poses.
@@ -252,7 +252,7 @@ def _mark_states(axes: "Axes", moments: Float64, states: Sequence[str]) -> None:
 
 
 def _runs(states: Sequence[str], state: str) -> list[tuple[int, int]]:
-    """First and last index of each run of consecutive frames in a state."""
+    """Return first and last index of each run of consecutive frames in a state."""
     indices = np.flatnonzero(np.array(states) == state)
     runs = np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
     return [(int(run[0]), int(run[-1])) for run in runs if len(run)]

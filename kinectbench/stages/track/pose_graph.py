@@ -76,9 +76,9 @@ def optimise(
 
 
 def softened(constraint: Constraint) -> Float64:
-    """Information (6, 6) of a constraint with systematic errors added to its covariance: (A^-1 + S)^-1.
+    """Return the information (6, 6) of a constraint with systematic errors included: (A^-1 + S)^-1.
 
-    A, the information without them, may be singular.
+    A is the information of its registration, which may be singular, and S the systematic covariance.
     """
     A = constraint.registration.information
     systematic = np.diag((SYSTEMATIC * growth(constraint)) ** 2)
@@ -86,9 +86,9 @@ def softened(constraint: Constraint) -> Float64:
 
 
 def growth(constraint: Constraint) -> float:
-    """Factor of a constraint's systematic error: 1 at full overlap without outliers, more with less overlap.
+    """Return the factor on a constraint's systematic error: 1 at full overlap without outliers, else more.
 
-    It also grows with the ratio of outliers. Fitted to simulated orbits.
+    It grows as the overlap falls and as the outlier ratio rises; the formula was fitted to simulated orbits.
     """
     edge = constraint.registration
     return (1 + PER_DISAGREEING_SHARE * (1 - edge.inlier_share)) / max(edge.overlap, LEAST_OVERLAP) ** 2
@@ -114,10 +114,10 @@ class _Graph:
     T_prior: Float64 | None
 
     def descend(self, poses: Float64, kernel: float, iterations: int) -> Float64:
-        """Lower the cost by Levenberg-Marquardt: a step that raises it is rejected, the next more damped."""
+        """Lower the cost by Levenberg-Marquardt; after a step that raises it, retry with more damping."""
 
         def advance(state: tuple[Float64, float, float]) -> tuple[tuple[Float64, float, float], float]:
-            """The next poses, cost and damping, and the size of the step."""
+            """Return the next poses, cost and damping, and the size of the step."""
             poses, cost, damping = state
             step = self.step(poses, kernel, damping)
             moved = poses @ np.array([rigid_from_twist(twist) for twist in step])
@@ -206,12 +206,12 @@ def adjoint(T: Float64) -> Float64:
 
 
 def _solve(blocks: Float64, rows: NDArray[np.int64], columns: NDArray[np.int64], right: Float64) -> Float64:
-    """Solve a sparse system of k x k blocks of 6 x 6: the solution (k, 6).
+    """Solve a sparse system of k x k blocks of 6 x 6; return the solution (k, 6).
 
     Args:
-        blocks: (b, 6, 6) the blocks that are not 0; those at one place are added.
-        rows: (b,) block row of each.
-        columns: (b,) block column of each.
+        blocks: (b, 6, 6) the nonzero blocks; blocks at the same place are added.
+        rows: (b,) block row of each block.
+        columns: (b,) block column of each block.
         right: (k, 6, 1) the right side.
     """
     offsets = np.arange(6)

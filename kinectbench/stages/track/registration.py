@@ -63,7 +63,7 @@ class Registration:
 
     Attributes:
         T_target_source: (4, 4) relative pose.
-        information: (6, 6) inverse covariance of the twist, without the false information of noisy normals.
+        information: (6, 6) inverse covariance of the twist, less the false information of noisy normals.
         overlap: ratio of the source's points that project onto the target's depth and are not occluded by it;
             the mean over several targets.
         inlier_share: inlier ratio of these points.
@@ -180,10 +180,10 @@ def _linearised(
     level: int,
     every: int,
 ) -> list[LinearTerms]:
-    """The terms of the registration to each target at a level.
+    """Linearise the registration to each target at a resolution level.
 
-    The finest level also has the terms for observability, and uses only every n-th point (`every`).
-    `exposures` are (2,) for each target: gain and offset of intensity.
+    At the finest level, the terms for observability are included, and only every n-th point is used (n =
+    `every`). `exposures` are (2,) for each target: gain and offset of intensity.
     """
     finest = level == 0
     return [
@@ -207,10 +207,10 @@ def _figures(
     linear_terms: Sequence[LinearTerms],
     every: int,
 ) -> tuple[Registration, Float64]:
-    """A registration with its figures, and the unobservable directions: twists as columns (6, k).
+    """Return the registration with its quality, and the unobservable directions: twists as columns (6, k).
 
-    `T_target_source` (4, 4) is the pose of the first target, `linear_terms` are those of each target at the
-    finest level, linearised with a stride of `every` points.
+    `T_target_source` (4, 4) is the pose relative to the first target. `linear_terms` are the terms for each
+    target at the finest level, linearised with a stride of `every` points.
     """
     inliers = sum(terms.inliers for terms in linear_terms)
     compared = inliers + sum(terms.violations for terms in linear_terms)
@@ -261,11 +261,11 @@ class Observability:
 
 
 def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence[Level]) -> Observability:
-    """How well the normals constrain each direction of motion, relative to the noise of normals.
+    """Compute how well the normals constrain each direction of motion, relative to the noise of normals.
 
-    Noise of unit variance along each axis e of a normal adds J J^T, where J = ([p]x e, e). The sum over the
-    axes is [[p]x; 1] [[p]x; 1]^T. The mean of it over the points is the metric, in which the length of a
-    twist is the motion of the points.
+    Noise of unit variance along each axis e of a normal adds J J^T to the information, where J = ([p]x e, e).
+    The sum over the axes is [[p]x; 1] [[p]x; 1]^T. Its mean over the points is the metric: the length of a
+    twist in this metric is the root-mean-square motion of the points.
 
     Args:
         parts: terms for each target, linearised `with_observability`.
@@ -291,17 +291,17 @@ def observability(parts: Sequence[LinearTerms], source: Level, targets: Sequence
 
 
 def registration_score(registration: Registration) -> float:
-    """Score by inliers, overlap and correlation of intensities: at most 1.25, or 1 without intensity."""
+    """Return a score by inliers, overlap and intensity correlation: at most 1.25, or 1 without intensity."""
     return _score(registration.inlier_share, registration.overlap, registration.intensity_correlation)
 
 
 def better(best: Registration | None, other: Registration) -> Registration:
-    """The registration with the higher score; `best` if both are equal."""
+    """Return the registration with the higher score; `best` if both are equal."""
     return other if best is None or registration_score(other) > registration_score(best) else best
 
 
 def search(source: FrameMaps, target: FrameMaps, T_start: Float64) -> Registration:
-    """Register a frame to another from many poses around `T_start` (4, 4); the result of highest score."""
+    """Register a frame to another from many poses around `T_start` (4, 4); return the best-scoring result."""
     points, maps = source[COARSEST], target[COARSEST]
     T_settled, _ = _settle(source, target, T_start)
     terms = linearise(points, maps, T_settled, SEARCH_GATE_M, with_observability=True)

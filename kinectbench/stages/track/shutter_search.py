@@ -50,9 +50,9 @@ class _Pair:
 
 
 def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
-    """Estimate the rolling shutter and the colour's delay.
+    """Estimate the readout time of the rolling shutter and the delay of colour.
 
-    None if too few frames differ enough in motion from their keyframe, or if both times are 0.
+    The result is None if too few frames differ enough in motion from their keyframe, or if both times are 0.
 
     Args:
         maps: maps of the frames, without a shutter undone.
@@ -95,9 +95,10 @@ def flow_rad_per_s(rates: Float64, depth_m: float) -> Float64:
 
 
 def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> list[_Pair]:
-    """At most 12 pairs of a frame and its keyframe, from the half whose motions differ most.
+    """Return at most 12 pairs of a frame and its keyframe, chosen for their different motions.
 
-    [] if the motions differ in too few frames. `motion` is (n, 12), as from `motions_of`.
+    They are taken evenly from the informative frames with the larger differences in image flow. The result is
+    [] if too few frames are informative. `motion` is (n, 12), as from `motions_of`.
     """
     frames = odometry.frames
     homes = np.array([index if frame is None else frame.keyframe for index, frame in enumerate(frames)])
@@ -128,7 +129,7 @@ class _Search:
         self.found: dict[float, list[Registration]] = {}
 
     def misfit(self, readout_s: float) -> float:
-        """Mean squared ratio of depth residual to noise, 9 for an outlier, at each pair's best pose."""
+        """Return the mean square of residual / noise at each pair's best pose; an outlier counts as 9."""
         fits = self._registered(readout_s)
         squares = [  # without inliers both are 0
             r.inlier_share * (r.residual_m / (r.noise_m or 1.0)) ** 2 + OUTLIER * (1 - r.inlier_share)
@@ -137,7 +138,7 @@ class _Search:
         return float(np.mean(squares))
 
     def dissimilarity(self, readout_s: float, delay_s: float) -> float:
-        """1 minus the correlation of intensities at the pose that fits the depth; 1 if unknown."""
+        """Return 1 - mean intensity correlation at the poses that fit the depth best; 1 if unknown."""
         correlations = [
             measure(
                 *self._maps(pair, readout_s, delay_s, with_intensity=True), [r.T_target_source]
@@ -168,7 +169,7 @@ class _Search:
 
 
 def _least(value_at: Callable[[float], float], start_s: float) -> float:
-    """The time with the least value: descend in steps from a start, then fit a parabola."""
+    """Return the time (s) with the least value: descend in 10 ms steps, then fit a parabola."""
     values: dict[int, float] = {}
 
     def at(step: int) -> float:

@@ -31,7 +31,7 @@ MIN_FRAMES = 5
 
 
 def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information: Float64) -> Float64:
-    """The trajectory that best fits both the registrations and the motion prior.
+    """Return the trajectory that best fits both the registrations and the motion prior.
 
     Args:
         T_world_camera: (n, 4, 4), all finite.
@@ -62,14 +62,14 @@ def smoothed(T_world_camera: Float64, stamps_ns: NDArray[np.int64], information:
 
 
 def second_differences(times_s: Float64) -> list[Float64]:
-    """Weights of three consecutive values for their second derivative, 1/s^2: three arrays (n - 2,)."""
+    """Return weights (1/s^2) of three consecutive values for their second derivative: 3 arrays (n - 2,)."""
     before, behind, span = _spans(times_s)
     first, last = 1 / (before * span), 1 / (behind * span)
     return [first, -(first + last), last]
 
 
 def _spans(times_s: Float64) -> tuple[Float64, Float64, Float64]:
-    """Seconds (n - 2,) before and after each inner frame, and their mean; short steps get a minimum."""
+    """Return seconds (n - 2,) before and after each inner frame, and their mean; short ones are raised."""
     steps = np.diff(times_s)
     steps = np.maximum(steps, LEAST_STEP * max(float(np.median(steps)), 1e-6))
     return steps[:-1], steps[1:], (steps[:-1] + steps[1:]) / 2
@@ -85,7 +85,7 @@ def _accelerations(poses: Float64, times_s: Float64) -> Float64:
 def _variances(accelerations: Float64, weights: list[Float64], information: Float64) -> tuple[Float64, float]:
     """Split the measured accelerations (n - 2, 6) into the camera's motion and the noise of its poses.
 
-    `weights` are those of three consecutive poses for an acceleration, `information` (n, 6, 6) is the poses'.
+    `weights` are the result of `second_differences`; `information` (n, 6, 6) belongs to the poses.
 
     Returns:
         (6,) variance of the camera's own accelerations; and the scale factor for the poses' covariance.

@@ -45,9 +45,9 @@ def track(
 
     Args:
         sequence: the recording.
-        mode: use of a given trajectory: trust it (frames that disagree lose their pose), refine it, or ignore
-            it. None: trust it if there is one; the depth must then agree with at least three of its poses.
-        settings: of the check of given poses.
+        mode: how to use a given trajectory: trust it (frames that disagree lose their pose), refine it, or
+            ignore it. None: trust it if there is one; then the depth must agree with three poses or more.
+        settings: settings for the check of given poses.
         progress: called with (done, total).
 
     Raises:

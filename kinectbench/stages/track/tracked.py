@@ -46,12 +46,12 @@ class Tracked:
     Attributes:
         T_world_camera: (n, 4, 4), NaN where lost.
         states: (n,) tracked: followed from the previous frame; relocalised: joined again after a gap; lost.
-        reasons: why a frame is lost, by frame; not for given poses that disagree.
+        reasons: {frame: why it is lost}; without frames whose given pose disagrees with the depth.
         keyframes: (k,) int64 frame indices of the keyframes, ascending.
         constraints: the accepted constraints.
-        refused: constraints that were rejected, switched off, or lie outside the world.
-        residual_m: (n,) point-to-plane residual of each frame to keyframes, rms, or median absolute for given
-            poses; NaN where unknown.
+        refused: constraints rejected, switched off by the optimisation, or outside the world.
+        residual_m: (n,) point-to-plane residual of each frame to keyframes, metres: root mean square, but the
+            median absolute value for given poses; NaN where unknown.
         noise_m: (n,) the residual expected from a Kinect's depth noise alone; NaN where unknown.
         inlier_share: (n,) inlier ratio of the frame's points; NaN where unknown.
         degenerate: (n,) bool, the frame's depth has an unobservable direction (as with one plane in view).

@@ -57,8 +57,8 @@ def track_frames(
 
     Args:
         sequence: the recording.
-        T_given: (n, 4, 4) initial poses and weak priors, NaN where unknown. None: the first camera of a
-            segment, mostly of the largest, defines the world.
+        T_given: (n, 4, 4) initial poses and weak priors, NaN where unknown. None: the world is defined by the
+            first camera of one segment, usually the largest.
         progress: called with (done, total); each frame counts twice.
     """
     n = len(sequence)
@@ -81,7 +81,7 @@ def track_frames(
 def _place(
     maps: MapCache, odometry: Odometry, graph: KeyframeGraph, progress: Callable[[int], None]
 ) -> Tracked:
-    """Register every frame to several optimised keyframes at once."""
+    """Register every frame to several optimised keyframes at once; drop outliers, and smooth the poses."""
     placer, placed = _Placer(maps, odometry, graph), []
     for index, first in enumerate(ahead(placer.first_try, range(len(maps.sequence)))):
         progress(index + 1)
@@ -137,7 +137,7 @@ class _FirstTry:
 
 
 def _supported(placed: list[_Placed], odometry: Odometry, index: int) -> _Placed:
-    """The placed frame `index`; its pose is not used if its keyframe could not be placed."""
+    """Return `placed[index]`, with a reason not to use its pose if its keyframe could not be placed."""
     frame, each = odometry.frames[index], placed[index]
     if frame is None or each.reason is not None or placed[frame.keyframe].reason is None:
         return each
@@ -159,8 +159,8 @@ class _Placer:
     def first_try(self, index: int) -> _Placed | _FirstTry:
         """Register a frame to the keyframes with the largest shared view, from its predicted pose.
 
-        The result is independent of other frames. It is final (`_Placed`) for a lost frame, with the reason,
-        and for a keyframe without neighbours.
+        The result does not depend on other frames. It is already final (`_Placed`) for a lost frame, with the
+        reason, and for a keyframe without neighbours.
         """
         frame = self.odometry.frames[index]
         if frame is None:
@@ -175,7 +175,7 @@ class _Placer:
         return _FirstTry(state, T_world, tuple(around), self._registered(index, around, T_world))
 
     def place(self, index: int, first: _Placed | _FirstTry) -> _Placed:
-        """Register the next frame to optimised keyframes, from its first try or by a search around it."""
+        """Return the final pose of the next frame: from its first try, or from a search if that is poor."""
         if isinstance(first, _Placed):
             return first
         around, T_world, state = first.around, first.T_world_camera, first.state
@@ -187,14 +187,14 @@ class _Placer:
         return _Placed(state=state, reason=reason, T_world_camera=T_world, registration=registration)
 
     def _predicted(self, frame: Followed) -> Float64:
-        """The frame's pose from the odometry, relative to its optimised keyframe."""
+        """Return a frame's pose in the world: its keyframe's optimised pose, then the odometry from there."""
         home = self.odometry.frames[frame.keyframe]
         assert home is not None
         T_home_camera = invert_rigid(home.T_segment_camera) @ frame.T_segment_camera
         return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
 
     def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
-        """Rows of at most two keyframes: the frame's own, then those connected to it that share most view."""
+        """Return rows of at most two keyframes: its own, then connected ones with the largest shared view."""
         home = self.row[frame.keyframe]
         view = keyframe_thumbnail(self.maps[index])
         shared = [
@@ -218,7 +218,7 @@ class _Placer:
         return register(source, targets, starts, coarsest=0, prior=PLACED, every=point_stride(source))
 
     def _good_enough(self, index: int, first: _FirstTry) -> Registration:
-        """The first registration if it is good enough, else the best of a search."""
+        """Return the first registration if it is good enough, else the best of a search."""
         registration = first.registration
         if not self.reference.meets_reference(registration):
             source = self.maps[index]
@@ -234,9 +234,9 @@ class _Placer:
 
 
 def _neighbours(graph: KeyframeGraph, row: dict[int, int]) -> list[list[int]]:
-    """For each keyframe the rows of those it has a constraint with, the largest weight times overlap first.
+    """Return, for each keyframe, the rows of the keyframes that a constraint connects it to, best first.
 
-    `row` maps the frame index of a keyframe to its row.
+    The best constraint has the largest weight * overlap. `row` maps a keyframe's frame index to its row.
     """
     neighbours: list[list[int]] = [[] for _ in graph.keyframes]
     for each in sorted(graph.constraints, key=lambda t: -t.weight * t.registration.overlap):

@@ -1,7 +1,7 @@
 """Grade a trajectory as a basis for ground truth, with one sentence of reasons.
 
-Without ground truth the error of the poses is unknown; each figure only indicates it. A grade promises no
-accuracy in millimetres: recordings whose frames agree within 5 mm were off by 10 mm and more along their
+Without ground truth the error of the poses is unknown, and each statistic only hints at it. A grade promises
+no accuracy in millimetres: recordings whose frames agree within 5 mm were off by 10 mm and more along their
 path. All limits were chosen by hand.
 """
 
@@ -53,10 +53,10 @@ TIMES_NEAR = 2.0
 
 
 def judge(health: TrajectoryHealth) -> tuple[Grade, str]:
-    """The grade, and the verdict: the grade in words, a colon, and the figures that determined it.
+    """Return the grade, and the verdict: a line with the grade and the statistics that determined it.
 
     Args:
-        health: the figures; its own grade and verdict are ignored.
+        health: the statistics; its own grade and verdict are ignored.
     """
     if health.tracked < MIN_POSES:
         reasons = [(2, f"{health.tracked} of {health.frames} frames have a pose")]
@@ -79,7 +79,7 @@ def recommend(given: GivenFigures, checked_share: float, rejected_share: float) 
     near frames disagree by more than 5 mm. Otherwise trust it.
 
     Args:
-        given: figures of the given trajectory.
+        given: statistics of the given trajectory's check.
         checked_share: share of the frames with a given pose that could be compared with others; 0 to 1.
         rejected_share: share of the compared frames whose depth disagrees; 0 to 1.
     """
