@@ -105,10 +105,9 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors
 
 
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
-    """Return {"mean", "max"} of the distances of the vertices of `of` from the surface of `to`, millimetres.
+    """Return {"mean", "max"} of the distances from vertices of `of` to the surface of `to`, millimetres.
 
-    Between `MEASURED` and 2 x `MEASURED` vertices are used, evenly spaced by index, or all if there are
-    fewer.
+    Between `MEASURED` and 2 x `MEASURED` vertices are used, evenly spaced by index; if there are fewer, all.
     """
     if of is to:
         return {"mean": 0.0, "max": 0.0}
