@@ -213,7 +213,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, 
 
 
 def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None:
-    """Write an object's mesh, volume, floor and quality; of an object with held-back truth, only the floor."""
+    """Write an object's mesh, volume, floor and quality; if its truth is held back, write only the floor."""
     source, name = built.folder / "object", f"objects/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     for file in OBJECT_FILES if not built.hidden else ():
@@ -254,7 +254,7 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
 
 def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> ViewsFile:
-    """Return views.json, with more keys in its rows: K, image size, whether there is a pair, unknown share."""
+    """Return views.json with more keys in each row: K, image size, whether it has a pair, unknown share."""
     more: dict[str, object] = {"K": camera.K, "width": camera.width, "height": camera.height}
     shares = {target.view: target.unknown_share for target in targets}
     rows = []

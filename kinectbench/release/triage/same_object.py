@@ -50,7 +50,7 @@ class Shape:
 
     @classmethod
     def of(cls, measured_floor: Float64, surface_floor: Float64) -> Self:
-        """Make a shape from points (n, 3) in the floor frame; large sets are thinned to about `KEPT` points."""
+        """Make a shape from points (n, 3) in the floor frame; keep about `KEPT` points of larger sets."""
         middle = np.array([*surface_floor[:, :2].mean(axis=0), 0.0])
         few = (points[:: max(1, len(points) // KEPT)] - middle for points in (measured_floor, surface_floor))
         return cls(*few)
