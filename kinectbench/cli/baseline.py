@@ -30,7 +30,7 @@ def baseline_command(
 ) -> int:
     """Write predictions of simple methods: empty, base-rate, partial, hull, mirror, silhouette.
 
-    With training pairs of every category, mean-shape and nearest are written, too.
+    If every category has training pairs, mean-shape and nearest are written, too.
     """
     from kinectbench.scoring.baselines.predict import check_baseline_names, write_baselines
 

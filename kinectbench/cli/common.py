@@ -123,7 +123,7 @@ class Common:
         return self.place
 
     def beside(self, name: str) -> Path:
-        """Return a results folder's path: beside benchmark.yaml; with `--benchmark`, in the working folder."""
+        """Return a results folder's path: beside benchmark.yaml, or with `--benchmark` in the current one."""
         return Path(name) if self.benchmark else self.root / name
 
     @property

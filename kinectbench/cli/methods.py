@@ -155,7 +155,7 @@ def predict_command(
 
 
 def _chosen(option: str, word: str, words: Sequence[Word]) -> tuple[Word, ...]:
-    """Return an option's value `word` in a tuple; if it isn't one of `words`, raise an error that lists them."""
+    """Return an option's value `word` in a tuple; raise an error that lists `words` if it is none of them."""
     valid = tuple(known for known in words if known == word)
     if not valid:
         raise typer.BadParameter(f"'{word}': choose {' or '.join(words)}", param_hint=option)

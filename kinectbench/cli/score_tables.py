@@ -123,7 +123,7 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
 
 
 def _as_stated(standing: str) -> str:
-    """Return "reported" unchanged; add to another standing, such as "verified", that scores.json states it."""
+    """Return "reported" unchanged; to other standings, such as "verified", add who says so: scores.json."""
     return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 

@@ -66,7 +66,7 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
 
 
 def _carry_masks(common: Common, ids: list[str] | None) -> int:
-    """Do the work of `--carry-masks`: rename masks drawn by hand to match the present frames' names."""
+    """Do the work of `--carry-masks`: rename hand-drawn masks after the frames that they were drawn on."""
     from kinectbench.engine.drawn_masks import carry_masks
 
     root = common.root  # masks in a store are not renamed

@@ -66,7 +66,7 @@ def verify_command(
 
 
 def _brought(url: str, folder: Path) -> list[str]:
-    """Download a release unchanged into `folder`; return a line for each file at the URL that is not in it."""
+    """Download a release unchanged into `folder`; return a line for each file at the URL that it lacks."""
     from kinectbench.release.fetch import mirror_release
 
     with console.progress_bar("fetch") as progress:

@@ -163,8 +163,8 @@ def _look(store: Store) -> _Place:
 def _refuse_other(store: Store, place: _Place, sums: Mapping[str, str]) -> None:
     """Raise an error if a store has a file that belongs to no release.
 
-    Files listed in the store's SHA256SUMS belong to a release. If its benchmark.json is valid, the files in
-    `sums` belong to it, too: its SHA256SUMS may be damaged.
+    Files listed in the store's SHA256SUMS belong to a release. So do the files in `sums` if the store's
+    benchmark.json is valid, because its SHA256SUMS may be damaged.
     """
     known = {BENCHMARK_JSON, SHA256SUMS, *place.sums} if place.text else set(place.sums)
     if place.info is not None:  # whose list may be damaged

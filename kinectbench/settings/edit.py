@@ -105,7 +105,7 @@ def with_recordings(text: str, source: str, lines: Sequence[str]) -> str:
     Args:
         text: text of the file.
         source: name of the file.
-        lines: lines of the new entries; each entry starts with ` - id:`.
+        lines: lines of the new entries; each entry starts with `  - id:`.
 
     Raises:
         SettingsError: the file cannot be changed safely.

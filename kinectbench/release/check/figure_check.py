@@ -52,7 +52,8 @@ def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
 def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a message for each recording that benchmark.json wrongly states as poor, accepted or left out.
 
-    The expected state is computed from the recording's quality and `settings.publish.gate`. Limits on
+    The expected state is computed from the recording's quality and the limits in `settings.publish.gate`. A
+    recording that violates a limit but is published is poor, and accepted for a stated reason. Limits on
     trajectory grades and camera warnings are not checked, because a release does not contain these. Wrong
     counts in the key `flow` of benchmark.json give a message, too.
     """
@@ -185,7 +186,10 @@ def _given(value: object) -> object:
 
 
 def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
-    """Yield a message for each view whose frame or timestamp differs between views.json and lineage.json."""
+    """Yield a message for each view whose frame or timestamp differs between views.json and lineage.json.
+
+    Only files in `whole` are read: those whose bytes are the published ones.
+    """
     recordings: Mapping[str, LineageRecording] = {}
     with suppress(ReleaseError, StorageError):  # reported as not of its schema
         if LINEAGE_JSON in whole:
@@ -204,7 +208,10 @@ def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[
 
 
 def floor_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
-    """Yield a message for each floor.json whose `plane_world` is not the plane z = 0 of its floor frame."""
+    """Yield a message for each floor.json whose `plane_world` is not the plane z = 0 of its floor frame.
+
+    Only files in `whole` are read: those whose bytes are the published ones.
+    """
     for name in metadata.recordings:
         file = f"objects/{name}/{FloorFile.FILE}"
         with suppress(ReleaseError, StorageError):  # reported as not of its schema

@@ -37,7 +37,7 @@ class LocalRecording:
 
     Attributes:
         path: the recording's file or folder.
-        masks: folder of masks drawn by a person, or None.
+        masks: folder of the user's masks, or None.
         reference: the mesh that is the recording's truth, or None.
     """
 

@@ -77,7 +77,7 @@ def _object_truth(
 ) -> tuple[ObjectTruth, list[str]]:
     """Return the truth of an object, and a message for each difference of its volume or GLB from its mesh.
 
-    Missing and damaged files are skipped: `object_problems` reports them.
+    Missing files and damaged ones (not in `whole`) are skipped: `object_problems` reports them.
     """
     folder = f"objects/{recording}"
     try:

@@ -198,7 +198,7 @@ def _cell(exact):  # type: ignore[no-untyped-def]
 def _seen_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], camera: Camera, *, has_too_far: bool
 ) -> Iterator[str]:
-    """Yield a message if no depths that round to the published ones give `seen`, within a tolerance."""
+    """Yield a message if `seen` contradicts the published depth, given its rounding and a tolerance."""
     depth_m = depth.astype(np.float32) / np.float32(MM_PER_M)
     measured = depth_m > 0
 

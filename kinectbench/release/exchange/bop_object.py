@@ -32,7 +32,7 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class BopModel:
-    """An object in the world, and its pose in BOP's model frame.
+    """An object's mesh in the world frame, and the pose of its BOP model frame.
 
     Attributes:
         mesh: closed mesh, world frame, metres.

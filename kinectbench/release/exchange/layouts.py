@@ -88,9 +88,9 @@ def new_folder(out: Path) -> Iterator[Path]:
 
 
 def refuse_others(out: Path, written_sha256: str | None, stated_in: str) -> None:
-    """Raise an error if a folder may not be replaced: if it holds other files than those once written there.
+    """Raise an error if a folder holds other files than those that were once written there.
 
-    A missing or empty folder may be replaced.
+    A missing or empty folder gives no error.
 
     Args:
         out: the folder.

@@ -63,8 +63,8 @@ def colored_scene(built: Path | None) -> TriangleMesh | None:
 def glb_bytes(mesh: TriangleMesh, T_floor_world: Float64, scene: TriangleMesh | None = None) -> bytes | None:
     """Return an object's mesh as a GLB of at most 2 MB; the bytes are reproducible.
 
-    None if the mesh has no triangle, or has too many that cannot be simplified because they share no
-    vertices.
+    The result is None if the mesh has no triangle, or has too many and cannot be simplified, because its
+    triangles share no vertices.
 
     Args:
         mesh: the object, world frame, metres.

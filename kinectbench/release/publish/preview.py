@@ -189,7 +189,7 @@ def seen_from_the_right(cells: Bools, color: tuple[int, int, int]) -> Rgb:
 def _upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
     """Draw a vertical slice through the middle of a shape, (ny, nz, 3) uint8 RGB; the camera is on the left.
 
-    Cells of `full` are clay-coloured, cells of `partial` blue, and empty cells that are not known yellow.
+    Cells of `full` are clay-coloured, cells of `partial` blue. Empty cells are yellow if they are not known.
     """
     filled = np.flatnonzero(full.any(axis=(1, 2)))
     middle = int(filled[0] + filled[-1]) // 2 if len(filled) else len(full) // 2

@@ -286,7 +286,7 @@ def _write_texts(
     removals: list[Removed],
     isolated: Sequence[str],
 ) -> None:
-    """Write datasheet.md, CHANGELOG.md, lineage.json and thresholds; append private facts to `removals`."""
+    """Write datasheet.md, CHANGELOG.md, lineage.json and thresholds; append removed facts to `removals`."""
     infos = {name: published.info for name, published in made.items()}
     color = _color(settings, made)
     sheet = datasheet(settings, targets, infos, color, warnings, options.hold_back, isolated)

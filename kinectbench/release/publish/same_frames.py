@@ -78,7 +78,7 @@ def _files(folder: Path) -> Mapping[str, SourceFile]:
 
 
 def _looked_for(files: Mapping[str, SourceFile]) -> list[str]:
-    """Return the smallest `LOOKED_FOR` hashes of a recording's large files; others are searched for these.
+    """Return the `LOOKED_FOR` smallest hashes of a recording's large files, to look up in other recordings.
 
     A file is large if it has at least the mean size, so that it is an image or the bag.
     """

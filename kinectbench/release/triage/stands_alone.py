@@ -50,7 +50,7 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the volume share of the smallest part that could stand alone without toppling the rest, or None.
+    """Return the volume share of the smallest part that could stand alone, if the rest could, too; or None.
 
     Args:
         solid: (nx, ny, nz) bool, z up, with at least one cell set.
