@@ -232,9 +232,9 @@ def _tables(
 
 
 def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
-    """Raise an error if no predictions are named, but an option for predictions is given.
+    """Raise an error if an option that needs predictions is given: `--cluster`, or one of `of_one`.
 
-    Such options are `--cluster` and those in `of_one`. The caller checks that no predictions are named.
+    It is called only if no predictions are named.
     """
     options = {**of_one, "cluster": common.cluster}
     given = [

@@ -123,7 +123,7 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
 
 
 def _as_stated(standing: str) -> str:
-    """Return "reported" unchanged; to other standings, such as "verified", add who says so: scores.json."""
+    """Return "reported" unchanged; append "(as its scores.json says)" to others, such as "verified"."""
     return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 

@@ -225,7 +225,8 @@ def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Targ
 def wanted_names(names: Collection[str], targets: Collection[Target], part: ReleasePart | None) -> list[str]:
     """Return the release's file names that a part needs; all names if `part` is None.
 
-    A part needs the files of its `targets`' recordings and views, and all files that belong to no recording.
+    A part needs the files of the recordings and views in `targets`, and all files that belong to no
+    recording.
     """
     if part is None:
         return list(names)

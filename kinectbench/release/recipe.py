@@ -179,7 +179,11 @@ class Recipe:
         most_bytes: int = MOST_FILE_BYTES,
         room: Callable[[int], object] | None = None,
     ) -> bool:
-        """Download and check a missing file, and record its hash; return whether it was downloaded."""
+        """Download and check a missing file, and record its hash; return whether it was downloaded.
+
+        `file` is the file's name below each of the URLs `bases`, which are tried in turn, and in
+        sources.lock. `path` is its place on the disk. `sha256` is the expected hash, None if it is not known.
+        """
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(

@@ -317,10 +317,10 @@ def _identity(
 def _small_file_problems(
     contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, tuple[Target, ...], list[str]]:
-    """Check the small files: return benchmark.json (None if unreadable), the targets, and fault messages.
+    """Check the small files (JSON, tables, texts); return benchmark.json or None, the targets, and messages.
 
     Damaged files are read if possible. They are reported already, so their faults are not reported again,
-    except for the lines of targets.csv.
+    except for the lines of targets.csv. benchmark.json is None if it is unreadable.
     """
     metadata, lines = _identity(contents, sums_text, damaged)
     targets: tuple[Target, ...] = ()

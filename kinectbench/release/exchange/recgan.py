@@ -118,7 +118,7 @@ class FoundPair:
     """A pair of files to import.
 
     Attributes:
-        target: the target of the imported pair in the release.
+        target: the imported pair's row of the release's targets.csv.
         file_25d: file of the visible part.
         file_3d: file of the full shape.
         values: values of those fields of `Pair` that are known and are not grids, such as transforms.

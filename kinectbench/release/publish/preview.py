@@ -127,7 +127,10 @@ def _part(
     held_back: bool,
     views: int,
 ) -> dict[str, object]:
-    """Return the values for a recording's section of the page."""
+    """Return the values for a recording's section of the page.
+
+    `here` has the recording's pairs; `views` of them, evenly spread, are shown with pictures.
+    """
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,

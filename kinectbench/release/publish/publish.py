@@ -98,17 +98,15 @@ def publish(
     Args:
         settings: the benchmark's settings.
         build: the folder with a subfolder for each recording.
-        out: the release's folder. With `hold_back` it gets the public part, and `<out>-private` the private
-            one.
+        out: the release's folder. With `hold_back`, its public part; the private part is `<out>-private`.
         recordings: ids of built recordings. A recording that has no pair, or that the gate refuses, is left
             out with a warning.
         options: thresholds, held-back splits and their isolation, whether poor recordings pass the gate.
 
     Raises:
         ReleaseError: a built file is missing; a pair has another framing or partial rule than the benchmark;
-            no recording passes the gate; the same frames are in two splits; there is no pair at all; a split
-            to hold back has no recording; a file is larger than `verify` accepts; or a folder holds something
-            else.
+            no recording passes the gate; the same frames are in two splits; no pair exists; a split to hold
+            back has no recording; a file is larger than `verify` accepts; or a folder holds something else.
         SettingsError: views are isolated, but the framing is `object`.
         StorageError: a built file is damaged, or the disk is full or read-only.
     """

@@ -267,7 +267,7 @@ def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> 
 
 
 def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]) -> RecordingInfo:
-    """Return a recording's entry in benchmark.json."""
+    """Return a recording's entry in benchmark.json; `visible_shares` has a value for each of its pairs."""
     recording = built.recording
     quality = QualityFile() if built.hidden else _without_method(built.quality)
     refused = (*built.views.refused, *built.pairs.refused)
