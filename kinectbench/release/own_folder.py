@@ -47,7 +47,7 @@ def refuse_other_content(out: Path) -> None:
 
     Raises:
         ReleaseError: the folder holds something else, which the message names; or its SHA256SUMS is missing
-            or damaged, so that the release's files cannot be told from others.
+            or damaged, so that nobody knows which files belong to the release.
     """
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return

@@ -167,7 +167,7 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
 
 
 def _incomplete(quality: QualityFile) -> Iterator[str]:
-    """Yield a line for each large unseen part: space behind openings, unknown voxels, a side without views."""
+    """Yield a line for each large unseen part: space behind openings, unknown voxels, an unviewed side."""
     behind_m3 = sum(frontier.volume_m3 for frontier in quality.frontiers)
     if quality.volume_m3 and behind_m3 > MOST_BEHIND * quality.volume_m3:
         yield (
