@@ -40,7 +40,7 @@ def __dir__() -> list[str]:
 
 
 class _MovedApi(ModuleType):
-    """The module `kinectbench.api`, the former place of `load`, `Dataset` and `Scorer`, which still works."""
+    """The module `kinectbench.api`, where `load`, `Dataset` and `Scorer` once were; it still works."""
 
     def __getattr__(self, name: str) -> Any:
         from kinectbench.scoring import api

@@ -11,7 +11,7 @@ from kinectbench.cli.common import SOME_FAILED, Common, Predictions, takes
 
 
 def _known_baselines(incomplete: str) -> list[str]:
-    """Return the names of baselines that complete an incomplete word in the shell."""
+    """Return the names of baselines that begin with `incomplete`, for completion in the shell."""
     from kinectbench.scoring.baselines.registry import BASELINES
 
     return [name for name in BASELINES if name.startswith(incomplete)]
@@ -30,7 +30,7 @@ def baseline_command(
 ) -> int:
     """Write predictions of simple methods: empty, base-rate, partial, hull, mirror, silhouette.
 
-    With training pairs of every category, mean-shape and nearest are written, too.
+    If every category has training pairs, mean-shape and nearest are written, too.
     """
     from kinectbench.scoring.baselines.predict import check_baseline_names, write_baselines
 
@@ -47,9 +47,9 @@ def baseline_command(
 def check_command(common: Common, predictions: Predictions) -> int:
     """Report all faults of folders of predictions, without scoring.
 
-    For predictions in the camera frame and in metres, the median and the largest distance to the views'
-    depth are stated; a prediction that another unit or other axes would bring to its depth is a fault. A note
-    says how many predictions are constant, or the same for several views.
+    For predictions in the camera frame and in metres, the median and the largest distance to the views' depth
+    are stated. It is a fault if a prediction fits its view's depth only after a change of unit or axes. A
+    note says how many predictions are constant, or the same for several views.
     """
     from kinectbench.scoring.camera_predictions import check_camera
     from kinectbench.scoring.declared import read_in_camera

@@ -71,7 +71,7 @@ STAGE_COMMANDS: Mapping[str, Command] = {
 def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Executor | None" = None) -> int:
     """Build recordings up to a stage (`build`: all stages) and print the outcome; return the exit status.
 
-    They are built by `executor` if it is given, else as the options say.
+    If `executor` is given, it runs the builds; otherwise they run as the options say.
     """
     from kinectbench.engine.pipeline import STAGE_NAMES
 
@@ -101,7 +101,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Execu
 
 
 def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
-    """Return jobs for the requested recordings that belong to the `--shard`; print a note if none does."""
+    """Return jobs for the requested recordings in the part `--shard`; print a note if there are none."""
     chosen, part = chosen_jobs(common, ids), common.part
     if part is None:
         return chosen
@@ -131,7 +131,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 
 def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
-    """Print a table of the results of at most 100 recordings up to a stage, and details of their objects."""
+    """Print a table of results up to a stage, for at most 100 recordings, and details of their objects."""
     from kinectbench.engine.pipeline import STAGE_NAMES
 
     stages = STAGE_NAMES[: STAGE_NAMES.index(upto) + 1]
@@ -169,8 +169,8 @@ def build_recordings(
 ) -> "list[BuiltRecording]":
     """Build recordings up to a stage, print warnings and errors, and return each recording's result.
 
-    The `error` of a result is None on success. With `brief`, a failure that is not tried again because
-    nothing has changed is printed without its reason.
+    The `error` of a result is None on success. A build that failed before is not tried again while nothing
+    has changed; with `brief`, its error is printed without the reason.
     """
     require_extra("build")
     chosen = chosen_jobs(common, ids)
@@ -189,7 +189,7 @@ def build_recordings(
 
 
 def _tell_changed_settings(chosen: "Sequence[Job]", upto: str) -> None:
-    """Print a note if recordings will be built again because of other settings, such as `--set`."""
+    """Print a note if recordings will be built again because settings have changed, such as by `--set`."""
     from kinectbench.engine.pipeline import changed_settings
 
     found: dict[str, list[str]] = {}
@@ -218,10 +218,11 @@ def build_jobs(
     options: Sequence[str] = (),
     again: bool = False,
 ) -> "list[BuiltRecording]":
-    """Build jobs with this many processes or an executor; print and return the same as `build_recordings`.
+    """Build jobs with this many processes or with an executor; print and return what `build_recordings` does.
 
-    A recording may take `limit_s` seconds. `again` also prints warnings of stages that were current.
-    `options` (`--config`, `--set`) choose the same settings, for the printed command that shows all warnings.
+    A recording may take `limit_s` seconds. With `again`, warnings of stages that were current are printed,
+    too. The printed advice includes a command that shows all warnings; `options` (`--config`, `--set`) give
+    it the same settings.
     """
     from kinectbench.engine.parallel import build as build_all
     from kinectbench.engine.summary import BuiltRecording
@@ -261,9 +262,10 @@ def build_jobs(
 
 
 def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: str) -> None:
-    """Print `first` of a recording's warnings `own`, all on unused input, and the number of the others.
+    """Print a recording's most important warning `first`, those on unused input, and the number of others.
 
-    Without `first`, all are printed. `kinectbench <show_all>` is the command that prints all.
+    `own` has all of its warnings; without `first`, all are printed. `kinectbench <show_all>` is the command
+    that prints all.
     """
     if first is None or first not in own:
         console.recording_lines(name, "warning", own, "yellow")
@@ -280,7 +282,7 @@ def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: s
 
 
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
-    """Return a recording's summary, with the warnings `unused` (about input without effect) added."""
+    """Return a recording's summary, with warnings about input that has no effect (`unused`) added."""
     from kinectbench.engine.summary import summary
 
     figures = summary(job, outcome)
@@ -288,7 +290,7 @@ def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "Record
 
 
 def _unused(job: "Job", upto: str) -> tuple[str, ...]:
-    """Return warnings on unused input: masks that benchmark.yaml does not name, `pick` with `segment_by`."""
+    """Return warnings on unused input: masks not named in benchmark.yaml, or `pick` beside `segment_by`."""
     own, views = job.recording, upto in ("sample-views", "pairs")
     name, lines = own.id, list[str]()
     if own.pick and own.segment_by and (views or upto == "segment"):
@@ -300,7 +302,7 @@ def _unused(job: "Job", upto: str) -> tuple[str, ...]:
 
 
 def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
-    """Print a warning about recordings whose category is still the placeholder that `init` wrote."""
+    """Print a warning about recordings whose category is still the placeholder that `init` writes."""
     from kinectbench.settings.template import UNKNOWN_CATEGORY
 
     chosen = [job.recording for job in chosen_jobs(common, ids)]
@@ -317,7 +319,7 @@ def built(rows: "list[BuiltRecording]") -> list[str]:
 
 
 def exit_status(rows: "list[BuiltRecording]") -> int:
-    """Return 1 if all recordings failed, 3 if some did, else 0; if some did, print their ids again."""
+    """Return 1 if all recordings failed, 3 if some failed, else 0; print the ids of those that failed."""
     failed = len(rows) - len(built(rows))
     if not failed:
         return 0
@@ -333,12 +335,12 @@ def need_some(rows: "list[BuiltRecording]") -> list[str]:
 
 
 def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
-    """Open the release of `--benchmark`, or else the local one, which is built and published if missing.
+    """Open the release of `--benchmark` or else the local one, which is built and published if missing.
 
     An existing release is never changed here: only `publish` replaces it.
 
     Returns:
-        The release, and the results of `build_recordings`, which are empty if the release existed.
+        The release, and the results of `build_recordings`; these are empty if the release existed.
     """
     from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
     from kinectbench.engine.place import statuses
@@ -362,7 +364,7 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
 
 
 def _tell_used(release: "Release") -> None:
-    """Print a note that the release is used as published, although settings or builds have changed since."""
+    """Print a note that the existing release is used, although settings or builds have changed since."""
     numbers = {"pair": len(release.targets), "recording": len(release.metadata.recordings)}
     counted = " of ".join(f"{number} {word}{'s' * (number != 1)}" for word, number in numbers.items())
     line = (

@@ -29,7 +29,10 @@ DEFAULT_CONFIG = Path("benchmark.yaml")
 
 
 class OnInterrupt:
-    """The message after an interrupt (Ctrl-C); a command that cannot simply be run again changes it."""
+    """The message printed after an interrupt (Ctrl-C).
+
+    A command changes it if running it again would not continue its work.
+    """
 
     words = "stopped; run the same command again to go on from here"
 
@@ -46,8 +49,8 @@ class Common:
         config: the file with the benchmark's settings; the folder build/ is beside it.
         overrides: settings that replace those of the file, each `SECTION.KEY=VALUE`.
         jobs: the number of processes; None: one per core.
-        force: whether to make current artefacts again.
-        wait: whether to wait for another run in the same folder, or to stop with an error.
+        force: whether to make artefacts again that are current.
+        wait: whether to wait for another run in the same folder; if not, stop with an error.
         as_json: whether standard output is JSON.
         shard: the part of the recordings to work on, `I/N`; None: all.
         cluster: the address of a cluster, or `local:N`; None: processes of this machine.
@@ -100,12 +103,12 @@ class Common:
 
     @property
     def place(self) -> Path:
-        """The folder or URL of benchmark.yaml, from which its relative paths start, as a path."""
+        """The folder or URL of benchmark.yaml as a path; relative paths in the file start there."""
         return self.config.parent
 
     @property
     def root(self) -> Path:
-        """The folder of benchmark.yaml, from which its relative paths start.
+        """The folder of benchmark.yaml; relative paths in the file start there.
 
         Raises:
             SettingsError: the benchmark is in a store (at a URL), where only some commands work.
@@ -120,7 +123,7 @@ class Common:
         return self.place
 
     def beside(self, name: str) -> Path:
-        """Return the path of a results folder: beside benchmark.yaml, or with `--benchmark` in the cwd."""
+        """Return a results folder's path: beside benchmark.yaml, or with `--benchmark` in the current one."""
         return Path(name) if self.benchmark else self.root / name
 
     @property
@@ -172,7 +175,7 @@ class Common:
 
     @cached_property
     def settings(self) -> "BenchmarkSettings":
-        """The settings of the benchmark, read once; the next command reads later edits.
+        """The settings of the benchmark, read once per command.
 
         Raises:
             SettingsError: the file or an override is wrong.
@@ -194,12 +197,12 @@ class Common:
         self.tell([str(path) for path in paths], (f"wrote {path}" for path in paths))
 
     def tell_problems(self, problems: list[str], well: str, shown: list[str] | None = None) -> None:
-        """Print one line per problem on standard error, at most a thousand, or else the line `well`.
+        """Print one line per problem on standard error, at most a thousand; if there are none, print `well`.
 
         Args:
-            problems: the problems, as printed with `--json`.
+            problems: the problems; with `--json` they are also printed on standard output.
             well: the line that is printed if there are no problems.
-            shown: the lines that are printed for people; default: `problems`.
+            shown: the lines for standard error; default: `problems`.
         """
         self.tell(console.at_most(problems), () if problems else [well])
         console.lines("error", problems if shown is None else shown, "red")
@@ -213,12 +216,13 @@ def takes(
 ) -> Callable[[Callable[Concatenate[Common, ...], int | None]], Command]:
     """Return a decorator that adds options of `Common` to a command, which gets a `Common` as first argument.
 
-    Typer reads options from a function's signature. The decorated function has the command's own parameters
-    and the named fields of `Common`. If the command returns an exit status, the process ends with it.
+    Typer reads options from a function's signature. The decorated function's signature has the command's own
+    parameters and the named fields of `Common`. If the command returns an exit status, the process ends with
+    it.
 
     Args:
         names: names of the fields.
-        at_url: whether the command also works on a benchmark in a store; else `--config URL` is an error.
+        at_url: whether the command also works on a benchmark in a store; if not, `--config URL` is an error.
     """
     shared = [field for field in fields(Common) if field.name in names]
     assert len(shared) == len(names), f"not all of {names} are fields of Common"
@@ -252,7 +256,7 @@ def takes(
 
 
 def _refuse_urls(options: Mapping[str, object]) -> None:
-    """Raise an error if an option that takes a local path is a URL, as its parts would become folders."""
+    """Raise an error if an option that takes a local path is a URL; its parts would become folder names."""
     for name, value in options.items():
         url = url_of(value) if isinstance(value, Path) and name not in AT_URLS else None
         if url is not None:
@@ -262,7 +266,7 @@ def _refuse_urls(options: Mapping[str, object]) -> None:
 
 
 def _known_ids(context: typer.Context, incomplete: str) -> list[str]:
-    """Return the recording ids that complete an incomplete word; none if benchmark.yaml is unreadable."""
+    """Return the recording ids that begin with `incomplete`; none if benchmark.yaml is unreadable."""
     common = Common(config=context.params.get("config") or DEFAULT_CONFIG)
     try:
         known = [recording.id for recording in common.settings.recordings]

@@ -86,7 +86,7 @@ def compare_truth_command(
 
 
 def _in_json(new: "ComparedMesh", whole: "ReferenceFile") -> dict[str, object]:
-    """Return as JSON the comparison with all meshes until now, and the mesh that this run compared."""
+    """Return as JSON the comparison with all meshes so far, and which mesh this run compared."""
     return {**whole.json_value(), "compared": {key: getattr(new, key) for key in COMPARED}}
 
 
@@ -95,7 +95,7 @@ def _refusal(name: str, of: "ComparedMesh") -> str:
 
 
 def _say_table(found: "Mapping[str, tuple[ComparedMesh, ReferenceFile]]") -> None:
-    """Print a table of all comparisons, of this run and earlier ones, with meshes that fit the objects."""
+    """Print a table of all comparisons, from this run and earlier ones, whose mesh fits the object."""
     shown = [_row(name, each) for name, (_, whole) in found.items() for each in whole.all if not each.refused]
     if shown:
         console.out.print(console.text_table(shown, COLUMNS, FORMS))

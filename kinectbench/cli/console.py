@@ -62,7 +62,7 @@ class SafeConsole(Console):
         super().__init__(**options, markup=False, emoji=False)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render with rich; lines with control characters are replaced by the result of `one_line`."""
+        """Render as rich does, but replace each line that has control characters by its `one_line`."""
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment
@@ -102,7 +102,7 @@ def at_most(messages: Sequence[str]) -> list[str]:
 
 
 def by_mistake(messages: Iterable[str]) -> list[str]:
-    """Group messages about the same mistake: return for each mistake its first message and number of files.
+    """Group messages about the same mistake; return the first message of each group, and its number of files.
 
     Args:
         messages: `<file>: <what is wrong>`; messages about the same mistake differ only in file, voxel and
@@ -132,7 +132,7 @@ def lines(kind: str, messages: Sequence[str], style: str) -> None:
 
 
 def recording_lines(recording: str, kind: str, messages: Sequence[str], style: str) -> None:
-    """Print messages about a recording as `lines` does; an id at a message's start is not repeated."""
+    """Print messages about a recording as `lines` does; drop the id from messages that start with it."""
     lines(f"{recording}: {kind}", [message.removeprefix(f"{recording}: ") for message in messages], style)
 
 
@@ -142,12 +142,12 @@ def waiting(what: str, holder: str) -> None:
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """Print about each object: its estimated IoU, causes of a wider interval, people's statements, advice.
+    """Print about each object: estimated IoU, causes of a wide interval, the user's statements, and advice.
 
     Args:
         rows: one summary for each recording.
-        frontiers: whether to print advice on what to record again for recordings that were up to date; for
-            new results, warnings have it.
+        frontiers: whether to print advice on what to record again. It is printed only for recordings that
+            were up to date; for new results, the warnings have it.
     """
     from kinectbench.core.artefacts.object import REASONS_FOLLOW, with_interval
 
@@ -177,7 +177,7 @@ def failures(rows: "Sequence[BuiltRecording]") -> None:
 
 
 def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> WideTable:
-    """Return the table that ends a build: one row per recording, with the columns of these stages."""
+    """Return the table that ends a build: a row per recording, and the columns that these stages have."""
     columns = {"recording": "recording"}
     for stage in stages:
         columns |= COLUMNS.get(stage, {})
@@ -207,12 +207,12 @@ def text_table(
     title: str | None = None,
     caption: str | None = None,
 ) -> WideTable:
-    """Return a table whose cells are never shortened; if too wide, it is split into pieces.
+    """Return a table whose cells are never shortened; a table that is too wide is split into pieces.
 
     Args:
         rows: {key: value} for each row.
         columns: {key: title} of each column.
-        formats: {key: format of its numbers}; numbers of other keys have three decimals.
+        formats: {key: number format}; numbers of other keys get three decimals.
         title: title above the table.
         caption: caption below the table.
     """
@@ -275,7 +275,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
 def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
     """Show a counter of frames during a `with` block; yield a function that updates it.
 
-    It takes the number of frames, the seconds passed, and the guide's advice or "".
+    The function takes the number of frames, the seconds passed, and the guide's advice or "".
     """
     plain = None if err.is_terminal else PlainLines()
     with err.status(title) as status:
@@ -293,7 +293,7 @@ def frames_counted(title: str) -> Iterator[Callable[[int, float, str], None]]:
 
 
 class RecordingBars:
-    """Progress bars of a build: one for each recording in work, and one over all recordings if several.
+    """Progress bars of a build: one for each recording in work, and one for all if there are several.
 
     An instance is a `kinectbench.engine.parallel.ProgressWatcher`: it is called with (recording, stage, done,
     total), and also reports outcomes and warnings.
@@ -302,7 +302,7 @@ class RecordingBars:
     def __init__(
         self, bars: Progress, recordings: int | None, workers: Callable[[], int] | None = None
     ) -> None:
-        """Start with the bar over all recordings if there are several, else without any bar.
+        """Start with the bar for all recordings if there are several, else without any bar.
 
         Args:
             bars: rich's progress display.
@@ -335,7 +335,7 @@ class RecordingBars:
         )
 
     def ended(self, outcome: "Outcome") -> None:
-        """Remove the bar of a finished or failed recording, and report its error or, in a log, its end."""
+        """Remove the bar of a finished or failed recording; report its error, or in a log that it ended."""
         self._ended += 1
         self._failed += outcome.error is not None
         if outcome.recording in self._tasks:

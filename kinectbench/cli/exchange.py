@@ -49,7 +49,7 @@ def export_command(
 
 
 def _export_views(common: Common, out: Path, method: str | None) -> int:
-    """Do the work of `export --layout rgbd`, and print notes on missing colour and cut objects."""
+    """Do the work of `export --layout rgbd`; print notes on missing colour and on objects that are cut."""
     from kinectbench.release.exchange.rgbd import export_rgbd
     from kinectbench.scoring.adapters.registry import export_for
 

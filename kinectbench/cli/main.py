@@ -153,7 +153,7 @@ USAGE_ERRORS = cast(tuple[type[Exception], ...], typer.BadParameter.__bases__)
 
 
 def main() -> None:
-    """Run the command line and exit; every error becomes a short message and an exit status."""
+    """Run the command line and exit; every error is reported as a short message and an exit status."""
     _show_what_can_be_shown()
     with interrupts_remembered(_end_unanswered):
         with _own_words_only():
@@ -167,7 +167,7 @@ def main() -> None:
 
 
 def _exit_interrupted() -> NoReturn:
-    """Exit at once, without Python's shutdown, in which interrupted libraries may change the status."""
+    """Exit at once, without Python's shutdown: in it, interrupted libraries may change the exit status."""
     garbage.collect()
     if "kinectbench.engine.processes" in sys.modules:
         from kinectbench.engine.processes import give_back_shared
@@ -217,7 +217,7 @@ def _own_words_only() -> Iterator[None]:
 
 
 def _run() -> tuple[int, tuple[str, ...]]:
-    """Run the command; return exit status and error lines. A failure after Ctrl-C counts as interrupted."""
+    """Run the command; return exit status and error lines. A failure after Ctrl-C counts as an interrupt."""
     try:
         status, messages = _call()
         if status:
@@ -231,9 +231,9 @@ def _run() -> tuple[int, tuple[str, ...]]:
 
 
 def _end_unanswered(number: int) -> None:
-    """End the process on a signal while a library computes, which Python cannot interrupt.
+    """End the process on a signal that comes while a library computes, since Python cannot interrupt that.
 
-    It is called with the signal's number on another thread.
+    It is called on another thread; `number` is the signal's.
     """
     remove_half_filled()
     sys.stderr.write(f"error: {on_interrupt.words}\n")  # the console's lock may be held
@@ -261,7 +261,7 @@ def _call() -> tuple[int, tuple[str, ...]]:
 
 
 def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
-    """Raise an error for an unusable URL on the command line, before typer turns it into a path."""
+    """Raise an error if an argument is an unusable URL; later, typer would have turned it into a path."""
     for before, argument in pairwise(("", *arguments)):
         if before == "--cluster" or argument.startswith("--cluster="):  # tcp://, tls://: the engine checks it
             continue
@@ -274,7 +274,7 @@ def _refuse_unusable_urls(arguments: Sequence[str]) -> None:
 
 
 def _usage(error: Any) -> tuple[str, ...]:
-    """Return one line about a usage error; nothing if no command was given, because the help is shown."""
+    """Return one line about a usage error; nothing if no command was given, as the help is shown then."""
     if type(error).__name__ == "NoArgsIsHelpError":
         return ()
     command = error.ctx.command_path if error.ctx else "kinectbench"

@@ -22,7 +22,7 @@ Word = TypeVar("Word", bound=str)
 
 
 def _known_configs(incomplete: str) -> list[str]:
-    """Return the names of packaged configurations that complete an incomplete word in the shell."""
+    """Return the packaged configurations whose names begin with `incomplete`, for completion in the shell."""
     from kinectbench.networks.config import packaged_configs
 
     return [name for name in packaged_configs() if name.startswith(incomplete)]
@@ -155,7 +155,7 @@ def predict_command(
 
 
 def _chosen(option: str, word: str, words: Sequence[Word]) -> tuple[Word, ...]:
-    """Return an option's value in a tuple if it is one of `words`; else raise an error that lists them."""
+    """Return an option's value `word` in a tuple; raise an error that lists `words` if it is none of them."""
     valid = tuple(known for known in words if known == word)
     if not valid:
         raise typer.BadParameter(f"'{word}': choose {' or '.join(words)}", param_hint=option)
@@ -172,7 +172,7 @@ def _score(
     folder: Path,
     device: str,
 ) -> int:
-    """Do the work of `predict --score`: predict and score in memory; write the files of `score`."""
+    """Do the work of `predict --score`: predict and score in memory, then write the same files as `score`."""
     from kinectbench.cli.report import write_page
     from kinectbench.cli.score import baselines_of, tell_problems, tell_scores
     from kinectbench.core.artefacts.gallery import write_gallery

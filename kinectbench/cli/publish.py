@@ -107,7 +107,10 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
 
 
 def _put_on_hub(folder: Path, name: str) -> "PutSummary":
-    """Put a release on the hub as the dataset `name`; the bar is of the check, the hub has its own."""
+    """Upload a release to the dataset `name` of the hub, with a progress bar for the check before the upload.
+
+    The hub's client shows its own progress.
+    """
     from kinectbench.release.hub import put_on_hub
     from kinectbench.release.published import listed_files
 
@@ -125,7 +128,7 @@ def _packed(release: Path, out: Path) -> Path:
 
 
 def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
-    """Return the exit status: 0 if no recording failed or violates `publish.gate`, else 1 or 3.
+    """Return the exit status: 1 if all recordings failed, 3 if some failed or violate `publish.gate`, else 0.
 
     Recordings that a review rejected do not count as failures.
     """
@@ -133,7 +136,7 @@ def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
 
 
 def _publish_there(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
-    """Publish a benchmark that is in a store, in that store, with a progress bar."""
+    """Publish a benchmark whose build is in a store to the same store, with a progress bar."""
     from kinectbench.release.publish.stored import publish_stored
 
     with console.progress_bar("publish") as progress:
@@ -177,7 +180,7 @@ def publish_options(
         isolate: whether only one view is published of each object with held-back truth.
 
     Raises:
-        SettingsError: an unknown split, an unusable threshold file, or an object that cannot be isolated,
+        SettingsError: a split is unknown; the threshold file is unusable; or objects cannot be isolated,
             because nothing is held back or the framing is `object`.
     """
     from kinectbench.core.artefacts.benchmark import PublishOptions

@@ -1,4 +1,4 @@
-"""`kinectbench fetch` for a recipe: download its scans, or with --stream build and delete them one by one."""
+"""`kinectbench fetch` for a recipe: download its scans; with --stream also build each, then delete it."""
 
 import shutil
 from collections import Counter
@@ -39,7 +39,7 @@ def fetch_recipe(
 ) -> int:
     """Fetch up to `limit` scans of each category into the recipe's benchmark; return the exit status.
 
-    With `stream`, each is built and its frames are deleted before the next is fetched.
+    With `stream`, each scan is built and its frames are deleted before the next scan is fetched.
     """
     from kinectbench.core.store.attempts import StoreGoneError
     from kinectbench.release.recipe import NoRoomError, opened_recipe
@@ -164,7 +164,7 @@ def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then:
 
 
 def _other_cameras(recipe: "Recipe", scans: "Sequence[Scan]") -> list[str]:
-    """Return a warning for each scan that states other intrinsics than the recipe, whose values are used."""
+    """Return a warning for each scan whose own intrinsics differ from the recipe's; the latter are used."""
     from kinectbench.stages.ingest.intrinsics import NEEDED
     from kinectbench.stages.ingest.readers import open_recording, says_intrinsics
 

@@ -80,7 +80,7 @@ def record_command(
 def _recorded(
     camera: "Device", out: Path, seconds: float | None, port: int, guided: bool | None
 ) -> "Recorded":
-    """Record, with the guide if wanted; another Ctrl-C, while the guide closes, does not lose the outcome."""
+    """Record, with the guide if wanted. Another Ctrl-C while the guide closes does not lose the outcome."""
     from kinectbench.record.recorder import record
 
     done = None
@@ -104,7 +104,7 @@ def _recorded(
 
 @contextmanager
 def _begun(out: Path, workers: int) -> "Iterator[BuildProcess | None]":
-    """Start a process that builds while recording; yield it, or None if a package for it is missing."""
+    """Start a process that builds while recording; yield it, or None if one of its packages is missing."""
     from kinectbench.core import missing_extra
 
     if missing_extra("build"):
@@ -150,7 +150,7 @@ def _guide(port: int, wanted: bool | None, out: Path) -> "Iterator[GuideProcess 
 def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | None") -> int:
     """Write a benchmark.yaml into the new recording's folder, build it, and print how long that took.
 
-    `ended_s` is the time at which recording ended; `begun` is the process of `_begun`.
+    `ended_s` is the time at which the recording ended; `begun` is the process that `_begun` started.
     """
     from kinectbench.cli.build import run_stage
     from kinectbench.cli.recordings import init_command

@@ -70,7 +70,7 @@ def _benchmark_text(
 
     Args:
         target: path of the benchmark.yaml.
-        written: its content if it exists, to which new recordings are added; else None.
+        written: content of the existing file, to which new recordings are added; None if there is no file.
         rows: (path relative to the file's folder, name of the format) of each recording.
         suffixes: endings of paths, such as ".bag", that are left out of ids.
 
@@ -99,10 +99,10 @@ def _benchmark_text(
 
 
 def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Sequence[str]) -> list[Path]:
-    """Return the paths that look like recordings but are in no known format: folders, and files by suffix.
+    """Return folders, and files with one of the `suffixes`, that may be recordings but of no known format.
 
-    What lies inside a returned folder is not returned. Ignored are hidden files and folders, folders with
-    results, a simulation's truth, a benchmark.yaml, a release or an export, and folders beside a
+    Nothing inside a returned folder is returned. The following are ignored: hidden files and folders; folders
+    with results, a simulation's truth, a benchmark.yaml, a release or an export; folders beside a
     pyproject.toml.
     """
     known = set(recordings)
@@ -194,9 +194,9 @@ def inspect_command(
 
 
 def _of_benchmark(name: str) -> "RecordingSettings | None":
-    """Return the settings of the local benchmark's recording with this id; None if there is none.
+    """Return the settings of the recording with this id in the local benchmark; None if there is none.
 
-    If a file or folder of this name exists, it is preferred, and None is returned.
+    A file or folder of this name has priority: then None is returned, too.
     """
     if not NAME.fullmatch(name) or not DEFAULT_CONFIG.is_file() or Path(name).exists():
         return None

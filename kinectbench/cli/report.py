@@ -52,7 +52,7 @@ def report_command(
 def _paper_table(
     common: Common, ids: Sequence[str] | None, scores: Sequence[Path], out: Path | None, baselines: bool
 ) -> int:
-    """Print score files as a table in the paper's form, or write it to the file `out`; nothing is built."""
+    """Print score files as a table in the paper's form, or write it to `out`; nothing is built."""
     from kinectbench.core import replaced_file
     from kinectbench.release.release import open_release
     from kinectbench.report.paper_table import paper_markdown, paper_tables
@@ -81,7 +81,7 @@ def write_page(
     out: Path | None = None,
     baselines: bool = True,
 ) -> Path:
-    """Write the page of a release and its scores, or without a release of the local benchmark.
+    """Write a page with the scores and the release; if `release` is None, with the local benchmark's build.
 
     Args:
         common: the shared options.

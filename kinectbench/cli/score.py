@@ -135,7 +135,7 @@ def tell_scores(
 ) -> None:
     """Print scores as tables, with the baselines `beside` and the path of the page, or as JSON.
 
-    JSON has each method's means over all categories, without the baselines.
+    The JSON has each method's means over all categories, and no baselines.
     """
     from kinectbench.cli.score_tables import score_table, space_lines
 
@@ -158,9 +158,9 @@ def _recheck(
     predictions: Path | None,
     thresholds: Path | None,
 ) -> int:
-    """Do the work of `score --recheck`: score again by the settings in `scores`, and print differences.
+    """Do the work of `score --recheck`: score again with the settings in `scores`, and print differences.
 
-    Of the options that change scores, only `--thresholds` may be given.
+    Other options that change scores are refused; only `--thresholds` may be given.
     """
     from kinectbench.scoring.compare import find_scores
     from kinectbench.scoring.read_table import read_table
@@ -209,10 +209,10 @@ def _tables(
     known: Mapping[str, Any],
     of_one: Mapping[str, Any],
 ) -> "list[ScoreTable]":
-    """Score the predictions, or without them the baselines; print problems, and return the score tables.
+    """Score the predictions, or the baselines if there are none; print problems, and return the score tables.
 
-    `known` are options for predictions and baselines, `of_one` those for predictions only; scores are written
-    to `folder`.
+    `known` are options for predictions and baselines, `of_one` options only for predictions. Scores are
+    written to `folder`.
     """
     from kinectbench.scoring.baselines.counted import score_baselines
     from kinectbench.scoring.predictions import lines_without, split_methods
@@ -232,9 +232,9 @@ def _tables(
 
 
 def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
-    """Raise an error if an option that needs predictions is given, of `of_one` or `--cluster`.
+    """Raise an error if an option that needs predictions is given: `--cluster`, or one of `of_one`.
 
-    It is called if no predictions are named.
+    It is called only if no predictions are named.
     """
     options = {**of_one, "cluster": common.cluster}
     given = [
@@ -253,10 +253,10 @@ def _refuse(common: Common, of_one: Mapping[str, Any]) -> None:
 def baselines_of(
     release: "Release", folder: Path, tables: "Sequence[ScoreTable]", upsampling: str, jobs: int
 ) -> "list[ScoreTable]":
-    """Score the baselines that are not among the methods, to show them beside the methods.
+    """Score those baselines that are not among the methods, to show them beside the methods.
 
     For predictions in the camera frame, baselines are scored as solids in that frame. No baseline is scored
-    if all those predictions have an unknown scale, or if the first table has more than `ROWS_IN_JSON` rows.
+    if the scale of all these predictions is unknown, or if the first table has more than `ROWS_IN_JSON` rows.
     """
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
     from kinectbench.scoring.baselines.beside import baselines_beside
@@ -284,7 +284,7 @@ def baselines_of(
 
 
 def tell_problems(tables: "Sequence[ScoreTable]") -> None:
-    """Print the warnings and failures of each method, one line for each mistake; of failures at most 20."""
+    """Print each method's warnings and failures, one line for each mistake; at most 20 lines of failures."""
     for table in tables:
         console.lines(f"{table.method}: warning", console.by_mistake(table.warnings), "yellow")
         reasons = console.by_mistake(failure.reason for failure in table.failures)

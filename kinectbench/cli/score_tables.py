@@ -26,14 +26,14 @@ UNKNOWN_NOTE = (
 
 
 def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideTable":
-    """Return a table with a row per method: IoU and cross-entropy (nats a voxel) by category and overall.
+    """Return a table with a row per method: IoU and cross-entropy (nats per voxel) by category and overall.
 
     There are columns for each of `SHOWN_PROTOCOLS` that was scored. The caption has the caveats of methods,
     and which scores were verified.
 
     Args:
         tables: the methods' scores; the row of an incomplete method states how many predictions failed.
-        published: whether to add the paper's own figures for categories of the same name, below a separating
+        published: whether to add the results printed in the paper for categories of the same name, below a
             line.
     """
     from rich.text import Text
@@ -68,9 +68,9 @@ def score_table(tables: Sequence[ScoreTable], published: bool = False) -> "WideT
 
 
 def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
-    """Return a table of predictions in the camera frame, for whole shapes.
+    """Return a table of the scores of predictions in the camera frame, for whole shapes.
 
-    There is a row for each method under each protocol with its variant, such as one of alignment.
+    There is a row for each method and each variant of a protocol, such as a kind of alignment.
     """
     from rich.text import Text
 
@@ -91,9 +91,9 @@ def space_lines(tables: Sequence[ScoreTable]) -> "WideTable":
 
 
 def _name(table: ScoreTable) -> str:
-    """Return a method's name for its row, with "(baseline)" or, if incomplete, the number of failures.
+    """Return the text for a method in its row: its name, "(baseline)" or the number of failed predictions.
 
-    A `*` at its end refers to caveats in the caption.
+    A `*` at the end refers to caveats in the caption.
     """
     star = "*" if _own_marks(table) else ""
     if table.by_category is None or table.overall is None:
@@ -103,7 +103,7 @@ def _name(table: ScoreTable) -> str:
 
 
 def _own_marks(table: ScoreTable) -> list[str]:
-    """Return a method's caveats in words, except "baseline", which is part of its name already."""
+    """Return a method's caveats in words, except "baseline", which its name in the table includes already."""
     return [mark.words for mark in table.marks if mark.kind != BASELINE]
 
 
@@ -123,7 +123,7 @@ def _marks(tables: Sequence[ScoreTable]) -> list[str]:
 
 
 def _as_stated(standing: str) -> str:
-    """Return "reported" unchanged; add to another standing, such as "verified", that it is scores.json's."""
+    """Return "reported" unchanged; append "(as its scores.json says)" to others, such as "verified"."""
     return standing if standing == REPORTED else f"{standing} (as its scores.json says)"
 
 
@@ -133,11 +133,11 @@ def _add_published(
     columns: Sequence[str],
     published: Sequence[PublishedTable],
 ) -> None:
-    """Add rows with the paper's own figures, and a note that they are not comparable with the other rows.
+    """Add rows with the results printed in the paper, and a note that other rows are not comparable.
 
     Args:
         table: the table that gets the rows.
-        protocols: the protocol of each group of columns; "" leaves the group's cells empty.
+        protocols: the protocol of each group of columns; cells of a group with "" stay empty.
         columns: the categories, which are the columns of each group.
         published: the paper's tables.
     """
@@ -165,7 +165,7 @@ def _any_known(shares: Sequence[float | None]) -> bool:
 
 
 def _add_unknown(table: "WideTable", shares: Sequence[float | None]) -> None:
-    """Add a last row with the unknown share of the true shapes in each column, if any is known."""
+    """Add a last row with the unknown share of the true shapes in each column, unless none is known."""
     if _any_known(shares):
         table.add_section()
         cells = ["" if share is None else f"{100 * share:.1f} %" for share in shares]
@@ -186,7 +186,7 @@ def _cell(iou: float | None, ce: float | None) -> str:
 
 
 def comparison_tables(result: Comparison) -> "list[WideTable]":
-    """Return two tables: every method's mean with group letters, and the difference of every two methods.
+    """Return two tables: the mean of each method with group letters, and the differences between all methods.
 
     Methods that share a letter do not differ significantly.
     """

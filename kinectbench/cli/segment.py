@@ -66,7 +66,7 @@ def _suggest(common: Common, ids: list[str] | None) -> int:
 
 
 def _carry_masks(common: Common, ids: list[str] | None) -> int:
-    """Do the work of `--carry-masks`: rename hand-drawn masks after the present frames of the recordings."""
+    """Do the work of `--carry-masks`: rename hand-drawn masks after the frames that they were drawn on."""
     from kinectbench.engine.drawn_masks import carry_masks
 
     root = common.root  # masks in a store are not renamed
@@ -89,7 +89,7 @@ def _carry_masks(common: Common, ids: list[str] | None) -> int:
 
 
 def _candidates(root: Path, recording: str) -> "CandidatesFile":
-    """Read a recording's candidates.json; paths of pictures are made relative to the working folder."""
+    """Read a recording's candidates.json; make paths of pictures relative to the working folder."""
     from kinectbench.core.artefacts.object import CandidatesFile
     from kinectbench.engine.stages import SUGGEST
 
@@ -115,7 +115,7 @@ def _show(recording: str, listed: "CandidatesFile") -> None:
 
 
 def _pick(common: Common, ids: list[str] | None, number: int) -> int:
-    """Do the work of `--pick`: write the box of a candidate into benchmark.yaml or a file that it includes.
+    """Do the work of `--pick`: write a candidate's box into benchmark.yaml, or into a file that it includes.
 
     Nothing is built here: run `build` afterwards.
     """

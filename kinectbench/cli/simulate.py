@@ -79,7 +79,7 @@ def simulate_command(
 def _changes(
     object_name: str | None, mesh: Path | None, frames: int | None, seed: int | None, form: str | None
 ) -> dict[str, object]:
-    """Return the given options as {key of SimulationSpec: value}; each replaces the preset's value."""
+    """Return the given options as {key of SimulationSpec: value}; each value replaces that of the preset."""
     if mesh is not None and object_name is not None:
         raise SettingsError("simulate: give --object or --mesh, not both")
     path = None if frames is None else {"frames": frames}
@@ -88,9 +88,10 @@ def _changes(
 
 
 def _check_alone(folders: Mapping[str, Path | None], others: bool) -> None:
-    """Refuse more than one of --contact-sheets, --samples and --demo, or one with other options.
+    """Refuse more than one of --contact-sheets, --samples and --demo, and any of them with other options.
 
-    `folders` are the three by name, None if not given; `others`: whether any other option is given.
+    `folders` has the values of these three by name, None if not given. `others` tells whether any other
+    option is given.
     """
     alone = [name for name, folder in folders.items() if folder is not None]
     if len(alone) > 1 or (alone and others):

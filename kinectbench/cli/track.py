@@ -42,7 +42,7 @@ class _Compared:
     Attributes:
         recording: the recording's id.
         comparison: the differences between the two trajectories.
-        with_itself: whether the reference has the poses given with the recording, which `track` adopted.
+        with_itself: whether the poses of the reference came with the recording, and `track` adopted them.
         picture: path of the plot.
     """
 
@@ -108,8 +108,8 @@ def _compare(
 ) -> "tuple[RecordingSummary, _Compared | None]":
     """Compare a recording's trajectory with the reference, and plot both.
 
-    `root` is the benchmark's folder, `name` the reference's path. Return the recording's summary and the
-    comparison; on failure, the summary with its error, and None.
+    `root` is the benchmark's folder, `name` the path of the reference. Return the recording's summary and the
+    comparison. If the comparison fails, return the summary with the error, and None.
     """
     from kinectbench.core import replaced_file
     from kinectbench.engine.steps import read_tracked
@@ -148,7 +148,7 @@ def _verdicts(rows: "Sequence[RecordingSummary]") -> Iterator[str]:
 
 
 def _clock_line(recording: str, clock: "ClockOffset") -> str:
-    """Return a line on the reference's clock offset, its effect on ATE, and the setting to correct it."""
+    """Return a line on the reference's clock offset, its effect on ATE, and the setting that corrects it."""
     when = f"{abs(1000 * clock.late_s):.0f} ms {'late' if clock.late_s > 0 else 'early'}"
     return (
         f"{recording}: the stamps of the reference are {when}: moved by that, ATE is "

@@ -1,4 +1,4 @@
-"""`kinectbench triage`: separate trustworthy recordings from recordings that need a person's review."""
+"""`kinectbench triage`: separate trustworthy recordings from recordings that the user should review."""
 
 from textwrap import shorten
 
@@ -47,7 +47,7 @@ def triage_command(common: Common, ids: Ids = None) -> int:
 
 
 def _first(reasons: tuple[str, ...], review: str | None) -> str:
-    """Return a person's review, or else the first reason, shortened, and the number of further reasons."""
+    """Return the user's review, or else the first reason, shortened, and the number of further reasons."""
     lines = [*([f"review: {review}"] if review else []), *reasons]
     more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
     return f"{shorten(lines[0], REASON, placeholder=' …')}{more}" if lines else ""

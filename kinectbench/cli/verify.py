@@ -66,7 +66,7 @@ def verify_command(
 
 
 def _brought(url: str, folder: Path) -> list[str]:
-    """Download a release unchanged into `folder`; return a line for each other file at the URL."""
+    """Download a release unchanged into `folder`; return a line for each file at the URL that it lacks."""
     from kinectbench.release.fetch import mirror_release
 
     with console.progress_bar("fetch") as progress:
@@ -77,7 +77,7 @@ def _brought(url: str, folder: Path) -> list[str]:
 def _rebuild(
     release: Path, recordings: Path, work: Path | None, processes: int, objects: int | None
 ) -> list[str]:
-    """Do the work of `--rebuild`: build a sound release's recordings again; return the differences."""
+    """Do the work of `--rebuild`: build the recordings of a faultless release again; return differences."""
     from kinectbench.engine.scratch import scratch_folder
     from kinectbench.engine.stages import Job
     from kinectbench.release.check.rebuild import differences, find_sources, rebuild_plan

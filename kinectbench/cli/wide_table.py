@@ -21,8 +21,8 @@ TEXT_CELLS = 12
 class WideTable(Table):
     """A rich table that is split into as many pieces as the terminal's width requires, one below the other.
 
-    Each piece repeats the first columns. If the first column is too wide, its cells are shortened, or with
-    `whole` wrapped.
+    Each piece repeats the first `keep` columns. If the very first column is too wide, its cells are
+    shortened, or wrapped if `whole` is set.
     """
 
     def __init__(
@@ -36,10 +36,10 @@ class WideTable(Table):
         """Make an empty table.
 
         Args:
-            keep: number of first columns repeated in every piece.
+            keep: number of leading columns that every piece repeats.
             title: title above the first piece.
             caption: caption below the last piece.
-            whole: whether cells are wrapped instead of shortened, for ids that people copy.
+            whole: whether cells are wrapped instead of shortened, so that ids can be copied.
         """
         super().__init__(title=title, caption=caption)
         self.keep, self.whole = keep, whole
@@ -72,7 +72,7 @@ class WideTable(Table):
         yield self._piece(chosen, widths)
 
     def _most_beside(self, widths: list[int]) -> int:
-        """Return the width of the widest column that is not repeated, in character cells, within a limit.
+        """Return the width of the widest column that is not repeated, in character cells, up to a limit.
 
         Cells wider than the limit are wrapped.
         """
@@ -87,7 +87,7 @@ class WideTable(Table):
         return max(cell_len(line) for text in texts for line in [*text.splitlines(), ""])
 
     def _piece(self, chosen: list[int], widths: list[int]) -> Table:
-        """Return a piece with the repeated columns and the chosen ones; `widths` is of all columns."""
+        """Return a piece with the repeated and the `chosen` columns; `widths` has the widths of all."""
         piece = Table()
         columns = [*range(self.keep), *chosen]
         for index in columns:

@@ -73,7 +73,7 @@ def refuse_large(folder: Path) -> None:
 
     Raises:
         ReleaseError: a file is too large, or a volume.npz is damaged or unpacks to too much; the message
-            names it. Or as in `release_files`.
+            names the file. Also the errors of `release_files`.
     """
     for path in release_files(folder):
         name = path.relative_to(folder).as_posix()
@@ -92,9 +92,9 @@ def refuse_large(folder: Path) -> None:
 
 
 def release_files(folder: Path, *, with_empty: bool = False) -> Iterator[Path]:
-    """Yield every file and link below a release except SHA256SUMS, sorted; links are not followed.
+    """Yield the path of every file and link below a release's folder except SHA256SUMS, sorted.
 
-    A missing folder has none.
+    Links are not followed. If the folder is missing, nothing is yielded.
 
     Args:
         folder: the release's folder.
@@ -137,8 +137,8 @@ class Contents:
 
     Attributes:
         entries: {path relative to the release: file}, with "/" between parts; an empty folder ends with "/".
-        problems: a message for each name in an archive that is invalid, such as a path that leads out of the
-            release, or that lies beside the release's folder.
+        problems: a message for each invalid name in an archive, such as a path that leads out of the release,
+            and for each file beside the release's folder.
     """
 
     entries: Mapping[str, Entry]
@@ -148,8 +148,8 @@ class Contents:
         """Return the bytes of a file.
 
         Raises:
-            ReleaseError: the file is missing, not plain, damaged, or larger than `limit` bytes (default: the
-                limit of its kind).
+            ReleaseError: the file is missing, not plain, damaged, or larger than `limit` bytes; None: the
+                limit for files of this name (`most_bytes`).
         """
         entry = self.entries.get(name)
         if entry is None:
@@ -166,10 +166,10 @@ class Contents:
 
     @contextmanager
     def stream(self, name: str) -> Iterator[IO[bytes]]:
-        """Open a file for reading within a `with` block; its entry must have no `problem`.
+        """Open a file for reading within a `with` block; the file's entry must have no `problem`.
 
         Raises:
-            ReleaseError: the file is larger than any file of a release, damaged or unreadable.
+            ReleaseError: the file is damaged, unreadable, or larger than any file of a release may be.
         """
         size = self.entries[name].size
         if size > MOST_FILE_BYTES:

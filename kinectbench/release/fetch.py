@@ -49,7 +49,7 @@ class ReleasePart:
     Attributes:
         split: train, validation or test; None: all splits.
         categories: names of categories, such as chair; empty: all categories.
-        views: number of views of each recording (the first by name); None: all views.
+        views: number of views of each recording, taken in the order of their names; None: all views.
     """
 
     split: str | None = None
@@ -82,7 +82,8 @@ def release_url(name: str | Path) -> str:
     A name is appended to the URL in the environment variable KINECTBENCH_RELEASES.
 
     Raises:
-        SettingsError: the URL is unusable; or `name` is no folder, and has a "/" or the variable is not set.
+        SettingsError: the URL is unusable; or `name` is neither URL nor folder, and it contains a "/" or the
+            variable is not set.
     """
     if problem := unusable(str(name)):
         raise SettingsError(printable(problem, 300), what="bad-url")
@@ -153,7 +154,7 @@ def fetch_release(
 
 
 def _bring_all(store: Store, out: Path, text: str, names: list[str], done: Callable[[int], None]) -> int:
-    """Download the missing files of `names`; return the number of downloaded files.
+    """Download those files of `names` that are missing in `out`; return the number of downloaded files.
 
     `text` is the content of SHA256SUMS; `done` is called with the number of files done.
     """
@@ -187,12 +188,12 @@ def mirror_release(url: str, out: Path, progress: Progress = no_progress) -> lis
 def stored_hashes(
     url: str, out: Path, progress: Progress = no_progress
 ) -> tuple[dict[str, str | None], list[str]]:
-    """Return the SHA-256 of each stored file of a release; each file is downloaded, hashed and deleted.
+    """Download, hash and delete each file of a release at a URL; return the hashes.
 
     `SHA256SUMS` and `benchmark.json` stay in the folder `out`.
 
     Returns:
-        {name: hash, or None if missing} in the order of SHA256SUMS, and the names that `mirror_release`
+        {name: SHA-256, or None if missing} in the order of SHA256SUMS, and the names that `mirror_release`
         returns.
 
     Raises:
@@ -224,7 +225,8 @@ def chosen_targets(targets: Collection[Target], part: ReleasePart) -> tuple[Targ
 def wanted_names(names: Collection[str], targets: Collection[Target], part: ReleasePart | None) -> list[str]:
     """Return the release's file names that a part needs; all names if `part` is None.
 
-    A part has the files of the targets' recordings and views, and all files that belong to no recording.
+    A part needs the files of the recordings and views in `targets`, and all files that belong to no
+    recording.
     """
     if part is None:
         return list(names)
@@ -289,7 +291,7 @@ def _is_here(path: Path, sha256: str) -> bool:
 
 
 def _bring(store: Store, out: Path, name: str, sha256: str) -> bool:
-    """Download a file unless it is here with this hash; return whether it was downloaded."""
+    """Download a file unless it is here already with this SHA-256; return whether it was downloaded."""
     path = out / name
     if _is_here(path, sha256):
         return False
@@ -338,7 +340,7 @@ def _mirror(store: Store, out: Path, name: str) -> None:
 
 
 def _refuse_other(out: Path, text: str) -> None:
-    """Raise an error if `out` holds anything but the release with this text of SHA256SUMS."""
+    """Raise an error if `out` holds anything but the release whose SHA256SUMS has the content `text`."""
     if not out.exists():
         return
     if not out.is_dir():

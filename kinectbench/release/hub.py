@@ -26,7 +26,7 @@ ITS_OWN = frozenset({".gitattributes", "README.md"})
 
 
 def hub_name(url: str) -> str:
-    """Return the dataset's name `user/name` of a URL hf://user/name.
+    """Return the dataset's name `user/name`, given its URL hf://user/name.
 
     Raises:
         SettingsError: the URL names no dataset, or huggingface_hub is not installed.
@@ -41,8 +41,8 @@ def hub_name(url: str) -> str:
 def put_on_hub(folder: Path, name: str, sums: Mapping[str, str] | None = None) -> PutSummary:
     """Make a dataset of the hub equal to a release: upload the folder, delete files of an earlier release.
 
-    The dataset is created if missing. The hub itself skips the upload of files that it already has.
-    Files in the folder that SHA256SUMS does not list are not uploaded.
+    The dataset is created if missing. The hub itself skips the upload of files that it already has. Files in
+    the folder that SHA256SUMS does not list are not uploaded.
 
     Args:
         folder: the release's folder on this machine.
@@ -50,8 +50,8 @@ def put_on_hub(folder: Path, name: str, sums: Mapping[str, str] | None = None) -
         sums: result of `listed_files`; None: the folder's files are checked here.
 
     Raises:
-        ReleaseError: the dataset holds files that belong to no release, or a file in the folder is
-            missing, damaged or not that of SHA256SUMS.
+        ReleaseError: the dataset holds files that belong to no release; or a file in the folder is missing,
+            damaged, or differs from SHA256SUMS.
         StorageError: the hub does not answer, or refuses.
     """
     from huggingface_hub import HfApi
@@ -99,7 +99,7 @@ def _refuse_other(name: str, others: Set[str]) -> None:
 
 
 def _refusal(name: str, error: Exception) -> StorageError:
-    """Return a StorageError that states an error of the hub in one line, with advice."""
+    """Return an error of the hub as a StorageError with a message of one line, with advice."""
     status = getattr(getattr(error, "response", None), "status_code", None)
     said = printable((str(error).strip().splitlines() or [type(error).__name__])[0], 200)
     if status in (401, 403) or type(error).__name__ == "LocalTokenNotFoundError":

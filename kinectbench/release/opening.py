@@ -104,9 +104,9 @@ def _entry(file: Path) -> Entry:
 
 
 def _rooted(contents: Contents, path: Path) -> Contents:
-    """Return the files of the release at the top of an archive or in one folder, by path in the release.
+    """Return only the files of the release in an archive, by their paths relative to the release.
 
-    Files beside that folder become problems of the result.
+    The release is at the top of the archive or in one folder. Files beside that folder become `problems`.
 
     Raises:
         ReleaseError: there is no release, or several folders hold one.
@@ -132,12 +132,12 @@ def _rooted(contents: Contents, path: Path) -> Contents:
 def _open_archive(path: Path) -> Iterator[Contents]:
     """Open a .zip, .tar or .tar.gz, recognised by its content instead of its name; yield its files.
 
-    A zip or a tar is read in place. A .tar.gz is inflated into an unnamed temporary file first, because its
-    files cannot be reached otherwise.
+    A zip or a tar is read in place. A .tar.gz is inflated into an unnamed temporary file first, because it
+    allows no random access.
 
     Raises:
-        ReleaseError: the file is no such archive, is cut off, or states a content beyond `unpacked_bound`
-            (64 MiB, and 100 times its size).
+        ReleaseError: the file is no such archive, is cut off, or states a content beyond `unpacked_bound` (64
+            MiB, and 100 times its size).
         StorageError: there is no room for the temporary file.
     """
     with ExitStack() as stack:
@@ -181,7 +181,7 @@ def _inflate(packed: IO[bytes], inflated: IO[bytes], path: Path) -> None:
 
 
 def _zip_members(archive: zipfile.ZipFile) -> list[tuple[str, Entry]]:
-    """Return (name, entry) of each member of a zip; an entry holds its size and opens it."""
+    """Return (name, entry) of each member of a zip; the entry has the size of the member and opens it."""
     members = list[tuple[str, Entry]]()
     for info in archive.infolist():
         problem = LINK if stat.S_ISLNK(info.external_attr >> 16) else None
@@ -194,7 +194,7 @@ def _zip_members(archive: zipfile.ZipFile) -> list[tuple[str, Entry]]:
 
 
 def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
-    """Return (name, entry) of each member of a tar; an entry holds its size and opens it.
+    """Return (name, entry) of each member of a tar; the entry has the size of the member and opens it.
 
     Raises:
         tarfile.TarError, ValueError, OverflowError: the tar is damaged, or has too large headers or too many
@@ -251,7 +251,7 @@ class _Headers(io.RawIOBase):
 
 
 def _member(file: IO[bytes], start: int, size: int) -> io.BufferedReader:
-    """Return the `size` bytes of a tar from offset `start`, one member, as a readable file."""
+    """Return one member of a tar as a readable file: the `size` bytes from offset `start`."""
     return io.BufferedReader(_Slice(file, start, size), COPIED_BYTES)
 
 
@@ -294,8 +294,8 @@ class _Slice(io.RawIOBase):
 def _contents(members: Iterable[tuple[str, Entry]], path: Path, packed_bytes: int) -> Contents:
     """Return an archive's files, and its empty folders, by name.
 
-    Names that lead out of the archive, or that no file should have (control characters, backslash, colon),
-    become problems of the result; a duplicate is a problem of its entry.
+    A name that leads out of the archive, or has characters that no name should have (control characters,
+    backslash, colon), becomes a problem of the result. A name that occurs twice is a problem of its entry.
     """
     entries: dict[str, Entry] = {}
     folders: dict[str, Entry] = {}

@@ -1,4 +1,4 @@
-"""Guards of a release's folder: one writer at a time, no leftovers of killed downloads, no other content."""
+"""Protect a release's folder: one writer at a time, no leftovers of killed downloads, no other content."""
 
 import contextlib
 import errno
@@ -27,7 +27,7 @@ def is_ours(name: str) -> bool:
 
 
 def is_ignored(name: str) -> bool:
-    """Return whether a file of this name is no user's file: `is_ours`, or left by a file manager."""
+    """Return whether this name is of a lock, an unfinished download, or a file that a file manager leaves."""
     return is_ours(name) or name in OF_FILE_MANAGERS
 
 
@@ -37,7 +37,7 @@ def remains(folder: Path) -> list[Path]:
 
 
 def _unknown_file(folder: Path, known: Set[str]) -> str | None:
-    """Return the first file or link of a folder that is neither in `known` nor `is_ignored`, or None."""
+    """Return the first file or link in a folder that is neither `known` nor `is_ignored`, or None."""
     others = (p for p in release_files(folder) if p.relative_to(folder).as_posix() not in known)
     return next((path.relative_to(folder).as_posix() for path in others if not is_ignored(path.name)), None)
 
@@ -46,8 +46,8 @@ def refuse_other_content(out: Path) -> None:
     """Raise an error unless a folder may be replaced: it is missing, empty, or holds only a release.
 
     Raises:
-        ReleaseError: the folder holds something else, which the message names, or its SHA256SUMS is missing
-            or damaged, so that nobody knows which files are of the release.
+        ReleaseError: the folder holds something else, which the message names; or its SHA256SUMS is missing
+            or damaged, so that nobody knows which files belong to the release.
     """
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
@@ -73,7 +73,7 @@ def refuse_other_content(out: Path) -> None:
 
 @contextlib.contextmanager
 def owned(folder: Path) -> Iterator[None]:
-    """Lock a folder during a `with` block, after waiting for other writers; first remove leftover downloads.
+    """Lock a folder during a `with` block, after waiting for other writers; then remove leftover downloads.
 
     On a file system without locks nothing is removed, because another fetch may be running.
 
@@ -98,7 +98,7 @@ def owned(folder: Path) -> Iterator[None]:
 
 
 def _lock(path: Path, held: contextlib.ExitStack) -> bool:
-    """Wait for a lock file, and hold it until the stack closes; return False if the system has no locks.
+    """Lock a file, after waiting for its holder, until the stack closes; return False if there are no locks.
 
     If the last holder deleted the file meanwhile, a new one is made and locked.
     """

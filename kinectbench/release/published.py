@@ -1,7 +1,7 @@
 """Read the bytes of a release's file in place: from its folder, from its archive or from a URL.
 
 A path may lead into an archive: `chairs.zip/pairs/chair_01/000.npz` is a file of the release in `chairs.zip`.
-A path may also be a URL. So code that passes on a path works with folders, archives and URLs.
+A path may also be a URL. So functions that only pass paths on work with folders, archives and URLs alike.
 """
 
 import errno
@@ -71,7 +71,7 @@ def published_bytes(path: Path, sha256: str | None) -> bytes:
 
 
 def listed_files(folder: Path, progress: Progress = no_progress) -> dict[str, str]:
-    """Return {file: SHA-256} of a release's SHA256SUMS, after checking each file in the folder against it.
+    """Check each file of a release's folder against SHA256SUMS; return its content as {file: SHA-256}.
 
     Args:
         folder: the release's folder.
@@ -178,7 +178,7 @@ class _Opened:
 
 
 def _listed(archive: Path) -> _Opened:
-    """Return an archive opened by this process, from a cache; open it again if the file was replaced.
+    """Return an archive from a cache of open archives; open it again if the file was replaced.
 
     A forked process opens the archive again, because it would share the file's position with its parent.
     """

@@ -1,8 +1,8 @@
 """Upload a release to a store, benchmark.json last, so that a partial upload never looks complete.
 
-A stopped upload can be resumed. It has left `SHA256SUMS` without `benchmark.json`, and files in that list.
-The next upload first deletes those that are not in the new list, then uploads the new `SHA256SUMS`, then the
-other files. A store with a file in neither list is refused.
+A stopped upload can be resumed. It has left `SHA256SUMS`, no `benchmark.json`, and some of the files that
+`SHA256SUMS` lists. The next upload first deletes the files that are not in the new list, then uploads the new
+`SHA256SUMS`, then the other files. A store with a file in neither list is refused.
 """
 
 from collections.abc import Mapping
@@ -26,7 +26,7 @@ class PutSummary:
         put: number of uploaded files.
         kept: number of files that the store already had.
         removed: number of removed files that do not belong to the release.
-        replaced: `benchmark.json` of another release that was in the store before; None if there was none.
+        replaced: `benchmark.json` of the other release that was in the store before; None if there was none.
     """
 
     put: int
@@ -41,7 +41,7 @@ class _Place:
 
     Attributes:
         sizes: {file: size in bytes} of all files there.
-        text: text of `SHA256SUMS`; empty if it is missing or not of a release.
+        text: text of `SHA256SUMS`; empty if it is missing or does not list a release.
         sums: {file: hash} of `SHA256SUMS`.
         info: content of `benchmark.json`; None if it is missing or damaged.
         stated: text of `benchmark.json`; empty if it is missing or not UTF-8.
@@ -63,7 +63,8 @@ class _Place:
     def is_known(self) -> bool:
         """Whether the stored files are those in SHA256SUMS: a release, or the remains of a stopped upload.
 
-        It is False if benchmark.json does not match SHA256SUMS: then another program wrote one of them.
+        It is False if there is a benchmark.json that does not match SHA256SUMS: another program wrote one of
+        them.
         """
         return self.is_whole or BENCHMARK_JSON not in self.sizes
 
@@ -71,17 +72,18 @@ class _Place:
 def put_release(folder: Path, store: Store, progress: Progress = no_progress) -> PutSummary:
     """Upload a release to a store; files that the store already has are not uploaded again.
 
-    A file counts as uploaded if the store's SHA256SUMS has the same hash and the stored file the same size.
+    The store has a file already if its SHA256SUMS states the same hash and the stored file has the same size.
     During the upload the store has no benchmark.json, so that nobody takes it for a complete release.
 
     Args:
         folder: the release's folder on this machine.
         store: the place to upload to. Files of an earlier release that are not in this one are removed.
-        progress: called with (files checked and uploaded, files to check and, once that is known, to upload).
+        progress: called with (files checked and uploaded, files to check and to upload). The second number
+            grows once it is known what to upload.
 
     Raises:
-        ReleaseError: the store holds files that belong to neither a release nor a stopped upload, its URL has
-            a query, or a file in the folder is missing, damaged or not that of SHA256SUMS.
+        ReleaseError: the store holds files that belong to neither a release nor a stopped upload; its URL has
+            a query; or a file in the folder is missing, damaged, or differs from SHA256SUMS.
         StorageError: the store fails.
     """
     release_store(store.url)
@@ -109,7 +111,7 @@ def put_release(folder: Path, store: Store, progress: Progress = no_progress) ->
 
 
 def _put(folder: Path, store: Store, names: list[str], checked: int, progress: Progress) -> None:
-    """Upload the named files, SHA256SUMS first, and benchmark.json last; `checked` files count as done."""
+    """Upload the named files, SHA256SUMS first, then benchmark.json; `checked` files count as done before."""
     total, first = checked + len(names) + 1, [name for name in names if name == SHA256SUMS]
     for name in first:
         store.put(name, folder / name)
@@ -124,8 +126,9 @@ def _put(folder: Path, store: Store, names: list[str], checked: int, progress: P
 def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
     """Delete files that do not belong to the new release, so that a stopped upload can still be resumed.
 
-    Files that the store's SHA256SUMS lacks are deleted first, while benchmark.json is there. Of a complete
-    release, files in that list are deleted after benchmark.json, so that nobody sees it incomplete.
+    Files that the store's SHA256SUMS does not list are deleted first, while benchmark.json is there. If the
+    store has a complete release, its listed files are deleted after its benchmark.json, so that nobody sees
+    it incomplete.
     """
     kept = same | {BENCHMARK_JSON} | ({SHA256SUMS} if place.text else set())
     unlisted = [name for name in place.sizes if name not in kept and name not in place.sums]
@@ -137,7 +140,7 @@ def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
 
 
 def _look(store: Store) -> _Place:
-    """Read the state of a store; a SHA256SUMS or benchmark.json that is not of a release is ignored."""
+    """Read the state of a store; ignore a SHA256SUMS or benchmark.json that does not describe a release."""
     sizes = {each.name: each.size for each in store.objects()}
     text, sums, info, stated = "", dict[str, str](), None, ""
     try:
@@ -160,8 +163,8 @@ def _look(store: Store) -> _Place:
 def _refuse_other(store: Store, place: _Place, sums: Mapping[str, str]) -> None:
     """Raise an error if a store has a file that belongs to no release.
 
-    Files listed in the store's SHA256SUMS belong to a release; if its benchmark.json is valid, so do the
-    files in `sums`.
+    Files listed in the store's SHA256SUMS belong to a release. So do the files in `sums` if the store's
+    benchmark.json is valid, because its SHA256SUMS may be damaged.
     """
     known = {BENCHMARK_JSON, SHA256SUMS, *place.sums} if place.text else set(place.sums)
     if place.info is not None:  # whose list may be damaged

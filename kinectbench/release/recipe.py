@@ -61,7 +61,7 @@ class FetchedScan:
     Attributes:
         scan: the scan.
         fetched: whether it was downloaded now; False if it was here already or the download failed.
-        error: why the download (or with `fetch --stream` the build) failed, one line; None on success.
+        error: why the download failed (or the build, with `fetch --stream`), one line; None on success.
     """
 
     scan: Scan
@@ -70,7 +70,7 @@ class FetchedScan:
 
 
 def is_recipe(name: str) -> bool:
-    """Return whether `name` is a local folder with a sources.yaml, a recipe."""
+    """Return whether `name` is a recipe: a local folder with a sources.yaml."""
     return os.path.isfile(f"{name}/{SOURCES_YAML}")  # noqa: PTH113 - whatever the name is
 
 
@@ -80,10 +80,10 @@ class Recipe:
 
     Attributes:
         folder: the folder that holds sources.yaml and sources.lock.
-        out: the benchmark's folder, perhaps the same.
+        out: the benchmark's folder; it may be the same.
         sources: the content of sources.yaml.
-        is_read: function that returns whether a reader of recordings opens a file as it is; a zip archive
-            that no reader opens is unpacked.
+        is_read: function that returns whether a recording reader can open a file without unpacking it. If it
+            returns False for a zip archive, the archive is unpacked.
     """
 
     folder: Path
@@ -96,7 +96,7 @@ class Recipe:
     def chosen(self, categories: tuple[str, ...] = (), limit: int | None = None) -> list[Scan]:
         """Return the scans of some categories, at most `limit` of each; first download the index if missing.
 
-        Without categories, scans of all categories are returned.
+        If no categories are given, scans of all categories are returned.
 
         Raises:
             SettingsError: there are no such scans, or the index of scans is invalid.
@@ -133,12 +133,12 @@ class Recipe:
         return [replace(of_file[scan.scan], scan=scan) for scan in scans]
 
     def fetch(self, scan: Scan, room: Callable[[int], object] | None = None) -> FetchedScan:
-        """Download a scan and unpack its archive if needed; return the outcome, failures included.
+        """Download a scan and unpack its archive if needed; return the outcome, also if it is a failure.
 
         Args:
             scan: the scan.
-            room: called with the expected size in bytes, raises an error if there is no room; default: check
-                the free space of the disk.
+            room: called with the expected size in bytes; raises an error if there is no room. None: a
+                function that checks the free space of the disk.
 
         Raises:
             NoRoomError: there is no room.
@@ -179,7 +179,11 @@ class Recipe:
         most_bytes: int = MOST_FILE_BYTES,
         room: Callable[[int], object] | None = None,
     ) -> bool:
-        """Download a missing file, check it, and record its hash; return whether it was downloaded."""
+        """Download and check a missing file, and record its hash; return whether it was downloaded.
+
+        `file` is the file's name below each of the URLs `bases`, which are tried in turn, and in
+        sources.lock. `path` is its place on the disk. `sha256` is the expected hash, None if it is not known.
+        """
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(
@@ -205,10 +209,10 @@ class Recipe:
         return True
 
     def _lock(self, file: str, path: Path, content: Content) -> None:
-        """Record a file's size and hash (`content`) as `file` in sources.lock, unless it is there already.
+        """Record the size and hash of a file as `file` in sources.lock, unless this name is there already.
 
         Raises:
-            StorageError: a fetch to another folder has recorded another file under this name.
+            StorageError: a fetch to another folder has recorded a different hash under this name.
         """
         with self._writing, only_writer(self.folder):
             if file in self._locked:
@@ -255,7 +259,7 @@ class Recipe:
             raise SettingsError(f"{config}: does not include the scans; add `include: [{RECORDINGS}]` to it")
 
     def other_attribution(self, scans: Sequence[Scan]) -> list[str]:
-        """Return a line if entries of the scans state another licence or source than sources.yaml.
+        """Return a line if recordings.yaml and sources.yaml disagree on the licence or source of a scan.
 
         Raises:
             SettingsError: benchmark.yaml is wrong.
@@ -284,13 +288,13 @@ def opened_recipe(
     *,
     is_read: Callable[[Path], bool],
 ) -> Iterator[Recipe]:
-    """Open a recipe, with a lock on `scans/` in the benchmark's folder against other downloads.
+    """Open a recipe, and lock `scans/` in the benchmark's folder against other downloads.
 
     Args:
         folder: the folder that holds sources.yaml.
         out: the benchmark's folder; default: `folder`.
         waiting: called once before waiting, with the name of the other process that downloads there.
-        is_read: function that returns whether a reader of recordings opens a file as it is.
+        is_read: function that returns whether a recording reader can open a file without unpacking it.
 
     Raises:
         SettingsError: sources.yaml or sources.lock is wrong, there is no benchmark.yaml, or `out` is a file.
@@ -310,7 +314,7 @@ def opened_recipe(
 
 
 def _refuse_full(path: Path, size: int) -> None:
-    """Raise an error if a download of `size` bytes does not fit the disk."""
+    """Raise an error if a download of `size` bytes does not fit on the disk."""
     free = shutil.disk_usage(path.parent).free
     if size > free:
         raise NoRoomError(
@@ -325,7 +329,7 @@ def _other_file(path: Path) -> StorageError:
 
 
 def _check_zip(path: Path) -> None:
-    """Raise an error if a file has no end record of a zip archive, as when it is cut off."""
+    """Raise an error if a file lacks the end record of a zip archive, which is missing if it was cut off."""
     with open_plain(path) as file:
         if not zipfile.is_zipfile(file):
             raise StorageError(f"{path}: sends no whole zip archive", what="not-fetched")

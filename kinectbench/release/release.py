@@ -32,7 +32,7 @@ class Release:
 
     Attributes:
         folder: the release's folder, archive or URL; file paths may lead into an archive (see published.py).
-        targets: every line of targets.csv, a pair each, in the same order.
+        targets: the lines of targets.csv, in the same order; each describes one pair.
         metadata: content of benchmark.json.
     """
 
@@ -55,7 +55,7 @@ class Release:
         return tuple(target for target in self.targets if target.split == name)
 
     def of_splits(self, names: Sequence[str]) -> tuple[Target, ...]:
-        """Return the targets of some splits, split by split, each in the order of targets.csv.
+        """Return the targets of some splits: one split after the other, each in the order of targets.csv.
 
         Raises:
             SettingsError: none of these splits has a pair.
@@ -70,18 +70,18 @@ class Release:
         return targets
 
     def open_split(self, name: str) -> tuple[Target, ...]:
-        """Return the targets of one split; empty if its truth is held back or an open mesh."""
+        """Return the targets of one split; empty if its truth is held back or consists of open meshes."""
         return () if name in self.metadata.inputs_only else self.split(name)
 
     def require_truth(self, splits: Iterable[str], *, solid: bool = True) -> None:
-        """Raise an error if one of the splits has pairs without truth.
+        """Raise an error if one of the splits has pairs without the required truth.
 
         Args:
             splits: names of splits.
             solid: whether the truth must be a solid; an open mesh has no inside.
 
         Raises:
-            ReleaseError: the truth is held back, or (with `solid`) is an open mesh.
+            ReleaseError: the truth is held back, or (with `solid`) consists of open meshes.
         """
         splits = tuple(splits)
         if solid and any(split in self.metadata.surface_truth and self.split(split) for split in splits):
@@ -121,7 +121,7 @@ class Release:
         return published_bytes(self.folder / name, self.sums.get(name))
 
     def text(self, name: str) -> str:
-        """Return the content of a UTF-8 text file of the release; `name` as in `content`.
+        """Return the content of a UTF-8 text file, whose path `name` is relative to the release.
 
         Raises:
             ReleaseError: as in `content`, or the file is not UTF-8.
@@ -171,8 +171,8 @@ def open_release(path: Path) -> Release:
         path: the release's folder or URL, or a .zip, .tar or .tar.gz of it, which is read in place.
 
     Raises:
-        ReleaseError: there is no release, it has another format version, one of the three files was changed,
-            an object is in two splits, a path leaves the release, or files contradict each other.
+        ReleaseError: there is no release; it has another format version; one of the three files was changed;
+            an object is in two splits; a path leads out of the release; or files contradict each other.
         SettingsError: the URL's scheme is not supported.
         StorageError: the store at the URL fails.
     """
@@ -221,7 +221,7 @@ def _text(path: Path, content: bytes) -> str:
 
 
 def recording_problems(targets: Iterable[Target], metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each fact about a recording in which targets.csv contradicts benchmark.json."""
+    """Yield a message for each fact about a recording on which targets.csv and benchmark.json disagree."""
     pairs = Counter[str]()
     for line, target in enumerate(targets, start=FIRST_LINE):
         pairs[target.recording] += 1

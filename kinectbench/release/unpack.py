@@ -39,9 +39,9 @@ DAMAGED = (
 
 
 class TarMember(tarfile.TarInfo):
-    """A tar member; reading it raises an error if a header is damaged or missing, or announces a large one.
+    """A tar member. Reading it raises an error if a header is damaged, missing, or announces a large one.
 
-    tarfile itself takes the first such header for the end of the archive.
+    tarfile by itself would treat such a header as the end of the archive.
     """
 
     @classmethod
@@ -50,7 +50,8 @@ class TarMember(tarfile.TarInfo):
 
         Raises:
             tarfile.EOFHeaderError: the block is the end of the archive.
-            tarfile.ReadError: the block is damaged or missing, or announces too large an extended header.
+            tarfile.ReadError: the block is damaged or missing, or announces an extended header that is too
+                large.
         """
         try:
             member = super().frombuf(buf, encoding or "utf-8", errors)
@@ -67,8 +68,9 @@ class TarMember(tarfile.TarInfo):
 def unpack_archive(archive: Path, folder: Path) -> None:
     """Unpack a .tar, .tgz or .zip, recognised by its content, into `folder`.
 
-    If the archive holds a single folder, only its content is kept, also if that is a single folder again.
-    `folder` appears whole or not at all. Links, devices and hidden files are skipped.
+    If the archive holds only a single folder, the content of that folder is unpacked; this is repeated if the
+    content is a single folder again. `folder` appears whole or not at all. Links, devices and hidden files
+    are skipped.
 
     Raises:
         StorageError: the archive is damaged, holds no such file, leads out of the folder or unpacks to too

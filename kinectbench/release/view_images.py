@@ -21,8 +21,8 @@ class Kind(NamedTuple):
     Attributes:
         suffix: the end of the file name, after the view's name.
         words: name of the kind in messages.
-        format: suffix, bits per channel and colour type (PNG's number: 0 grey, 2 RGB) that the file's header
-            must state.
+        format: what the file's header must state: suffix, bits per channel, and colour type as PNG numbers it
+            (0 grey, 2 RGB).
     """
 
     suffix: str
@@ -54,7 +54,7 @@ def mask(release: Release, target: Target) -> Bools:
 
 
 def mask_file(release: Release, target: Target) -> tuple[Path, str] | None:
-    """Return the path of a view's mask and its expected SHA-256; None if the release has no mask."""
+    """Return the path and expected SHA-256 of a view's mask image; None if the release has no such mask."""
     name = f"views/{target.recording}/{target.view}{MASK.suffix}"
     return (release.folder / name, release.sums[name]) if name in release.sums else None
 

@@ -1,4 +1,4 @@
-"""Read benchmark.yaml and `--set` overrides; each error gives one line with file and line number."""
+"""Read benchmark.yaml and `--set` overrides; each error gives one line, with the file and the line number."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,8 +46,8 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
         The settings, with defaults for missing keys and empty sections.
 
     Raises:
-        SettingsError: one line for each of the first 20 errors, in the order of the file: file and line (or
-            the override), dotted key, the value found, and the value expected.
+        SettingsError: the message has one line for each of the first 20 errors, in the order of the file:
+            file and line (or the override), dotted key, the value found, and the value expected.
         StorageError: a store cannot be read.
     """
     source = shown(path)
@@ -63,7 +63,7 @@ def parse_benchmark(
     Args:
         text: text of the file.
         source: name of the file.
-        overrides: as for `load_benchmark`.
+        overrides: `section.key=value` or `recordings.<id>.key=value`, with the value in YAML.
         config: path of the file, for relative includes; None: no file, so no includes.
     """
     root = nodes_of(text, source, config)
@@ -73,7 +73,7 @@ def parse_benchmark(
 
 
 def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
-    """Parse a benchmark.yaml and the files that it includes into nodes; without `config` nothing is included.
+    """Parse a benchmark.yaml and the files that it includes into nodes; if `config` is None, include nothing.
 
     Raises:
         SettingsError: the text is not YAML or holds no settings, a key repeats, or a file cannot be included.
@@ -94,7 +94,7 @@ def nodes_of(text: str, source: str, config: Path | None) -> yaml.Node:
 
 
 def _overridden(root: yaml.Node, override: str) -> yaml.Node:
-    """Insert one override `key=value` into a copy of the nodes."""
+    """Return a copy of the nodes in which one override `key=value` is applied."""
     source = f"{yaml_nodes.OVERRIDE}{_shortened(override)}"
     key, equals, text = override.partition("=")
     if not equals or not all(key.split(".")):
@@ -106,7 +106,7 @@ def _overridden(root: yaml.Node, override: str) -> yaml.Node:
 
 
 def _override_path(root: yaml.Node, key: str, source: str) -> Location:
-    """The location of a dotted key of an override; a recording is named by its id, which may have dots."""
+    """Return the location of an override's dotted key; recordings are named by ids, which may have dots."""
     section, _, tail = key.partition(".")
     if section != "recordings" or not tail:
         return tuple(key.split("."))
@@ -159,7 +159,7 @@ def _errors_of_first(values: dict[str, Any]) -> list[ErrorDetails]:
 
 
 def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[ErrorDetails]) -> list[str]:
-    """One line for each of the first errors, in the order of the file, and one line for the rest."""
+    """Return one line for each of the first errors, in the order of the file, and one line for the rest."""
     known: yaml_nodes.Known = {}
     # Several wrong numbers of one vector are one error.
     of_place: dict[tuple[Location, str], ErrorDetails] = {}
@@ -179,7 +179,7 @@ def _error_lines(root: yaml.Node, values: dict[str, Any], errors: Sequence[Error
 
 
 def _location(error: ErrorDetails) -> Location:
-    """The location of the YAML node that a pydantic error is about."""
+    """Return the location of the YAML node that a pydantic error is about."""
     # For an invalid key of a mapping, pydantic appends an extra part.
     location, kind = tuple(part for part in error["loc"] if part != "[key]"), error["type"]
     if kind == "value_error":
@@ -217,7 +217,7 @@ def _error_line(root: yaml.Node, values: dict[str, Any], error: ErrorDetails, kn
 
 
 def _key_hint(name: str, annotation: object) -> str:
-    """Advice on an unknown key of a model: the section that it belongs under, or a similar key."""
+    """Return advice on an unknown key of a model: the section that it belongs under, or a similar key."""
     model = model_of(annotation)
     homes = [
         section
@@ -230,7 +230,7 @@ def _key_hint(name: str, annotation: object) -> str:
 
 
 def _value_hint(value: yaml.Node | None, annotation: object) -> str:
-    """Advice on a value of the wrong type; "" if there is none."""
+    """Return advice on a value of the wrong type; "" if there is none."""
     if not isinstance(value, yaml.ScalarNode) or value.tag == yaml_nodes.NULL_TAG:
         return ""
     if choices := choices_of(annotation):
@@ -242,7 +242,7 @@ def _value_hint(value: yaml.Node | None, annotation: object) -> str:
 
 
 def _dotted(values: dict[str, Any], location: Location) -> str:
-    """Write a location as in `--set`: a recording by its id, or by its index if it has no id."""
+    """Write a location as `--set` does: a recording by its id, or by its index if it has no id."""
     text = ""
     for depth, part in enumerate(location):
         if isinstance(part, str):
@@ -269,7 +269,7 @@ def _found(node: yaml.Node | None) -> str:
 
 
 def _scalar(node: yaml.Node) -> str:
-    """Quote a scalar as written in the file; text in quotation marks."""
+    """Return a scalar as written in the file; a text is put in quotation marks."""
     if node.tag == yaml_nodes.NULL_TAG:
         return "nothing"
     text = _shortened(str(node.value))

@@ -1,4 +1,4 @@
-"""The key `include:` of a benchmark.yaml: recordings in other files below its folder, YAML or tables."""
+"""Recordings that the key `include:` of benchmark.yaml reads from files below its folder, YAML or tables."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +22,7 @@ MISSING = "correct the name under `include:`, or make the file"
 
 @dataclass
 class _Left:
-    """The remaining limits that all included files share, and the files read until now.
+    """The limits that all included files share, as far as they remain, and the files read so far.
 
     Attributes:
         allowance: number of YAML keys and values that may still be read.
@@ -39,12 +39,13 @@ def with_included(root: yaml.MappingNode, config: Path, allowance: yaml_nodes.Al
     """Append the recordings of the included files to the nodes of a benchmark.yaml.
 
     Args:
-        root: nodes of benchmark.yaml; an `include:` of the wrong form stays, so that validation refuses it.
+        root: nodes of benchmark.yaml.
         config: path of benchmark.yaml; names are relative to its folder.
         allowance: number of values that all files together may still have.
 
     Returns:
-        Nodes without `include:`, unless its form is wrong; each recording keeps its file and line number.
+        Nodes without `include:`; each recording keeps its file and line number. If `include:` has the wrong
+        form, it stays, so that validation refuses it.
 
     Raises:
         SettingsError: a file is missing, outside the folder, invalid, or holds more than recordings.
@@ -78,7 +79,7 @@ def _are_texts(node: yaml.Node) -> bool:
 
 
 def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
-    """List the files that an entry of `include:` matches."""
+    """List the files that match one entry of `include:`."""
     where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
     if url_of(pattern.value) or unusable(pattern.value):
         raise SettingsError(
@@ -100,7 +101,7 @@ def _files(pattern: yaml.ScalarNode, config: Path) -> list[Path]:
 
 
 def _entries(path: Path, config: Path, pattern: yaml.ScalarNode, left: _Left) -> list[yaml.Node]:
-    """Read the recordings of one included file; none if an earlier pattern has matched it already."""
+    """Read the recordings of one included file; return [] if an earlier pattern has matched it already."""
     where = f"{yaml_nodes.place(pattern)}: {INCLUDE}"
     refuse_outside(path, config.parent)
     if followed(path) in left.seen:

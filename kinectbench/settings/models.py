@@ -114,7 +114,7 @@ class BoxSettings(Settings):
 
     @model_serializer(mode="wrap")
     def _without_no_anchor(self, to_dict: SerializerFunctionWrapHandler) -> dict[str, object]:
-        """Leave out keys of a missing anchor, so that fingerprints stay as before boxes had anchors."""
+        """Leave out the keys of a missing anchor, so that fingerprints stay as before boxes had anchors."""
         values: dict[str, object] = to_dict(self)
         if self.anchor_depth_sha256 is None:
             values.pop("anchor_depth_sha256", None)
@@ -123,7 +123,7 @@ class BoxSettings(Settings):
         return {key: values[key] for key in BOX_KEYS if key in values}
 
     def box(self) -> OrientedBox:
-        """The settings as an `OrientedBox`."""
+        """Return the settings as an `OrientedBox`."""
         frame, pose = self.anchor_frame, self.anchor_pose
         anchor = None if frame is None or pose is None else BoxAnchor(frame, pose, self.anchor_depth_sha256)
         return OrientedBox(self.center_m, self.size_m, self.yaw_rad, anchor)
@@ -186,7 +186,7 @@ class RecordingSettings(Settings):
 
     @property
     def trajectory_mode(self) -> TrajectoryMode | None:
-        """How to use a given trajectory; by default None, or "ignore" if the object moves, not the camera."""
+        """How to use a given trajectory; default: None, or "ignore" if the object moves, not the camera."""
         return "ignore" if self.trajectory is None and self.segment_by else self.trajectory
 
     @property
@@ -260,9 +260,9 @@ class MaskCuts(FloorCuts):
 
 
 class ObjectCuts(FloorCuts):
-    """Limits of the floor and of air, the space that some camera could see; other space is the object.
+    """Limits of the floor and of free space: space that some camera could see. All other space is the object.
 
-    They hold for a whole benchmark, because in unmeasured space they decide which voxels are solid.
+    They hold for a whole benchmark, because they decide which voxels are solid where nothing was measured.
     """
 
     # A line narrower than two voxels of 5 mm is lost in rounding, and one of 10 cm closes a shelf. Cameras
@@ -284,7 +284,7 @@ class ObjectCuts(FloorCuts):
     )
 
     def limits(self) -> SensorLimits:
-        """The limits of air as `SensorLimits`."""
+        """Return the limits of free space as `SensorLimits`."""
         return SensorLimits(self.line_width_m, self.near_m, self.camera_size_m, self.camera_height_m)
 
 
@@ -324,7 +324,7 @@ class PairSettings(FitLimits, PairForm):  # fields of the last base come first
 
 
 def _clash(index: int, earlier: int, problem: str) -> PydanticCustomError:
-    """Make a validation error about a recording whose names conflict with those of an earlier one."""
+    """Make a validation error about recording `index`, whose names conflict with recording `earlier`."""
     context = {"problem": problem, "at": ("recordings", index), "earlier": earlier}
     return PydanticCustomError("value_error", "{problem}", context)
 
@@ -382,18 +382,18 @@ class BenchmarkSettings(Settings):
         return self
 
     def by_id(self) -> dict[str, RecordingSettings]:
-        """The recordings by id; the dict is built at each call, so keep it for repeated use."""
+        """Return {id: recording}; the dict is built at each call, so keep it for repeated use."""
         return {recording.id: recording for recording in self.recordings}
 
     def underside_of(self, recording: RecordingSettings) -> Underside:
-        """The underside that a person stated for a recording: its own setting, or else its category's."""
+        """Return the underside that the user stated for a recording, or else for its category."""
         of_category = self.categories.get(recording.category, CategorySettings())
         return recording.underside or of_category.underside
 
     def license_of(self, recording: RecordingSettings) -> str:
-        """The licence of a recording: its own, else the benchmark's, else "unspecified"."""
+        """Return the licence of a recording: its own, else the benchmark's, else "unspecified"."""
         return recording.license or self.license
 
     def source_of(self, recording: RecordingSettings) -> str:
-        """The source of a recording: its own, else the benchmark's, else "unspecified"."""
+        """Return the source of a recording: its own, else the benchmark's, else "unspecified"."""
         return recording.source or self.source

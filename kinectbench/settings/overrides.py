@@ -1,4 +1,4 @@
-"""Make settings from command-line options, with one error line for each wrong option."""
+"""Make settings from command-line options; each wrong option gives one error line."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
@@ -24,11 +24,11 @@ def settings_from_options(
         values: values of the options, nested by section.
         overrides: `section.key=value` or `key=value`, with the value in YAML; they replace `values`, and
             later ones replace earlier ones.
-        what: start of an error line about contradictory values, such as "simulation"; a line about one value
-            starts with its option.
+        what: start of an error line about values that contradict each other, such as "simulation". A line
+            about one value starts with its option instead.
 
     Raises:
-        SettingsError: one line for each wrong value, or a line about an override of another form.
+        SettingsError: one line for each wrong value, or a line about an override that is not `key=value`.
     """
     for override in overrides:
         values = merged(values, _nested(override))
@@ -60,7 +60,7 @@ def _nested(override: str) -> dict[str, object]:
 
 
 def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], what: str) -> str:
-    """Describe a pydantic error in a line that starts with the wrong option, or else with `what`."""
+    """Describe a pydantic error in a line, which starts with the wrong option, or else with `what`."""
     location = tuple(error["loc"])
     annotation, constraints, _ = field_at(location, model)
     where = _option([str(part) for part in location], overrides) if location else what
@@ -77,7 +77,7 @@ def _line(model: type[Settings], error: ErrorDetails, overrides: Sequence[str], 
 
 
 def _homes(model: type[Settings], key: str, where: str = "") -> Iterator[str]:
-    """Yield all dotted names of a key in a model and its sections, such as `path.frames`, after `where`."""
+    """Yield `where` + each dotted name of a key in a model and its sections, such as `path.frames`."""
     for name, field in model.model_fields.items():
         if name == key:
             yield where + name
@@ -86,7 +86,7 @@ def _homes(model: type[Settings], key: str, where: str = "") -> Iterator[str]:
 
 
 def _option(location: Sequence[str], overrides: Sequence[str]) -> str:
-    """The last `--set` that changes a value, or else the option with the value's name."""
+    """Return the last `--set` that changes the value at a location, or else the option with its name."""
     for override in reversed(overrides):
         key = override.partition("=")[0].strip().split(".")
         if key == list(location[: len(key)]) or list(location) == key[: len(location)]:

@@ -1,4 +1,4 @@
-"""The pixel that a person clicked as the object: in a file beside the recording, or in benchmark.yaml."""
+"""The pixel that the user clicked as the object: in a file beside the recording, or in benchmark.yaml."""
 
 from typing import Annotated
 

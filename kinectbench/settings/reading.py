@@ -1,4 +1,4 @@
-"""Read settings files: bounded in size, never outside their folder, and found by patterns."""
+"""Read settings files: limit their size, keep them inside their folder, and find them by patterns."""
 
 import codecs
 import fnmatch
@@ -87,7 +87,8 @@ def matching(folder: Path, pattern: str) -> list[Path]:
         pattern: name or pattern, with "/" between folders.
 
     Returns:
-        The files that match a pattern, perhaps none; a name without wildcards is returned even if missing.
+        The files that match; there may be none. A name without wildcards is returned even if the file is
+        missing.
 
     Raises:
         ValueError: the pattern leads out of the folder, is hidden, or is invalid; the message says which.
@@ -107,7 +108,7 @@ def matching(folder: Path, pattern: str) -> list[Path]:
 
 
 def _matching_there(url: str, folder: Path, parts: tuple[str, ...]) -> list[Path]:
-    """List the files in the store `url` that match the parts of a pattern, as paths below `folder`."""
+    """List the files in the store at `url` that match a pattern's `parts`, as paths below `folder`."""
     known = list(takewhile(lambda part: not any(sign in part for sign in SIGNS), parts))
     if len(known) == len(parts):
         return [folder.joinpath(*parts)]
@@ -133,7 +134,7 @@ def _inside(above: Path, part: str) -> Iterator[Path]:
 
 
 def refuse_outside(path: Path, folder: Path) -> None:
-    """Refuse a file that leads out of its folder by links; files in a store are accepted.
+    """Refuse a file whose links lead out of its folder; files in a store are always accepted.
 
     Raises:
         SettingsError: the links lead out of the folder.

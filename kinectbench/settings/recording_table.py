@@ -1,4 +1,4 @@
-"""Read a table of recordings, CSV or Parquet, as nodes: each row is a recording, each column a field."""
+"""Read a table of recordings, CSV or Parquet, as YAML nodes: a row is a recording, a column is a key."""
 
 import io
 from collections import Counter
@@ -36,7 +36,7 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
 
     Args:
         content: bytes of the file.
-        source: name of the file; its suffix gives the format. Lines count from 1, the header.
+        source: name of the file, whose suffix gives the format. In messages, the header is line 1.
         allowance: limit on the values of all files together.
 
     Raises:
@@ -61,7 +61,7 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
 
 
 def columns() -> dict[str, object]:
-    """Names of all columns that a table may have, with the type of their values, in the models' order."""
+    """Return {name of each column that a table may have: type of its values}, in the order of the models."""
     return {".".join(key): annotation for key, annotation in _leaves(RecordingSettings)}
 
 
@@ -90,7 +90,7 @@ def _of_csv(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int,
 
 
 def _of_parquet(content: bytes, source: str) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
-    """Read the header of a Parquet file, and each row with the line number it would have as CSV."""
+    """Read a Parquet file: the header, and each row with the line number that it would have in a CSV file."""
     try:
         import pyarrow as arrow
         from pyarrow import parquet
@@ -216,7 +216,7 @@ def _mapping(entry: Mapping[str, object], mark: yaml.Mark) -> yaml.Node:
 
 
 def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
-    """Make a node at `mark` from a cell: a text if `is_text`, else the value that YAML reads from it."""
+    """Make a node at `mark` from a cell: a text if `is_text`, else the value that YAML would read from it."""
     if is_text:
         return yaml.ScalarNode(yaml_nodes.STR_TAG, cell, mark, mark)
     if cell.startswith("[") and cell.endswith("]"):
@@ -226,7 +226,7 @@ def _value(cell: str, is_text: bool, mark: yaml.Mark) -> yaml.Node:
 
 
 def _is_text(annotation: object) -> bool:
-    """Whether cells of this type are always text, even if they look like a number, as an id may."""
+    """Whether cells of this type are always text, even if they look like a number, as ids may do."""
     return annotation not in (int, float, bool) and get_origin(annotation) is not tuple
 
 

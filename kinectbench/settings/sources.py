@@ -128,7 +128,7 @@ class SourcesSettings(Settings):
 
 
 class Scan(Settings):
-    """A recording of a scan that a recipe chooses.
+    """A recording made from a scan that a recipe chooses.
 
     Attributes:
         id: id of the recording.
@@ -160,12 +160,12 @@ class Scan(Settings):
 
     @property
     def archive(self) -> str:
-        """Path of the file as it comes, relative to benchmark.yaml."""
+        """Path of the file as downloaded, relative to benchmark.yaml."""
         return f"{self.folder}.tgz" if self.unpacked else self.path
 
     @property
     def folder(self) -> str:
-        """Folder that an archive is unpacked into, relative to benchmark.yaml."""
+        """Folder into which an archive is unpacked, relative to benchmark.yaml."""
         return f"scans/{self.scan}"
 
 
@@ -188,7 +188,7 @@ def chosen_scans(
 
     Args:
         sources: the recipe.
-        listed: ids of the scans by the source's own categories; unused if the recipe has `scans`.
+        listed: {category as the source names it: ids of its scans}; unused if the recipe has `scans`.
         categories: categories of the benchmark to choose from; empty: all.
         limit: most scans of each category.
 
@@ -247,6 +247,6 @@ def _recordings(sources: SourcesSettings, scan: Scan) -> Iterator[Scan]:
 
 
 def _draw(seed: int, what: str, name: str) -> float:
-    """A pseudorandom number in [0, 1) that depends only on the seed, the purpose `what` and the name."""
+    """Return a pseudorandom number in [0, 1) that depends only on seed and name, and on its use `what`."""
     digest = hashlib.sha256(f"{seed} {what} {name}".encode()).digest()
     return int.from_bytes(digest[:6], "big") / 2**48

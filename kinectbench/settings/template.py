@@ -1,4 +1,4 @@
-"""Write a commented benchmark.yaml for the recordings of a folder; the models provide the comments."""
+"""Write a commented benchmark.yaml for the recordings of a folder, with comments taken from the models."""
 
 import os
 import re
@@ -75,13 +75,13 @@ class Extended(NamedTuple):
 def extended_benchmark(
     config: Path, text: str, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str]
 ) -> Extended:
-    """Append the recordings of a folder that its benchmark.yaml lacks.
+    """Append to a benchmark.yaml those recordings of its folder that it lacks.
 
     Args:
         config: the file; paths are relative to its folder.
         text: text of the file.
-        recordings: as for `init_benchmark`.
-        suffixes: as for `init_benchmark`.
+        recordings: (path relative to the folder, name of the format) of each recording.
+        suffixes: suffixes of paths, such as ".bag", that are dropped from ids.
 
     Raises:
         SettingsError: the old or the new text has an error, or the file cannot be changed safely.
@@ -105,16 +105,16 @@ def extended_benchmark(
 
 
 def _place(config: Path, path: str) -> str:
-    """The absolute path of a recording, without links."""
+    """Return the absolute path of a recording, with links resolved."""
     return os.path.realpath(config.parent / path)
 
 
 def _entries(
     folder: Path, recordings: Sequence[tuple[str, str]], suffixes: Sequence[str], taken: Iterable[str] = ()
 ) -> list[list[str]]:
-    """The lines of each recording, whose ids differ from `taken`.
+    """Return the lines of each recording's entry; its id differs from all ids in `taken`.
 
-    A recording that is the folder itself is named like the folder.
+    If the folder itself is a recording, the recording gets the folder's name.
     """
     paths = [folder.resolve().name if path == "." else path for path, _ in recordings]
     names = _unique_ids(paths, suffixes, taken)
@@ -125,7 +125,7 @@ def _entries(
 
 
 def _top_level(folder_name: str) -> list[str]:
-    """The lines with name, licence and source."""
+    """Return the lines with name, licence and source."""
     fields = BenchmarkSettings.model_fields
     values = {key: fields[key].default for key in ("license", "source")}
     values = {"name": _safe(folder_name, "benchmark"), **values}
@@ -135,7 +135,7 @@ def _top_level(folder_name: str) -> list[str]:
 
 
 def _recording(name: str, path: str, kind: str) -> list[str]:
-    """The lines of one recording of the format `kind`, with comments that ask a person to fill in keys."""
+    """Return the lines of one recording of the format `kind`; comments ask the user to fill in keys."""
     fields = RecordingSettings.model_fields
     underside = CategorySettings.model_fields["underside"]
     return [
@@ -149,7 +149,10 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
 
 
 def _picked(recording: Path) -> list[str]:
-    """The line `pick:` with the point clicked while recording; a comment if its file is unreadable; or []."""
+    """Return the line `pick:` with the point clicked while recording; [] if there is no such point.
+
+    If the point's file is unreadable, return a comment that says so.
+    """
     try:
         picked = PickSettings.model_validate_json(read_plain_text(recording / PICK_FILE, PICK_BYTES))
     except (FileNotFoundError, NotADirectoryError):  # the latter where the recording is one file
@@ -160,7 +163,7 @@ def _picked(recording: Path) -> list[str]:
 
 
 def _recording_options() -> list[str]:
-    """The optional keys of a recording, as comments below the first recording."""
+    """Return the optional keys of a recording, as comments to put below the first recording."""
     lines = ["    # each recording may also have:"]
     for key, field in RecordingSettings.model_fields.items():
         if field.is_required() or key in OF_EACH:
@@ -173,7 +176,7 @@ def _recording_options() -> list[str]:
 
 
 def _categories() -> list[str]:
-    """The lines of a category's settings, as comments: a category without recordings would be refused."""
+    """Return a section on categories as comments: a category without recordings would be refused."""
     about = (CategorySettings.__doc__ or "").splitlines()[0]
     inner = ", ".join(
         f"{key}: {yaml_text(field.default)}" for key, field in CategorySettings.model_fields.items()
@@ -182,7 +185,7 @@ def _categories() -> list[str]:
 
 
 def _section(name: str, defaults: Settings) -> list[str]:
-    """The lines of a section: its keys with their defaults, as comments."""
+    """Return the lines of a section: its keys with their defaults, as comments."""
     about = (type(defaults).__doc__ or "").splitlines()[0]
     lines = [f"{name}:  # {about}"]
     for key, field in type(defaults).model_fields.items():
@@ -209,16 +212,17 @@ def yaml_text(value: object) -> str:
 
 
 def _safe(text: str, otherwise: str) -> str:
-    """Turn a text into a valid id that resembles it; `otherwise` if none of its characters is valid."""
+    """Turn a text into a valid id that resembles it; if none of its characters is valid, use `otherwise`."""
     ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     name = re.sub(r"[^A-Za-z0-9._-]+", "_", ascii_text).strip("._-")[:60].rstrip("._-") or otherwise
     return f"{name}_" if name_problem(name) else name
 
 
 def _unique_ids(paths: Sequence[str], suffixes: Sequence[str], others: Iterable[str] = ()) -> list[str]:
-    """An id for each path that is none of `others`.
+    """Return an id for each path; the ids differ from each other and from `others`.
 
-    It is the last part, without suffix; the whole path if others share that; plus a number if needed.
+    An id is the last part of the path without suffix. If several have the same last part, it is the whole
+    path. A number is added if needed.
     """
     taken = {name.lower() for name in others}
     ending = re.compile(f"({'|'.join(map(re.escape, suffixes))})+$", re.IGNORECASE)

@@ -1,4 +1,4 @@
-"""Types of texts that people write in settings, and that a release publishes in its card and pages."""
+"""Types of texts that users write in settings, and that a release publishes in its card and pages."""
 
 from typing import Annotated
 

@@ -18,7 +18,7 @@ WHAT_OF_TYPE = {"extra_forbidden": "unknown-key", "missing": "missing-key"}
 
 
 def without_none(annotation: object) -> object:
-    """A type annotation without `| None` and without validators."""
+    """Return a type annotation without `| None` and without validators."""
     if get_origin(annotation) is Annotated:
         return without_none(get_args(annotation)[0])
     if get_origin(annotation) in (Union, types.UnionType):
@@ -27,13 +27,13 @@ def without_none(annotation: object) -> object:
 
 
 def model_of(annotation: object) -> type[Settings] | None:
-    """The settings model that a type annotation names, or None."""
+    """Return the settings model that a type annotation names, or None."""
     inner = without_none(annotation)
     return inner if isinstance(inner, type) and issubclass(inner, Settings) else None
 
 
 def choices_of(annotation: object) -> tuple[str, ...]:
-    """The values that a Literal annotation allows; empty for other annotations."""
+    """Return the values that a Literal annotation allows; empty for other annotations."""
     inner = without_none(annotation)
     return tuple(map(str, get_args(inner))) if get_origin(inner) is Literal else ()
 
@@ -41,11 +41,11 @@ def choices_of(annotation: object) -> tuple[str, ...]:
 def field_at(
     location: Location, root: type[Settings] = BenchmarkSettings
 ) -> tuple[object, Sequence[object], int]:
-    """Follow a location (keys and indices of lists) from the model `root` to a field, as far as possible.
+    """Follow a location (keys, and indices of lists) from the model `root` to a field, as far as possible.
 
     Returns:
-        The field's type annotation, its constraints, and how many parts of the location were followed. An
-            index into a vector is not followed: the vector is the field.
+        The field's type annotation, its constraints, and the number of followed parts of the location. A
+        vector is one field, so an index into it is not followed.
     """
     annotation: object = root
     constraints: Sequence[object] = ()
@@ -88,7 +88,7 @@ def wanted(annotation: object, constraints: Sequence[object]) -> str:
 
 
 def range_in_words(constraints: Sequence[object]) -> str:
-    """The range of constraints in words, such as `from 1 to 64` or `above 0`; empty without a range."""
+    """Return the range that constraints allow, such as `from 1 to 64` or `above 0`; empty without a range."""
     words = []
     for constraint in constraints:
         if isinstance(constraint, annotated_types.Ge):
@@ -104,17 +104,17 @@ def range_in_words(constraints: Sequence[object]) -> str:
 
 
 def field_range(field: FieldInfo) -> str:
-    """A field's choices or range in a few words; empty if any value of its type is valid."""
+    """Return a field's choices or range in a few words; empty if any value of its type is valid."""
     choices = choices_of(field.annotation)
     return listed(choices) if len(choices) > 1 else range_in_words(field.metadata)
 
 
 def suggestion(name: str, valid: Sequence[str]) -> str:
-    """A hint with the most similar valid name; without a similar one, with all valid names."""
+    """Return a hint with the most similar valid name; if none is similar, with all valid names."""
     return near_miss(name, valid) or f"valid here: {listed(valid)}"
 
 
 def near_miss(name: str, valid: Sequence[str]) -> str:
-    """A hint with the most similar valid name; empty if none is similar."""
+    """Return a hint with the most similar valid name; empty if none is similar."""
     near = difflib.get_close_matches(name.lower().replace("-", "_"), valid, n=1)
     return f"did you mean '{near[0]}'?" if near else ""

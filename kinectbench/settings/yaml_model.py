@@ -1,4 +1,4 @@
-"""Read a YAML file that holds one settings model; each error gives one line."""
+"""Read a YAML file that holds one settings model; each error is reported in one line."""
 
 from pathlib import Path
 from typing import TypeVar
@@ -28,8 +28,8 @@ def read_model(path: Path, model: type[Model], example: str) -> Model:
         example: a valid line, for an error message.
 
     Raises:
-        SettingsError: the file is unreadable or not YAML; or one line for each of the first 20 errors: file
-            and line, key, expected value.
+        SettingsError: the file is unreadable or not YAML, or has invalid values. In the latter case there is
+            a line for each of the first 20 errors: file and line, key, expected value.
     """
     try:
         text = read_plain_text(path, MOST_BYTES)

@@ -48,17 +48,17 @@ _Parser: Any = import_module("yaml._yaml").CParser if yaml.__with_libyaml__ else
 
 
 class _TooManyError(yaml.composer.ComposerError):
-    """A text has more values than a file may have."""
+    """Error for a text with more values than allowed."""
 
 
 @dataclass
 class Allowance:
-    """The number of keys and values that one or several files may still have; each node takes a kilobyte."""
+    """How many keys and values one or several files may still have; limited, as a node takes a kilobyte."""
 
     values: int = MOST_VALUES
 
     def take(self, count: int, source: str, line: int) -> None:
-        """Subtract `count` values; `source` and `line` are named in the error.
+        """Subtract `count` values; the error names `source` and `line`.
 
         Raises:
             SettingsError: no values are left.
@@ -69,7 +69,7 @@ class Allowance:
 
 
 class _Counting(Composer):
-    """PyYAML's composer, with a limit on the number of values."""
+    """PyYAML's composer (it makes nodes from parser events), with a limit on the number of values."""
 
     allowance: Allowance
 
@@ -83,7 +83,7 @@ class _Counting(Composer):
 
 
 class _FastLoader(_Counting, Resolver):
-    """libyaml's parser, with PyYAML's composer and the scalars of YAML 1.2."""
+    """A loader that combines libyaml's parser, PyYAML's composer and the scalars of YAML 1.2."""
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 - PyYAML's own
 
@@ -99,7 +99,7 @@ class _FastLoader(_Counting, Resolver):
 
 
 class _PlainLoader(_Counting, yaml.SafeLoader):
-    """PyYAML's own parser, with the scalars of YAML 1.2."""
+    """A loader with PyYAML's own parser and the scalars of YAML 1.2."""
 
     yaml_implicit_resolvers = _FastLoader.yaml_implicit_resolvers
 
@@ -148,7 +148,7 @@ def compose(text: str, source: str, allowance: Allowance | None = None) -> yaml.
 
 @contextlib.contextmanager
 def unsearched() -> Iterator[None]:
-    """Disable garbage collection in the block: it took half the time, although no node becomes garbage."""
+    """Disable garbage collection in the block: it took half of the time, although no node becomes garbage."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -160,7 +160,7 @@ def unsearched() -> Iterator[None]:
 
 @unsearched()
 def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
-    """Parse a text into nodes; if that fails for a short text, parse it again for a more detailed error."""
+    """Parse a text into nodes; if libyaml fails on a short text, use PyYAML's parser for a detailed error."""
     before = allowance.values
     if _Parser:
         try:
@@ -173,7 +173,7 @@ def _nodes(text: str, source: str, allowance: Allowance) -> yaml.Node | None:
 
 
 def _null_mark(source: str) -> yaml.Mark:
-    """The mark of the first character of a source, for errors and nodes without a position."""
+    """Return a mark at the first character of a source, for errors and nodes without a position."""
     return yaml.Mark(source, 0, 0, 0, None, 0)
 
 
@@ -194,12 +194,12 @@ def _place(source: str, line: int) -> str:
 
 
 def place(node: yaml.Node) -> str:
-    """Where a node is, for messages: `file:line`, or the override that contains it."""
+    """Return where a node is, for messages: `file:line`, or the override that contains it."""
     return _place(node.start_mark.name, node.start_mark.line)
 
 
 def order(node: yaml.Node, first: str) -> tuple[bool, bool, str, int]:
-    """Sort key of a node by position: first the file with this name, then other files, then overrides."""
+    """Return a node's sort key by position: first the file `first`, then other files, then overrides."""
     name = node.start_mark.name
     return (
         name.startswith(OVERRIDE),
@@ -282,13 +282,13 @@ def _scalar(node: yaml.Node) -> object:
 
 
 def scalar(text: str, mark: yaml.Mark) -> yaml.ScalarNode:
-    """Make a YAML 1.2 scalar node, such as a number or a text, from unquoted text in one line."""
+    """Make a YAML 1.2 scalar node (a text, a number, ...) from text on one line without quotes."""
     tag = next((tag for tag, pattern in _PATTERNS.items() if re.fullmatch(pattern, text)), STR_TAG)
     return yaml.ScalarNode(tag, text, mark, mark)
 
 
 def items(node: yaml.Node | None) -> dict[str, yaml.Node]:
-    """The values of a mapping node by scalar key; empty for any other node. Other keys are left out."""
+    """Return {scalar key: value node} of a mapping node, without other keys; empty for any other node."""
     pairs = node.value if isinstance(node, yaml.MappingNode) else []
     return {key.value: child for key, child in pairs if isinstance(key, yaml.ScalarNode)}
 
@@ -308,8 +308,8 @@ def find(
         known: a cache for many look-ups in the same nodes.
 
     Returns:
-        Two nodes. The first has the line to show in errors: the key or list entry, or the last existing one
-        on the path. The second is the value; None if the path does not exist.
+        Two nodes. Errors show the line of the first: the key or list entry at the path, or the last one on
+        the path that exists. The second is the value at the path; None if the path does not exist.
     """
     known = {} if known is None else known
     anchor, value = node, node
@@ -328,7 +328,7 @@ def find(
 
 
 def replaced(node: yaml.Node | None, path: tuple[str | int, ...], value: yaml.Node) -> yaml.Node:
-    """Return a copy of a node with `value` at the end of a path; nodes shared by aliases stay unchanged."""
+    """Return a copy of a node with `value` at the end of a path; aliases of the old nodes stay unchanged."""
     if not path:
         return value
     head, tail = path[0], path[1:]

@@ -83,7 +83,7 @@ class Stated:
 
     @property
     def says_twice(self) -> bool:
-        """Whether the release's other files repeat benchmark.json word for word; early releases do not."""
+        """Whether other files repeat facts of benchmark.json word for word; in early releases they do not."""
         return self.metadata.benchmark_sha256_version is not None
 
     def views_of(self, recording: str) -> set[str]:
@@ -111,7 +111,7 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     Args:
         contents: the release.
         stated: the facts that the files must agree with.
-        damaged: {file: message} of files whose bytes are not the published ones.
+        damaged: {file: message} of the files whose SHA-256 differs from SHA256SUMS.
     """
     whole = contents.entries.keys() - damaged.keys()
     for name in sorted(whole):
@@ -210,7 +210,7 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each key of benchmark.json about held-back truth that README.md does not repeat."""
+    """Yield a message for each fact on held-back truth in benchmark.json that README.md does not state."""
     if not metadata.held_back:
         return
     sentences = {
@@ -225,7 +225,7 @@ def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
 def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a message for each recording on which README.md contradicts benchmark.json.
 
-    Both state whether a recording is left out, published although poor, or to be reviewed, and why.
+    Both files state which recordings are left out, published although poor, or to be reviewed, and why.
     """
     wanted = {name: left_out_line(name, why) for name, why in (metadata.left_out or {}).items()}
     for name, info in metadata.recordings.items():
@@ -248,7 +248,7 @@ def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
 
 
 def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
-    """Yield a message for each line of `wanted` not in `text`: `subject`, with {} replaced by the line."""
+    """Yield a message for each line of `wanted` that is not in `text`; `subject` is a format for the line."""
     rows = dict.fromkeys(wanted.splitlines())
     present = {line for _, line in _lines(text) if line in rows}
     for row in rows:
@@ -330,7 +330,11 @@ def _split_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
-    """Yield a message if the rows or pictures in previews/ are not exactly those of a split's pairs."""
+    """Yield a message for each fault of a split's folder in previews/, whose metadata.jsonl is `text`.
+
+    There must be exactly one row and one picture for each pair of the split, except those of isolated
+    recordings.
+    """
     isolates = stated.metadata.isolates
     of_split = [t for t in stated.targets if t.split == split and not isolates(t.recording)]
     if text != rows_text(of_split):
@@ -343,10 +347,10 @@ def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
-    """Yield messages on a recording's views.json, whose content is `text`.
+    """Yield a message for each fault of a recording's views.json, whose content is `text`.
 
-    Faults are other views than in targets.csv, keys that reveal held-back truth, and another number of
-    refused frames and views than in benchmark.json.
+    Faults are: views with a pair that differ from targets.csv, a number of refused frames and views that
+    differs from benchmark.json, and keys that reveal held-back truth.
     """
     views = ViewsFile.parse(text, ViewsFile.FILE)
     rows = views.views
@@ -362,7 +366,7 @@ def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
 
 
 def _published_truth(contents: Contents, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each file of the release that reveals an object whose truth is held back."""
+    """Yield a message for each file that must not be in the release, because it reveals held-back truth."""
     for name in contents.entries:
         parts = name.split("/")
         public = len(parts) > 2 and parts[2] in PUBLIC_OF_OBJECT

@@ -1,6 +1,7 @@
 """Check facts that a release states twice: benchmark.json, quality.json, views.json, lineage.json, floors.
 
-Early releases, without `benchmark_sha256_version` in benchmark.json, are not checked: their words differ.
+In early releases, without `benchmark_sha256_version` in benchmark.json, the wording of these facts differs,
+so only frames and floors are checked.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -27,7 +28,7 @@ OF_PAIRS = ("framing", "partial_rule")
 def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a message for each fact that benchmark.json states twice with different values.
 
-    A recording with held-back truth that states its quality gives a message, too.
+    It is also a fault if benchmark.json states the quality of a recording whose truth is held back.
     """
     of_pairs = metadata.settings.pairs
     for key in OF_PAIRS:
@@ -51,10 +52,10 @@ def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
 def gate_problems(metadata: ReleaseInfo) -> Iterator[str]:
     """Yield a message for each recording that benchmark.json wrongly states as poor, accepted or left out.
 
-    Wrong counts in its key `flow` give a message, too.
-
-    The expected state is computed from the recording's quality and `settings.publish.gate`. Limits on
-    trajectory grades and camera warnings are not checked, because a release does not contain these.
+    The expected state is computed from the recording's quality and the limits in `settings.publish.gate`. A
+    recording that violates a limit but is published is poor, and accepted for a stated reason. Limits on
+    trajectory grades and camera warnings are not checked, because a release does not contain these. Wrong
+    counts in the key `flow` of benchmark.json give a message, too.
     """
     try:
         limits = GateSettings.model_validate((metadata.settings.publish or {}).get("gate", {}))
@@ -93,7 +94,7 @@ def _reviewed(review: object, decision: str) -> bool:
 
 
 def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
-    """Yield a message for each limit violated but not listed in `poor`, or listed but not violated."""
+    """Yield a message for each limit that is violated but not in `poor`, or is in `poor` but not violated."""
     quality = info.quality
     value, low, _ = quality.trusted_iou
     values = [1 if each is None else each for each in (value, low)]
@@ -115,7 +116,10 @@ def _poor_problems(info: RecordingInfo, limits: GateSettings) -> Iterator[str]:
 
 
 def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield the keys whose values differ in a recording's settings `row` (null: default) and in `info`."""
+    """Yield each key whose value differs between `row` and `info`; null in `row` stands for the default.
+
+    `row` is the recording's settings and `info` its entry in `recordings`; both are in benchmark.json.
+    """
     defaults = {
         "object": row["id"],
         "license": metadata.license,
@@ -128,11 +132,11 @@ def _other_keys(row: Mapping[str, object], info: RecordingInfo, metadata: Releas
 
 
 def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]:
-    """Yield a message if a recording's quality.json differs from benchmark.json in any key but `method`.
+    """Yield a message if quality.json of a recording differs from benchmark.json.
 
     Args:
-        name: the file's name.
-        text: the file's text.
+        name: the file's name, for the message.
+        text: the file's text; its key `method` is ignored.
         info: the recording's entry in benchmark.json.
     """
     stated, own = (
@@ -145,7 +149,7 @@ def quality_problems(name: str, text: str, info: RecordingInfo) -> Iterator[str]
 
 
 def refused_problems(views: ViewsFile, info: RecordingInfo) -> Iterator[str]:
-    """Yield a message if views.json and benchmark.json differ in the number of refused frames and views."""
+    """Yield a message if views.json and benchmark.json disagree on the number of refused frames and views."""
     refused = len(views.refused) + sum(row.pair is False for row in views.views)
     if refused != info.refused:
         yield f"{refused} frames and views refused where {BENCHMARK_JSON} has {info.refused}"
@@ -177,12 +181,15 @@ def lineage_problems(lineage: Lineage, metadata: ReleaseInfo) -> Iterator[str]:
 
 
 def _given(value: object) -> object:
-    """Return a setting without its null keys: lineage.json may lack newer keys, whose default is null."""
+    """Return a setting without null keys: lineage.json may lack newer keys, whose default is null."""
     return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value
 
 
 def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
-    """Yield a message for each view with another frame or timestamp in views.json than in lineage.json."""
+    """Yield a message for each view whose frame or timestamp differs between views.json and lineage.json.
+
+    Only files in `whole` are read: those whose bytes are the published ones.
+    """
     recordings: Mapping[str, LineageRecording] = {}
     with suppress(ReleaseError, StorageError):  # reported as not of its schema
         if LINEAGE_JSON in whole:
@@ -201,7 +208,10 @@ def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[
 
 
 def floor_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
-    """Yield a message for each floor.json with a `plane_world` that is not z = 0 of its `T_floor_world`."""
+    """Yield a message for each floor.json whose `plane_world` is not the plane z = 0 of its floor frame.
+
+    Only files in `whole` are read: those whose bytes are the published ones.
+    """
     for name in metadata.recordings:
         file = f"objects/{name}/{FloorFile.FILE}"
         with suppress(ReleaseError, StorageError):  # reported as not of its schema

@@ -69,7 +69,7 @@ def recording_of(name: str) -> str:
 
 
 def _glb_fault(content: bytes) -> str | None:
-    """Return the fault in a GLB's header or JSON chunk as a message, or None; the rest is not checked.
+    """Return a message if the header or JSON chunk of a GLB is invalid, else None; the rest is not checked.
 
     Source: glTF 2.0 (ISO/IEC 12113:2022), section 4.4.
     """
@@ -90,8 +90,8 @@ def _glb_fault(content: bytes) -> str | None:
 def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> Iterator[str]:
     """Yield a message for each difference between a GLB and its mesh.
 
-    A GLB may have fewer triangles than its mesh. So only the bounding boxes are compared, and the number of
-    triangles in mesh.ply, which the GLB states.
+    Two facts are compared, because a GLB may have fewer triangles than its mesh: the bounding box, and the
+    number of triangles in mesh.ply, which the GLB states.
 
     Args:
         content: bytes of the GLB; a damaged one gives a message.
@@ -120,7 +120,7 @@ def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> It
 
 
 def _volume_fault(file: IO[bytes]) -> str | None:
-    """Return the fault of a volume.npz as a message, or None; its grids are read in slabs to save memory.
+    """Return a message on the fault of a volume.npz, or None. Grids are read in slabs to save memory.
 
     Raises:
         UNREADABLE: one of the exceptions in this tuple: the file is no npz, or is damaged.
@@ -159,7 +159,7 @@ def _check_small(header: NpyHeader) -> None:
 
 
 def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
-    """Return a message if a grid has invalid values or a wrong size, else None."""
+    """Return a message if a grid has invalid values or another size than its npy header states, else None."""
     done = 0
     while part := stream.read(SLAB_BYTES):
         done += len(part)
@@ -179,7 +179,7 @@ def _grid_fault(key: str, header: NpyHeader, stream: IO[bytes]) -> str | None:
 
 
 def surface_lines(contents: Contents, recording: str) -> list[str]:
-    """Return a message if the truth of a recording is an open mesh that is missing or unreadable."""
+    """Return a message if the open mesh that is a recording's truth is missing or unreadable, else []."""
     name = surface_name(recording)
     try:
         read_ply(contents.read(name))

@@ -35,10 +35,10 @@ def pair_problems(
     Args:
         pair: a pair whose keys, shapes and dtypes are checked already.
         min_containment: least share of the partial inside the full shape, from the benchmark's settings.
-        framing: what benchmark.json says that cubes are fitted to: "object" or "view".
+        framing: the framing in benchmark.json: cubes are fitted to the "object" or to the "view".
         partial_rule: the rule for partials in benchmark.json, "any" or "majority".
-        unknown_shares: {file: unknown share of the true shape, as that file states it}; early releases have
-            fewer or none.
+        unknown_shares: {file name: unknown share of the true shape that this file states}. Early releases
+            state it in fewer files or in none.
         surface_sigma_m: the surface's standard deviation as benchmark.json states it; None if it does not.
     """
     yield from input_problems(pair, framing=framing, partial_rule=partial_rule)
@@ -69,7 +69,10 @@ def pair_problems(
 
 
 def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -> Iterator[str]:
-    """Yield a message for each fault of a pair's input; the arguments are those of `pair_problems`."""
+    """Yield a message for each fault of a pair's input (the part that is published even without truth).
+
+    `framing` and `partial_rule` are those stated in benchmark.json, as in `pair_problems`.
+    """
     for name in ("T_world_grid", "T_world_camera"):
         if not is_rigid(getattr(pair, name)):
             yield f"{name} is not a rotation and a shift"
@@ -94,8 +97,8 @@ def input_problems(pair: Pair | PairInput, *, framing: str, partial_rule: str) -
 def _trust_problems(pair: Pair | PairInput, name: str, grid: Packed) -> Iterator[str]:
     """Yield a message if less than half of `partial_256` lies in `grid`, which is `known` or `seen`.
 
-    The surface that a view measures is known and seen, so nearly all of `partial_256` must be in both. Half
-    is a limit that every usable recording meets. The release's files do not suffice to compute either grid.
+    The surface that a view measures is both known and seen, so nearly all of `partial_256` should lie in both
+    grids; every usable recording reaches one half. The release's files do not suffice to compute either grid.
     """
     cells, inside = packed_count(pair.partial_256), packed_count(pair.partial_256 & grid)
     if inside < LEAST_TRUSTED_SHARE * cells:

@@ -37,7 +37,7 @@ class LocalRecording:
 
     Attributes:
         path: the recording's file or folder.
-        masks: folder of masks drawn by a person, or None.
+        masks: folder of the user's masks, or None.
         reference: the mesh that is the recording's truth, or None.
     """
 
@@ -53,7 +53,7 @@ class RebuildPlan:
     Attributes:
         settings: the release's settings for the recordings to rebuild, with this machine's paths.
         targets: the pairs to compare.
-        notes: one line for each thing that cannot be compared and each version that differs.
+        notes: one line for each version that differs here, and each reason why pairs are not compared.
     """
 
     settings: BenchmarkSettings
@@ -66,7 +66,8 @@ def find_sources(path: Path, suffixes: Sequence[str] = ()) -> dict[str, LocalRec
 
     Args:
         path: a benchmark.yaml, a folder with one, or a folder of recordings (`<id>/`, `<id>.bag`, ...).
-        suffixes: endings of recordings, such as ".bag"; of several files `<id>.*`, one of these counts.
+        suffixes: endings of recordings, such as ".bag". Of several files `<id>.*`, one with such an ending is
+            taken; a folder `<id>/` is preferred to files.
 
     Raises:
         SettingsError: the folder does not exist, or benchmark.yaml is wrong.
@@ -98,13 +99,13 @@ def rebuild_plan(
     Args:
         contents: the release.
         sources: {recording id: its paths}.
-        objects: number of objects to rebuild, drawn by the release's hash; None: all objects.
+        objects: number of objects to rebuild, drawn reproducibly by the release's hash; None: all objects.
 
     Raises:
         ReleaseError: the release was not made from recordings, or by a version with other settings; or all
             its truth is held back, or all its views are isolated; or benchmark.json lacks a recording.
-        SettingsError: recordings are missing (the message names all), or the reference mesh that is the
-            truth of one.
+        SettingsError: recordings are missing (the message names all), or a recording's truth is a reference
+            mesh that `sources` lacks.
     """
     metadata = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
     targets = parse_targets(contents.text(TARGETS_CSV), TARGETS_CSV)
@@ -147,14 +148,14 @@ def rebuild_plan(
 
 
 def _draw(identity: str, name: str) -> str:
-    """Return an object's sort key for a reproducible draw: a hash of the release's hash and its name."""
+    """Return object `name`'s sort key in a reproducible draw: a hash of the name and the release's hash."""
     return hashlib.sha256(f"{identity} {name}".encode()).hexdigest()
 
 
 def _settings(
     metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
 ) -> BenchmarkSettings:
-    """Return the release's settings, only with the `wanted` recordings and their paths on this machine."""
+    """Return the release's settings, reduced to the `wanted` recordings, with their paths on this machine."""
     values = metadata.settings.json_value()
     if not values.get("recordings"):
         raise ReleaseError(
@@ -179,7 +180,7 @@ def _settings(
 
 
 def version_notes(metadata: ReleaseInfo) -> list[str]:
-    """Return a line for each package whose local version differs from the release's."""
+    """Return a line for each package whose version here differs from the version that made the release."""
     made = {"kinectbench": metadata.package_version, **metadata.packages}
     installed = {"kinectbench": __version__, **data_package_versions()}
     return [
@@ -190,7 +191,7 @@ def version_notes(metadata: ReleaseInfo) -> list[str]:
 
 
 def _stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
-    """Return a line for each stage whose local version differs from the one that built these recordings."""
+    """Return a line for each stage whose version here differs from the one that built these recordings."""
     lineage = _lineage(contents)
     made = {
         (stage, row.stage_version)
@@ -244,7 +245,10 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
 
 
 def _source_difference(row: LineageRecording, recording: str, build: Path) -> Iterator[str]:
-    """Yield a line if the recording's files do not have the hashes in lineage.json."""
+    """Yield a line if the recording's files here are not those whose hashes are in lineage.json.
+
+    `row` is the recording's entry in lineage.json; `build` is its folder here, with the hashes of its files.
+    """
     made = Sources.read_if_there(build)
     if made is None:
         return

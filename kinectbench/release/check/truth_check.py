@@ -1,7 +1,7 @@
 """Check that the true shape in every pair, and the volume, agree with the object's mesh in the release.
 
-A recording's pairs are made from its mesh and its volume. Each pair's truth is computed again from them, so a
-changed pair is found. If mesh, volume and pairs were changed together, only `verify --rebuild` finds it.
+A recording's pairs are made from its mesh and its volume. Each pair's truth is computed again from these two,
+so a changed pair is found. Only `verify --rebuild` finds a joint change of mesh, volume and pairs.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -63,8 +63,8 @@ class ObjectTruth:
     Attributes:
         mesh: the object's closed mesh, world frame, metres; None if missing or unreadable.
         recorded: whether the object has a published volume, which synthetic objects lack.
-        cells: {name: cells of the volume} for "known", "unknown", "interior" and perhaps "said" (known from a
-            person's statement about the underside); empty without a usable volume.
+        cells: {name: cells of the volume} for "known", "unknown", "interior", and in newer volumes "said"
+            (known from the user's statement about the underside); empty without a usable volume.
     """
 
     mesh: TriangleMesh | None = None
@@ -77,7 +77,7 @@ def _object_truth(
 ) -> tuple[ObjectTruth, list[str]]:
     """Return the truth of an object, and a message for each difference of its volume or GLB from its mesh.
 
-    Missing and damaged files are skipped: `object_problems` reports them.
+    Missing files and damaged ones (not in `whole`) are skipped: `object_problems` reports them.
     """
     folder = f"objects/{recording}"
     try:
@@ -104,7 +104,7 @@ def _object_truth(
 
 
 def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: TriangleMesh) -> Iterator[str]:
-    """Yield a message for each difference of a GLB from its mesh; none if the GLB is missing or damaged."""
+    """Yield a message for each difference between a GLB and its mesh; a missing or damaged GLB gives none."""
     try:
         content = contents.read(_published(f"{folder}{GLB}", whole))
         floor = f"{folder}/{FloorFile.FILE}"
@@ -120,7 +120,7 @@ def _glb_faults(contents: Contents, folder: str, whole: Collection[str], mesh: T
 def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.integer], Bools]:
     """Read a volume.npz: return its grid and its arrays (nx, ny, nz) `solid`, `labels` and `underside`.
 
-    An early volume without `underside` gives an empty array for it.
+    Early volumes have no `underside`; an empty array is returned for it.
     """
     names = ("solid", "labels", "voxel_size_m", "T_world_grid", "underside")
     with contents.stream(name) as file:
@@ -138,7 +138,7 @@ def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.inte
 
 
 def _published(name: str, whole: Collection[str]) -> str:
-    """Return a file's name unchanged if its bytes are the published ones.
+    """Return a file's name unchanged if it is in `whole`, the files whose bytes are the published ones.
 
     Raises:
         ReleaseError: the file was not published, or its bytes differ.
@@ -151,7 +151,7 @@ def _published(name: str, whole: Collection[str]) -> str:
 def _volume_faults(
     mesh: TriangleMesh, grid: Grid, solid: Bools, labels: NDArray[np.integer]
 ) -> Iterator[str]:
-    """Yield a message for each disagreement of a volume's `solid`: with the filled mesh, with `labels`."""
+    """Yield a message if `solid` disagrees with the filled mesh, and one if it disagrees with `labels`."""
     nx, ny, nz = grid.shape
     padded = Grid((nx, ny, nz + -nz % 8), grid.voxel_size_m, grid.T_world_grid)
     inside = _filled(mesh, padded, "winding")
@@ -169,7 +169,10 @@ def _volume_faults(
 
 
 def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
-    """Return the grid cells that `rule` fills inside an untrusted mesh, or why they cannot be computed."""
+    """Return the grid cells that `rule` fills inside a mesh, or a text on why they cannot be computed.
+
+    The mesh is untrusted: its vertices may be far from the grid, or its faces too many to fill.
+    """
     cells = transform_points(grid.T_grid_world, mesh.vertices) / grid.voxel_size_m
     if not np.abs(cells).max() <= MAX_FAR_CELLS:
         return f"{MESH} has vertices far from it"
@@ -181,10 +184,10 @@ def _filled(mesh: TriangleMesh, grid: Grid, rule: str) -> Packed | str:
 
 
 def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
-    """Yield a message for each grid of a pair (full, known, interior, said) that differs from its object.
+    """Yield a message for each grid of a pair (full, known, interior, said) that disagrees with its object.
 
     Args:
-        pair: a pair with matrices that are rigid, and `voxel_size_m` positive and finite.
+        pair: a pair whose matrices are rigid, and whose `voxel_size_m` is positive and finite.
         truth: the truth of its object.
     """
     if truth.mesh is not None:
@@ -200,9 +203,9 @@ def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
 
 
 def _full_problems(pair: Pair, mesh: TriangleMesh, *, recorded: bool) -> Iterator[str]:
-    """Yield a message if `full` is not the mesh filled by `occupancy_rule`, or if that rule is wrong.
+    """Yield a message if `full` is not the mesh filled by its `occupancy_rule`, or if that rule is wrong.
 
-    `recorded`: whether the object has a published volume; then the rule must be "winding".
+    `recorded` tells whether the object has a published volume. If so, the rule must be "winding".
     """
     rule = pair.occupancy_rule
     if rule not in ACROSS or (recorded and rule != "winding"):
@@ -233,7 +236,7 @@ def _beyond(pair: Pair, mesh: TriangleMesh) -> int:
 
 @dataclass
 class TruthCheck:
-    """The check of the truth of a release's pairs against their objects; only one object is in memory.
+    """Check the truth of a release's pairs against their objects, with one object in memory at a time.
 
     So `lines` must be called for all pairs of one recording before those of the next.
 
@@ -259,7 +262,7 @@ class TruthCheck:
         return lines + [f"{name}: {problem}" for problem in truth_problems(pair, self._last[1])]
 
     def share_lines(self, metadata: ReleaseInfo | None) -> Iterator[str]:
-        """Yield a message for each recording's `visible_share` that is not the mean over its pairs."""
+        """Yield a message for each recording whose `visible_share` is not the mean over its pairs."""
         for name, info in metadata.recordings.items() if metadata else ():
             shares = self.visible_shares.get(name, [])
             if info.visible_share is None or len(shares) != info.pairs:

@@ -54,11 +54,12 @@ def verify(path: Path, progress: Progress = no_progress, *, checksums_only: bool
     Args:
         path: the release's folder, or a .zip, .tar or .tar.gz of it.
         progress: called with (files and pairs done, files and pairs in all).
-        checksums_only: whether to check only that each file is the published one, not its content.
+        checksums_only: whether to check only the SHA-256 of each file, not its content.
 
     Returns:
-        One line per problem, each naming a file relative to the release; empty if all is well. A file that is
-        not the published one is named once and not checked further, except for the lines of targets.csv.
+        One line per problem, each naming a file relative to the release; empty if all is well. A file with a
+        wrong SHA-256 is named once and not checked further, except that the lines of targets.csv are still
+        checked.
 
     Raises:
         ReleaseError: there is no release at all, or its archive is cut off or cannot be trusted.
@@ -103,11 +104,11 @@ def verify(path: Path, progress: Progress = no_progress, *, checksums_only: bool
 def verify_checksums(url: str, folder: Path, progress: Progress = no_progress) -> list[str]:
     """Check the SHA-256 of every file of a release at a URL; return a message for each fault.
 
-    Few files at a time are on the local disk.
+    Files are downloaded, hashed and deleted, so that only a few are on the local disk at a time.
 
     Args:
         url: URL of the release.
-        folder: an empty folder.
+        folder: an empty folder for the downloads.
         progress: called with (files done, files in all).
 
     Raises:
@@ -127,7 +128,9 @@ def verify_checksums(url: str, folder: Path, progress: Progress = no_progress) -
 
 
 def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
-    """Return a message for each check that `verify` skipped on a faultless release; arguments as in `verify`.
+    """Return a message for each check that `verify` could not make on a release without faults.
+
+    The arguments are those of `verify`.
 
     Raises:
         ReleaseError: benchmark.json or SHA256SUMS cannot be read.
@@ -184,7 +187,7 @@ def _extra(name: str) -> str:
 def _object_lines(
     contents: Contents, whole: Iterable[str], metadata: ReleaseInfo | None
 ) -> dict[str, list[str]]:
-    """Return {file name: its faults} for every faulty mesh, volume or GLB of objects with published truth."""
+    """Return {file name: its faults} for each faulty mesh, volume or GLB of an object with public truth."""
     lines: dict[str, list[str]] = {}
     for name in sorted(whole):
         parts = name.split("/")
@@ -197,10 +200,10 @@ def _object_lines(
 
 @dataclass
 class _OfPair:
-    """The facts about a pair in targets.csv and views.json.
+    """The facts about a pair that targets.csv and views.json state.
 
     Attributes:
-        unknown_shares: {file: unknown share of the true shape}, for the files that state it.
+        unknown_shares: {file name: unknown share of the true shape that this file states}.
         shown: what views.json states about the pair's view.
     """
 
@@ -211,7 +214,7 @@ class _OfPair:
 def _stated(
     contents: Contents, metadata: ReleaseInfo | None, targets: Sequence[Target]
 ) -> dict[str, _OfPair]:
-    """Return {pair file: the facts about the pair in targets.csv and views.json}."""
+    """Return {pair file: the facts about the pair that targets.csv and views.json state}."""
     stated = {target.file: _OfPair() for target in targets}
     for target in targets:
         if target.unknown_share is not None:
@@ -284,7 +287,7 @@ def _pair_lines(
 
 
 def _is_placed(pair: Pair | PairInput) -> bool:
-    """Return whether a pair has rigid matrices and a positive cell size, as further checks require."""
+    """Return whether a pair's matrices are rigid and its cell size is positive, as further checks require."""
     rigid = is_rigid(pair.T_world_grid) and is_rigid(pair.T_world_camera)
     return rigid and 0 < pair.voxel_size_m < np.inf
 
@@ -292,10 +295,10 @@ def _is_placed(pair: Pair | PairInput) -> bool:
 def _identity(
     contents: Contents, sums_text: str, damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, list[str]]:
-    """Return benchmark.json (None if unreadable), and a message if it is unreadable or states a wrong hash.
+    """Read benchmark.json and check its `benchmark_sha256`, a hash of SHA256SUMS and of its own content.
 
-    Its `benchmark_sha256` must be the hash computed from SHA256SUMS and from its own content. If it is in
-    `damaged`, {file: message} of files that are not the published ones, there is no message.
+    Return benchmark.json (None if unreadable), and a message if it is unreadable or its hash is wrong. If it
+    is in `damaged`, {file: message} of files that are reported already, there is no message.
     """
     try:
         stated = contents.text(BENCHMARK_JSON)
@@ -314,10 +317,10 @@ def _identity(
 def _small_file_problems(
     contents: Contents, sums_text: str, sums: Mapping[str, str], damaged: Mapping[str, str]
 ) -> tuple[ReleaseInfo | None, tuple[Target, ...], list[str]]:
-    """Return benchmark.json (None if unreadable), the targets, and a message for each fault of small files.
+    """Check the small files (JSON, tables, texts); return benchmark.json or None, the targets, and messages.
 
-    Damaged files are read if possible, but their faults are not reported twice, except for the lines of
-    targets.csv.
+    Damaged files are read if possible. They are reported already, so their faults are not reported again,
+    except for the lines of targets.csv. benchmark.json is None if it is unreadable.
     """
     metadata, lines = _identity(contents, sums_text, damaged)
     targets: tuple[Target, ...] = ()
@@ -342,7 +345,7 @@ def _small_file_problems(
 
 
 def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a message for each missing mesh or volume of a recording; its pairs cannot be checked."""
+    """Yield a message for each missing mesh or volume of a recording: it is needed to check the pairs."""
     if metadata.benchmark_sha256_version is None:
         return  # earlier releases may have fewer files
     stated = metadata.settings.recordings or metadata.settings.views

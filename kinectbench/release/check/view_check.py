@@ -1,7 +1,7 @@
 """Check a pair's input against the published depth, mask and camera of its view.
 
-The partial, `seen` and (with framing `view`) the pair's cube are made only from depth, mask and camera.
-Published depth is rounded to whole millimetres, so each pixel stands for an interval of depths. A pair agrees
+The partial, `seen` and (with framing `view`) the pair's cube are made from depth, mask and camera alone.
+Published depth is rounded to whole millimetres, so each pixel stands for an interval of depths. A pair passes
 if some depths within these intervals give its input.
 """
 
@@ -62,7 +62,7 @@ class StatedView:
 def view_lines(
     contents: Contents, name: str, pair: Pair | PairInput, stated: StatedView, whole: Collection[str]
 ) -> list[str]:
-    """Return a message for each difference of a pair's input from the images of its view.
+    """Return a message for each difference between a pair's input and the images of its view.
 
     Nothing is compared if the view has no images, or if they cannot be decoded here (`no_decoder`).
 
@@ -93,10 +93,10 @@ def view_lines(
 def view_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], mask: Bools, *, has_too_far: bool
 ) -> Iterator[str]:
-    """Yield a message for each difference of a pair's input from its view.
+    """Yield a message for each difference between a pair's input and its view.
 
     Args:
-        pair: a pair with matrices that are rigid, and `voxel_size_m` positive and finite.
+        pair: a pair whose matrices are rigid, and whose `voxel_size_m` is positive and finite.
         depth: (height, width) uint16, the view's published depth, millimetres, 0 = none.
         mask: (height, width) bool, the view's published mask.
         has_too_far: whether a depth of 0 may also mean a depth too large for 16 bits.
@@ -124,7 +124,7 @@ def _size(image: NDArray[np.generic]) -> str:
 def _partial_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], mask: Bools, corner: NDArray[np.float64]
 ) -> Iterator[str]:
-    """Yield a message if `partial_256` has cells without masked depth, or misses cells of masked depth.
+    """Yield a message if `partial_256` has cells without masked depth, or lacks cells that have masked depth.
 
     `corner` is the grid's corner, (3,) in the camera frame, metres.
     """
@@ -144,11 +144,11 @@ def _partial_problems(
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(depth, mask, K, corner, voxel, partial, reached):  # type: ignore[no-untyped-def]
-    """Set in `reached` all cells that masked pixels may lie in, given the rounding of depth.
+    """Set in `reached` all cells in which points of masked pixels may lie, given the rounding of depth.
 
-    Return the number of pixels inside the cube that can lie in no cell of `partial`; -1 if the pixels reach
-    more than `MOST_REACHED` cells. `corner` is the grid's corner in the camera frame, `voxel` the edge of a
-    cell, metres; `partial` and `reached` are packed.
+    Return the number of pixels whose points lie inside the cube but in no cell of `partial`; -1 if the pixels
+    reach more than `MOST_REACHED` cells. `corner` is the grid's corner in the camera frame and `voxel` the
+    edge of a cell, both in metres; `partial` and `reached` are packed.
     """
     lost, visited = 0, 0
     for v in range(depth.shape[0]):
@@ -179,7 +179,10 @@ def _reach(depth, mask, K, corner, voxel, partial, reached):  # type: ignore[no-
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _cells(one, other, corner, voxel):  # type: ignore[no-untyped-def]
-    """Return first and last cell between two coordinates along an axis: -1 or FULL_CELLS if outside."""
+    """Return the first and last cell between the coordinates `one` and `other` along an axis.
+
+    A cell is -1 before the grid, which begins at `corner`, and FULL_CELLS behind it.
+    """
     first = (min(one, other) - corner) / voxel - SLACK_CELLS
     last = (max(one, other) - corner) / voxel + SLACK_CELLS
     return _cell(first), _cell(last)
@@ -195,7 +198,7 @@ def _cell(exact):  # type: ignore[no-untyped-def]
 def _seen_problems(
     pair: Pair | PairInput, depth: NDArray[np.uint16], camera: Camera, *, has_too_far: bool
 ) -> Iterator[str]:
-    """Yield a message if `seen` fits no depths that round to the published ones, within a tolerance."""
+    """Yield a message if `seen` contradicts the published depth, given its rounding and a tolerance."""
     depth_m = depth.astype(np.float32) / np.float32(MM_PER_M)
     measured = depth_m > 0
 
@@ -211,7 +214,10 @@ def _seen_problems(
 
 
 def _cube_problems(pair: Pair | PairInput, object_mm: NDArray[np.uint16], camera: Camera) -> Iterator[str]:
-    """Yield a message if the pair's cube differs from `view_cube` for the object's depth `object_mm`."""
+    """Yield a message if the pair's cube differs from `view_cube` of the object's depth.
+
+    `object_mm` is that depth, (height, width) uint16, millimetres, 0 outside the object.
+    """
     v, u = np.nonzero(object_mm)
     if not len(v):
         return  # all cells of the partial are reported

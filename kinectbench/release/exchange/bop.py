@@ -136,8 +136,8 @@ def _write_scene(
 ) -> Camera:
     """Write one scene: depth, masks, its JSON files, and colour if it is registered to the depth.
 
-    The name of a view is the number of its image. If `model` is None, because the truth is held back, no
-    ground truth is written. `before` counts the views of earlier scenes. The last view's camera is returned.
+    The name of a view is the number of its image. `model` is None if the truth is held back; then no ground
+    truth is written. `before` is the number of views in earlier scenes. Return the camera of the last view.
     """
     renderer = None if model is None else DepthRenderer(model.mesh)
     colored = color_registered(release, targets[0].recording)
@@ -174,7 +174,7 @@ def _write_scene(
 
 
 def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
-    """Return a transform T (4, 4), metres, as {cam_R_<frames>: rotation by rows, cam_t_<frames>: mm}."""
+    """Return T (4, 4), metres, as {cam_R_<frames>: rotation, row by row, cam_t_<frames>: translation, mm}."""
     return {
         f"cam_R_{frames}": T[:3, :3].ravel().tolist(),
         f"cam_t_{frames}": (T[:3, 3] * MM_PER_M).tolist(),
@@ -182,5 +182,5 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
 
 
 def _unknown(release: Release, target: Target) -> float:
-    """Return the share of a pair's true shape that is not known, rounded."""
+    """Return the share of a pair's true shape whose cells are not `known`, rounded."""
     return round(unknown_share(*parts_of(release, target, ("full", "known"))), SHARE_DECIMALS)

@@ -32,7 +32,7 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class BopModel:
-    """An object in the world, and its pose in BOP's model frame.
+    """An object's mesh in the world frame, and the pose of its BOP model frame.
 
     Attributes:
         mesh: closed mesh, world frame, metres.
@@ -80,7 +80,7 @@ def model_ply(mesh: TriangleMesh) -> bytes:
 
 
 def model_info(mesh: TriangleMesh) -> dict[str, float]:
-    """Return a mesh's row of models_info.json in the mesh's unit: diameter (`_diameter`) and bounding box."""
+    """Return a mesh's row of models_info.json, in the mesh's unit: its `_diameter` and its bounding box."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     info = {"diameter": _diameter(mesh.vertices)}
     info |= {f"min_{axis}": float(value) for axis, value in zip("xyz", low, strict=True)}
@@ -88,7 +88,7 @@ def model_info(mesh: TriangleMesh) -> dict[str, float]:
 
 
 def _diameter(vertices: Float64) -> float:
-    """Return the largest distance between two of the vertices (n, 3); only hull corners are compared."""
+    """Return the largest distance between any two vertices (n, 3), by comparing the convex hull's corners."""
     from scipy.spatial import ConvexHull, QhullError
     from scipy.spatial.distance import cdist
 
@@ -103,7 +103,7 @@ def _diameter(vertices: Float64) -> float:
 
 @dataclass(frozen=True)
 class ObjectInView:
-    """The object in one view: its two masks, and the figures of a row of scene_gt_info.json.
+    """The object in one view: its two masks, and the values of its row in scene_gt_info.json.
 
     Attributes:
         mask: (height, width) bool, the silhouette within the image.
@@ -111,9 +111,9 @@ class ObjectInView:
         px_count_all: number of pixels of the silhouette, including those beyond the image.
         px_count_valid: number of pixels of `mask` with a measured depth.
         px_count_visib: number of pixels of `mask_visib`.
-        bbox_obj: x, y, width, height of the whole silhouette, pixels, from its first to its last pixel, so
-            that one pixel has width 0; all -1 if nothing is visible.
-        bbox_visib: the same of `mask_visib`.
+        bbox_obj: x, y, width, height of the whole silhouette, pixels. Width and height are differences of the
+            last and first pixel, so one pixel has width 0. All are -1 if nothing is visible.
+        bbox_visib: x, y, width, height of `mask_visib`, defined in the same way.
     """
 
     mask: Bools
@@ -137,7 +137,7 @@ def object_in_view(
     mesh: TriangleMesh,
     renderer: DepthRenderer,
 ) -> ObjectInView:
-    """Return the object's silhouette in a view, the visible part of it, and figures of both.
+    """Return the object's silhouette in a view, the visible part of it, and pixel counts and boxes of both.
 
     Args:
         depth_mm: (height, width) uint16, measured depth, 0 = none.
@@ -170,7 +170,7 @@ def object_in_view(
 
 
 def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) -> tuple[Camera, int, int]:
-    """Return the camera with its image enlarged to hold the object, and the pixels added left and on top."""
+    """Enlarge a camera's image to hold the object; return camera, and pixels added on the left and on top."""
     points_camera = transform_points(invert_rigid(T_world_camera), mesh.vertices)
     left, right, top, bottom = camera.width, camera.width, camera.height, camera.height
     if points_camera[:, 2].min() > 0:
@@ -188,13 +188,13 @@ def _wide_camera(camera: Camera, T_world_camera: Float64, mesh: TriangleMesh) ->
 
 
 def _margins(pixels: Float64, size: int) -> tuple[int, int]:
-    """Return the numbers of pixels to add before and after an image axis of `size`, each at most `size`."""
+    """Return how many pixels to add before and after an axis of `size` to hold `pixels`; at most `size`."""
     before, after = np.ceil([-pixels.min(), pixels.max() - (size - 1)])
     return int(np.clip(before, 0, size)), int(np.clip(after, 0, size))
 
 
 def _box(mask: Bools, left: int, top: int) -> Box:
-    """Return BOP's box (x, y, width, height) of a mask whose pixel (left, top) is the origin of x and y."""
+    """Return BOP's box (x, y, width, height) of a mask; x and y count from the mask's pixel (left, top)."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return (
         int(columns[0]) - left,

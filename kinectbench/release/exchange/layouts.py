@@ -55,7 +55,7 @@ class ExportFile(Stored):
 
 
 def names_sha256(folder: Path, but: str = EXPORT_JSON) -> str:
-    """Return the SHA-256 over the names of a folder's files, sorted, a line each.
+    """Return the SHA-256 of a list of the names of all files in a folder, sorted, one name per line.
 
     The file `but`, locks, unfinished downloads and the files of file managers are left out.
     """
@@ -68,8 +68,8 @@ def names_sha256(folder: Path, but: str = EXPORT_JSON) -> str:
 def new_folder(out: Path) -> Iterator[Path]:
     """Yield an empty temporary folder, which replaces `out` if the `with` block succeeds.
 
-    The block writes export.json. A hash over the names of all files is added to it, by which a later export
-    recognises a folder that holds nothing else.
+    The block must write export.json. A hash over the names of all files is then added to it. A later export
+    reads this hash to check that `out` holds nothing but the earlier export.
 
     Args:
         out: a new or an empty folder, or an earlier export.
@@ -88,12 +88,14 @@ def new_folder(out: Path) -> Iterator[Path]:
 
 
 def refuse_others(out: Path, written_sha256: str | None, stated_in: str) -> None:
-    """Refuse to replace a folder, unless it is missing or empty, or holds only the files written there.
+    """Raise an error if a folder holds other files than those that were once written there.
+
+    A missing or empty folder gives no error.
 
     Args:
         out: the folder.
         written_sha256: its `names_sha256` when it was written; None if that is not known.
-        stated_in: the file that states this hash, whose own name is not in it.
+        stated_in: name of the file that states this hash; the hash does not include this name.
 
     Raises:
         SettingsError: the folder holds something else.
@@ -108,7 +110,7 @@ def refuse_others(out: Path, written_sha256: str | None, stated_in: str) -> None
 
 
 def write_export_json(folder: Path, release: Release, rows: Mapping[str, object]) -> None:
-    """Write export.json: the release's identity, and in `rows` facts that the exported files cannot hold."""
+    """Write export.json: the release's identity, and `rows`: facts that the exported files cannot hold."""
     content = {
         "format_version": 1,
         "package_version": __version__,
@@ -139,9 +141,9 @@ def recgan_path(kind: str, category: str, split: str, views: int, name: str) -> 
 
 
 def pair_record(target: Target, pair: Pair | PairInput, **files: str) -> dict[str, object]:
-    """Return all facts of a pair except its grids as JSON values: names, `files`, numbers and matrices.
+    """Return a pair as JSON values without its grids: names, `files`, numbers and matrices.
 
-    `unknown_share`, the share of the true shape that is not known, is included if the truth is published.
+    If the truth is published, `unknown_share`, the share of the true shape that is not known, is included.
     """
     row: dict[str, object] = {name: getattr(target, name) for name in NAMES} | files
     row |= {name: getattr(pair, name) for name in NUMBERS if hasattr(pair, name)}

@@ -1,7 +1,7 @@
 """The targets of a release as a Parquet table, for millions of rows: typed, and readable by column.
 
-The table is no part of a release: pyarrow takes 170 MB, and a release's bytes must not depend on what is
-installed.
+The table is not part of a release, because pyarrow takes 170 MB, and a release's bytes must not depend on the
+installed packages.
 """
 
 from pathlib import Path
@@ -18,7 +18,7 @@ ROWS_PER_GROUP = 100_000
 
 
 def export_parquet(release: Release, out: Path, progress: Progress = no_progress) -> int:
-    """Write targets.parquet: the columns and rows of targets.csv, `unknown_share` as a number or null.
+    """Write targets.parquet with the columns and rows of targets.csv; `unknown_share` is a number or null.
 
     Args:
         release: the opened release.

@@ -118,10 +118,10 @@ class FoundPair:
     """A pair of files to import.
 
     Attributes:
-        target: the pair that it becomes in the release.
+        target: the imported pair's row of the release's targets.csv.
         file_25d: file of the visible part.
         file_3d: file of the full shape.
-        values: known fields of `Pair` that are not grids, such as transforms.
+        values: values of those fields of `Pair` that are known and are not grids, such as transforms.
     """
 
     target: Target
@@ -134,8 +134,8 @@ def export_recgan(release: Release, out: Path, progress: Progress = no_progress)
     """Write every pair of a release as two files: the visible part (`25d`) and the full shape (`3d`).
 
     The grids are not cropped: the authors' readers centre a cropped grid in 256 cells, which would shift it.
-    `export.json` holds names and transforms, which the files lack. `known`, `seen` and `shell` are not
-    exported.
+    Names and transforms, for which these files have no place, are in `export.json`. `known`, `seen` and
+    `shell` are not exported.
 
     Args:
         release: the opened release.
@@ -180,8 +180,8 @@ def import_recgan(folder: Path, out: Path, progress: Progress = no_progress, vie
         out: a new folder, or a release, which is replaced.
         progress: called with (pairs done, pairs in all).
         views: which test and validation pairs to import, by the number of views in their folder's name: 125
-            are at the viewing angles of the training pairs (SV in the paper), 216 at others (CV). None: all,
-            if the folder has only one such number.
+            have the viewing angles of the training pairs (SV in the paper), 216 have others (CV). None: all
+            pairs, which is allowed only if all test pairs have the same number.
 
     Returns:
         The number of pairs.
@@ -231,9 +231,10 @@ def _name(folder: Path, views: int | None) -> str:
 
 
 def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> list[FoundPair]:
-    """Return all training pairs, and the test and validation pairs of `views` views; all pairs if it is None.
+    """Return all training pairs, and those test and validation pairs whose recordings have `views` views.
 
-    A mean score over several sets of views would be meaningless.
+    If `views` is None, all pairs are returned, but it is an error if test recordings differ in their number
+    of views: a mean score over several sets of views would be meaningless.
     """
 
     def number(one: FoundPair) -> int:
@@ -266,7 +267,7 @@ def _exported(folder: Path, content: Exported) -> list[FoundPair]:
 
 
 def _theirs(folder: Path) -> list[FoundPair]:
-    """Return the pairs of files named as the authors name them, sorted by category, split and model."""
+    """Return the pairs of files that are named in the authors' way, sorted by category, split and model."""
     rows = []
     for path in sorted(folder.glob("P1_*/*_25d_vox256/*.npz")):
         match = PATH.fullmatch(path.relative_to(folder).as_posix())
@@ -295,7 +296,7 @@ def _refuse_link_out(path: Path, root: Path) -> None:
 
 
 def _pair(files: FoundPair, root: Path) -> Pair:
-    """Read a pair from its two files; facts that are not known get the defaults that the card states."""
+    """Read a pair from its two files; unknown fields get default values, which the card states."""
     for path in (files.file_25d, files.file_3d):
         _refuse_link_out(path, root)
         if not path.is_file():

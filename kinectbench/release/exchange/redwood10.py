@@ -81,7 +81,7 @@ class RedwoodScan:
         png: content of the depth image's PNG file, millimetres.
         depth_m: (480, 640) float32, metres.
         mask: (480, 640) bool, the object.
-        mesh: the object's faces, an open mesh, camera frame, metres.
+        mesh: open mesh of the scan's faces on the object, camera frame, metres.
     """
 
     png: bytes
@@ -159,7 +159,7 @@ def _scan(folder: Path, name: str) -> RedwoodScan:
 
 
 def _chosen(kept: FileArray, count: int, path: Path) -> Bools:
-    """Return a mask (count,) of the mesh's vertices on the object; `kept` is a mask or a list of indices."""
+    """Return (count,) bool, which vertices of the mesh lie on the object; `kept` is a mask or has indices."""
     if kept.dtype == bool and kept.shape == (count,):
         return kept
     is_list = kept.ndim == 1 and kept.dtype.kind in "iu" and len(kept) > 0
@@ -171,7 +171,7 @@ def _chosen(kept: FileArray, count: int, path: Path) -> Bools:
 
 
 def _content(folder: Path, name: str, most: int) -> bytes:
-    """Return the bytes of a file; raise an error at a link out of the folder, which would be published."""
+    """Return the bytes of a file; refuse a link out of the folder, whose target the release would publish."""
     path = folder / name
     if not lies_below(path, followed(folder)):
         raise PairError(f"{path}: a link out of the folder; put the file itself there")
@@ -190,7 +190,7 @@ def _array(folder: Path, name: str) -> FileArray:
 
 
 def _written(name: str, scan: RedwoodScan, folder: Path) -> Target:
-    """Write the pair, view and surface of a scan into a release's folder; return its target."""
+    """Write the pair, images and truth mesh of a scan into a release's folder; return the pair's target."""
     T: Float64 = np.eye(4)
     object_m = np.where(scan.mask, scan.depth_m, np.float32(0))
     grid = view_cube(CAMERA.backproject(scan.depth_m)[object_m > 0], T)

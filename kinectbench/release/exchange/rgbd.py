@@ -1,7 +1,7 @@
 """Export of a release's views as plain images, depth maps and point maps, which current methods take.
 
-Each view gets a folder `<recording>/<view>/`. A method that reads other files, units or axes has its own
-writer in `scoring/adapters/`, which takes the same `RgbdView`.
+Each view gets a folder `<recording>/<view>/`. For each method that reads other files, units or axes,
+`scoring/adapters/` has a writer, which takes the same `RgbdView`.
 """
 
 from collections.abc import Callable, Sequence
@@ -88,9 +88,9 @@ class RgbdView:
 def framed(view: RgbdView, width: int, height: int) -> RgbdView:
     """Crop a view to an image of width x height pixels around the object, and adapt K.
 
-    A view that has this size is returned unchanged. If the object's bounding box is larger, only every
-    second, third, ... row and column is kept. Nothing is interpolated, so K is exact. Pixels beyond the
-    view's image have depth 0 and are outside the mask.
+    If the object's bounding box does not fit, only every second, third, ... row and column of the view is
+    kept. Nothing is interpolated, so K is exact. Pixels beyond the view's image have depth 0 and are outside
+    the mask. A view that already has this size is returned unchanged.
     """
     if view.depth_mm.shape == (height, width):
         return view
@@ -168,10 +168,11 @@ def export_rgbd(
         progress: called with (views done, views in all).
         method: the method whose input files are written; None: the plain files of `write_plain`.
         write: function that writes a view's files; needed with `method`.
-        reads_color: whether the method reads colour, so that views without colour are reported.
+        reads_color: whether the method reads colour; if so, views without colour are reported.
 
     Returns:
-        The number of views, and notes: a line each on missing colour and on objects cut by the method.
+        The number of views, and notes: a line on missing colour, and one on objects that the method's input
+        volume cuts off.
 
     Raises:
         SettingsError: `out` holds something else.
@@ -194,7 +195,7 @@ def export_rgbd(
 def _write(
     release: Release, view: RgbdView, folder: Path, method: str | None, write: WriteView | None
 ) -> ViewCamera:
-    """Write a view's files by `write` (None: `write_plain`), and camera.json, whose content is returned."""
+    """Write a view's files by `write` (None: `write_plain`); write and return its camera.json."""
     shown_view, more = (write or write_plain)(release, view, folder)
     given: dict[str, Any] = {} if method is None else {"method": method, **more}
     stated = ViewCamera(
@@ -229,7 +230,7 @@ def write_color(view: RgbdView, folder: Path, name: str = "rgb.png") -> None:
 
 
 def _color_lines(without: Sequence[str], count: int) -> list[str]:
-    """Return a line with the number of views `without` colour, of `count` views; [] if all have colour."""
+    """Return a line on the number of views `without` colour, among `count` views; [] if all have colour."""
     if not without:
         return []
     return [
@@ -239,7 +240,7 @@ def _color_lines(without: Sequence[str], count: int) -> list[str]:
 
 
 def _cut_lines(stated: Sequence[ViewCamera]) -> list[str]:
-    """Return a line on objects cut off by the method's input volume, as camera.json states; [] if none is."""
+    """Return a line on objects that the method's input volume cuts off, by `cut_share`; [] if none is."""
     shares = [one.cut_share for one in stated if one.cut_share is not None]
     if not any(shares):
         return []

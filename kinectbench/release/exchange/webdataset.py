@@ -29,8 +29,8 @@ def export_webdataset(
     """Write the pairs of each split as shards `<split>-000000.tar` and so on; the bytes are reproducible.
 
     A sample `<recording>_<view>` has two files: `npz`, the published pair file, and `json`: names, transforms
-    and numbers. A dot in a recording's name becomes `-`, because WebDataset's keys end at the first dot. If
-    the truth is held back, a sample has only the input.
+    and numbers. WebDataset's keys end at the first dot, so a dot in a recording's name becomes `-`. If the
+    truth is held back, a sample has only the input.
 
     Args:
         release: the opened release.
@@ -70,7 +70,7 @@ def _sample_key(target: Target) -> str:
 
 
 def _check_keys(targets: Sequence[Target]) -> None:
-    """Raise an error if two recordings would get the same keys: if `.` or `-` is their only difference."""
+    """Raise an error if two recordings would get the same keys, as `a.b` and `a-b` would."""
     recordings: dict[str, str] = {}
     for target in targets:
         first = recordings.setdefault(_sample_key(target), target.recording)

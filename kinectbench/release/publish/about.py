@@ -27,7 +27,7 @@ class About:
         description: a sentence on what the release is.
         citation: authors, title, version and address for citing the release.
         date: the day of publication, year-month-day.
-        answers: a person's answers to the questions of the datasheet.
+        answers: the publisher's answers to the questions of the datasheet.
         warnings: known faults of the release, one line each.
         color: whether colour images are published.
         recorded: whether the release was made from recordings instead of models.
@@ -47,8 +47,8 @@ class About:
 def day_of(citation: CitationSettings, folder: Path) -> str:
     """Return the date of a release, year-month-day; it does not depend on the clock, so it is reproducible.
 
-    The date is `date_released` if stated, else the day (UTC) of the latest view in lineage.json, or `NO_DAY`
-    if there is none or its timestamp is not a calendar time.
+    The date is `date_released` if stated, else the day (UTC) of the latest view in lineage.json. It is
+    `NO_DAY` if lineage.json has no view, or the timestamp is not a calendar time.
 
     Args:
         citation: the citation, which may state `date_released`.
@@ -68,7 +68,7 @@ def day_of(citation: CitationSettings, folder: Path) -> str:
 
 
 def responsible_use(about: About) -> Mapping[str, str | list[str]]:
-    """Return {name without `rai:`: text} of Croissant's fields for responsible AI, without empty ones."""
+    """Return the fields of Croissant's RAI (responsible AI) vocabulary, {name without `rai:`: text}."""
     answers = about.answers
     people = [answers.consent] if answers.consent else []
     if about.recorded:

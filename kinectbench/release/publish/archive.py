@@ -23,8 +23,8 @@ DEFLATE_LEVEL = 9
 def _archive_stem(info: ReleaseInfo) -> str:
     """Return the name of a release's archive without suffix: `<name>-<version>`.
 
-    Without a version, the first 8 digits of benchmark_sha256 replace it. The name of the private part of a
-    benchmark with held-back truth ends with `-private`.
+    Without a version, the first 8 digits of benchmark_sha256 replace it. If the release is the private part
+    of a benchmark with held-back truth, the name ends with `-private`.
     """
     private = "-private" if info.public_benchmark_sha256 else ""
     return f"{info.name}-{info.version or info.benchmark_sha256[:8]}{private}"
@@ -87,7 +87,7 @@ def write_archive(release: Path, out: Path, progress: Progress = no_progress) ->
 
 
 def _add(archive: zipfile.ZipFile, file: Path, name: str) -> None:
-    """Add one file to an archive in small blocks, so that it never is in memory as a whole."""
+    """Add one file to an archive in blocks, so that it is never in memory as a whole."""
     entry = zipfile.ZipInfo(name, MIDNIGHT)
     entry.create_system = 3  # Unix, on every system
     entry.external_attr = REGULAR_0644

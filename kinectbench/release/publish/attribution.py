@@ -48,9 +48,9 @@ def reasons_against_distribution(
 
 
 def common_license(recordings: Mapping[str, RecordingInfo], otherwise: str) -> str:
-    """Return the licence that all recordings share, or `otherwise` if there is not exactly one.
+    """Return the licence that all recordings share, or `otherwise` if there is no such licence.
 
-    A recording that states no licence has that of the benchmark, `otherwise`.
+    `otherwise` is the benchmark's licence. It also holds for recordings that state none.
     """
     silent = otherwise or UNSPECIFIED
     licenses = {silent if info.license == UNSPECIFIED else info.license for info in recordings.values()}
@@ -79,7 +79,7 @@ def license_text(name: str, license: str, recordings: Mapping[str, RecordingInfo
     Args:
         name: the benchmark's name.
         license: the benchmark's licence.
-        recordings: {id: entry of benchmark.json}.
+        recordings: {id: the recording's entry in benchmark.json}.
     """
     head = "No licence is stated for the benchmark as a whole." if license == UNSPECIFIED else license
     lines = [f"The data of the benchmark '{name}'", "", f"Licence: {head}"]
@@ -100,8 +100,8 @@ def citation_text(citation: CitationSettings, name: str, license: str) -> str:
     Args:
         citation: the benchmark's citation; `name` replaces a missing title and authors.
         name: the benchmark's name.
-        license: the licence; left out unless it is in `HUGGING_FACE`, because the format requires an SPDX
-            identifier.
+        license: the licence. It is left out unless it is in `HUGGING_FACE`, because the format requires an
+            SPDX identifier.
     """
     content: dict[str, object] = {
         "cff-version": "1.2.0",

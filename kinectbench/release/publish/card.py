@@ -62,12 +62,12 @@ NO_TRUTH = "# No pair of this part has its truth."
 
 
 def quality_words(quality: QualityFile) -> dict[str, str]:
-    """Return {label: value with unit} of the known quality figures, in a fixed order.
+    """Return {label: value with unit} of the known quality values, in a fixed order.
 
     The stated underside and the kind of truth come last.
 
     Args:
-        quality: a recording's quality; it has no figures if the truth is held back or the pairs are imported.
+        quality: a recording's quality; it has no values if the truth is held back or the pairs are imported.
     """
     words = {
         label: form.format(factor * value)
@@ -82,7 +82,7 @@ def quality_words(quality: QualityFile) -> dict[str, str]:
 
 
 def _reference_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: figure} on a reference mesh's agreement; empty if it does not fit, or is the truth."""
+    """Return {label: value} on how well a reference mesh agrees; empty if it does not fit or is the truth."""
     if info.reference is None or info.reference.refused is not None or info.reference.itself:
         return {}
     figures = {label: getattr(info.reference, key) for key, label in REFERENCE.items()}
@@ -90,15 +90,15 @@ def _reference_words(info: RecordingInfo) -> dict[str, str]:
 
 
 def _visible_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: mean share of the true surface that a view sees}; empty if not known."""
+    """Return {label: text} on the mean share of the true surface that a view sees; empty if not known."""
     return {} if info.visible_share is None else {VISIBLE: f"{info.visible_share:.1%}"}
 
 
 def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
-    """Return one line with the number of recordings whose underside a person stated, as closed or open.
+    """Return a line on how many recordings have an underside that the user stated as closed, or as open.
 
     Args:
-        recordings: {id: entry of benchmark.json}. If none of them states its underside, the line is empty.
+        recordings: {id: entry in benchmark.json}. If none of them states its underside, the line is empty.
     """
     by_word = Counter(info.quality.underside for info in recordings.values() if info.quality.underside)
     if not by_word:
@@ -116,7 +116,7 @@ def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
 
 @dataclass(frozen=True)
 class CardTexts:
-    """The texts of a card that depend on the origin of the pairs.
+    """The parts of a card's text that depend on the origin of the pairs.
 
     Attributes:
         source: the end of the card's first sentence, "A benchmark for ... shape completion from ...".
@@ -229,7 +229,7 @@ def _notice(info: ReleaseInfo) -> str:
 
 
 def counts_table(targets: Sequence[Target]) -> str:
-    """Return a Markdown table: for each category, the number of objects, and of pairs in each split."""
+    """Return a Markdown table of categories: numbers of objects, and of pairs in each split."""
     pairs = Counter((target.category, target.split) for target in targets)
     objects = Counter(category for category, _ in {(target.category, target.object) for target in targets})
     rows = [
@@ -240,9 +240,9 @@ def counts_table(targets: Sequence[Target]) -> str:
 
 
 def _category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
-    """Return a Markdown table of categories: object sizes, medians of visible and unknown share and of IoU.
+    """Return a Markdown table of categories: object sizes, medians of visible share, unknown share and IoU.
 
-    The text is empty if none of these is known.
+    The text is empty if none of these values is known.
     """
     category_of = {target.recording: target.category for target in targets}
     rows = []
@@ -264,7 +264,7 @@ def _category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
 
 
 def category_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: text} of one recording's known figures, which `_category_table` summarises."""
+    """Return {label: text} of those known values of one recording that `_category_table` summarises."""
     of = info.quality
     size = _ranges(np.array([of.box.size_m])) if of.box else ""
     rest = _words((info.visible_share, of.unknown_share, *(getattr(of, key) for key in ESTIMATES)))
@@ -273,7 +273,7 @@ def category_words(info: RecordingInfo) -> dict[str, str]:
 
 
 def _ranges(sizes_m: Float64) -> str:
-    """Return as text the ranges of longer side, shorter side and height of boxes (n, 3), metres."""
+    """Return the ranges of longer side, shorter side and height over boxes (n, 3), metres, as a text."""
     if not len(sizes_m):
         return ""
     sides_m = np.column_stack([sizes_m[:, :2].max(axis=1), sizes_m[:, :2].min(axis=1), sizes_m[:, 2]])
@@ -282,7 +282,10 @@ def _ranges(sizes_m: Float64) -> str:
 
 
 def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
-    """Return as texts visible share, unknown share and estimated IoU with its interval; "" if not known."""
+    """Return texts for visible share, unknown share, and estimated IoU with its interval; "" if not known.
+
+    `figures` are the two shares, the estimated IoU, and the lower and upper end of its interval.
+    """
     visible, unknown, estimate, low, high = figures
     shares = ["" if share is None else f"{share:.1%}" for share in (visible, unknown)]
     interval = "" if low is None or high is None else f" ({low:.2f} to {high:.2f})"
@@ -290,7 +293,7 @@ def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
 
 
 def card_figures(info: ReleaseInfo) -> str:
-    """Return a Markdown table of each recording's pairs, refused views and quality, and `underside_line`."""
+    """Return a Markdown table of recordings (pairs, refused views, quality), followed by `underside_line`."""
     words = {
         name: quality_words(recording.quality) | _reference_words(recording) | _visible_words(recording)
         for name, recording in info.recordings.items()
@@ -307,7 +310,7 @@ def card_figures(info: ReleaseInfo) -> str:
 
 
 def flow_section(info: ReleaseInfo) -> str:
-    """Return the card's section on the recordings tried, and left out at each step; empty without `flow`."""
+    """Return the card's section on how many recordings were left out at each step; empty without `flow`."""
     flow = info.flow
     if flow is None:
         return ""
@@ -336,7 +339,7 @@ def flow_section(info: ReleaseInfo) -> str:
 
 
 def origins_table(recordings: Mapping[str, RecordingInfo]) -> str:
-    """Return a Markdown table with a row for each licence and source, and the recordings that share them."""
+    """Return a Markdown table of recordings, with a row for each combination of licence and source."""
     sharing: dict[tuple[str, str], list[str]] = {}
     for name, info in sorted(recordings.items()):
         sharing.setdefault((markdown_line(info.source), markdown_line(info.license)), []).append(name)
@@ -356,7 +359,7 @@ def reading(targets: Sequence[Target], held_back: Sequence[str], why: str = "hel
     Args:
         targets: every pair.
         held_back: splits of which only inputs are published.
-        why: end of a sentence "their truth is ..." about these splits.
+        why: why they lack truth; it ends the sentence "their truth is ...".
     """
     open_targets = [target for target in targets if target.split not in held_back]
     keys = ", ".join(f"`{key}`" for key in (*TRUTH_KEYS, "occupancy_rule"))

@@ -1,4 +1,4 @@
-"""Write pages categories/<category>.html of a release: a picture of every object, with its main figures."""
+"""Write pages categories/<category>.html of a release: a picture and the main values of every object."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ def write_category_pages(
     held_back: Sequence[str],
     isolated: Sequence[str] = (),
 ) -> None:
-    """Write the page of each category of a release whose pairs are written.
+    """Write a page for each category of a release; the pair files must be there already.
 
     Isolated recordings are listed without a picture.
 
@@ -66,7 +66,7 @@ def write_category_pages(
 
 
 def _picture(folder: Path, target: Target, held_back: bool) -> Rgb:
-    """Draw the full shape from the camera of `target`; if truth is held back, only the visible part."""
+    """Draw the full shape as the camera of `target` sees it; if truth is held back, only the partial."""
     path = folder / target.file
     if held_back:
         return enlarged(seen_from_the_front(unpack(read_input(path).partial), BLUE))[::STEP, ::STEP]

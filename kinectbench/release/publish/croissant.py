@@ -159,8 +159,8 @@ def _cameras() -> dict[str, object]:
 def _of_files(record_set: str, name: str, text: str, extract: dict[str, str], files: str) -> dict[str, Any]:
     """Return Croissant's Field `name`, whose value is extracted from each file of the FileSet `files`.
 
-    `record_set` is the id of the RecordSet that the field is part of, `text` the description, and `extract`
-    Croissant's rule of extraction.
+    `record_set` is the id of the RecordSet that has the field. `text` is the field's description, and
+    `extract` is Croissant's rule of extraction.
     """
     return {
         "@type": "cr:Field",

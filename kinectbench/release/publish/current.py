@@ -119,9 +119,10 @@ def _stamp(build: Path) -> PublishStamp | None:
 
 
 def _published(stamp: PublishStamp | None, out: Path, wanted: str) -> PublishSummary | None:
-    """Return the summary of the release in `out` if it has the stamp's hash, and `wanted` is its fingerprint.
+    """Return the summary of the release in `out` if it is current, else None.
 
-    Otherwise return None.
+    It is current if `stamp`, the record of its publication, has the fingerprint `wanted`, and its parts have
+    the hashes stated there.
     """
     if stamp is None or stamp.fingerprint != wanted:
         return None

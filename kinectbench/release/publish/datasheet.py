@@ -108,7 +108,7 @@ def _sources(infos: Mapping[str, RecordingInfo]) -> str:
 
 
 def datasheet_figures(infos: Mapping[str, RecordingInfo]) -> str:
-    """Return a Markdown list: median and range over recordings of each known figure, and `underside_line`."""
+    """Return a Markdown list: median and range over recordings of each known value, and `underside_line`."""
     lines = []
     for key, (text, unit, factor) in FIGURES.items():
         of_key = [getattr(info.quality, key) for info in infos.values()]

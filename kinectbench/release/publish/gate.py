@@ -1,4 +1,4 @@
-"""Decide which recordings are published, by the rules of triage or a person's decision.
+"""Decide which recordings are published: by the user's review if there is one, else by the rules of triage.
 
 In benchmark.yaml, `review` of a recording accepts or rejects it, with a reason. `publish --allow-poor`
 accepts every built recording. A release states the outcome for each recording, with the reason.
@@ -41,7 +41,7 @@ def poor_line(name: str, limits: Sequence[str], why: str) -> str:
 
 
 def look_line(name: str, look: Sequence[str]) -> str:
-    """Return the card's line about a published recording that a person should review."""
+    """Return the card's line about a published recording that somebody should review."""
     return f"{name} is published, and a person should look at it: {'; '.join(look)}"
 
 
@@ -53,14 +53,14 @@ class Gate:
         published: ids of recordings that passed, in the given order; those in `left_out` are not published.
         poor: {published id: (limits that it violates, why it is published nevertheless)}.
         refused: {id: limits that it violates}.
-        rejected: {id: a person's reason to leave it out}.
+        rejected: {id: the user's reason to leave it out}.
         failed: {id: why its build failed}.
         look: {published id: reasons for a review that is still missing}.
         not_built: number of the benchmark's recordings that are not built, or not requested.
         without_pair: ids of recordings that passed but have no pair.
-        of_one_object: ids left out by `--isolate`, because the published view of their object is of another
-            recording, or they have no pair.
-        twice: a line for each two published recordings with the same frames.
+        of_one_object: ids left out by `--isolate`, because another recording of the same object was chosen,
+            or because they have no pair.
+        twice: a line for every two published recordings that have the same frames.
     """
 
     published: tuple[str, ...]
@@ -117,20 +117,20 @@ class Gate:
         return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
 
     def said(self, say: Callable[[str], str]) -> "Gate":
-        """Return a copy in which the function `say` has rewritten each line of `failed` and `look`."""
+        """Return a copy with each line of `failed` and `look` rewritten by the function `say`."""
         failed = {name: say(why) for name, why in self.failed.items()}
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)
 
     def with_pairs(self, made: Collection[str]) -> "Gate":
-        """Return a copy without the recordings that have no pair; `made` has the others."""
+        """Return a copy that leaves out, as `without_pair`, the recordings that are not in `made`."""
         without = tuple(name for name in self.published if name not in made)
         poor = {name: lines for name, lines in self.poor.items() if name in made}
         look = {name: lines for name, lines in self.look.items() if name in made}
         return replace(self, without_pair=without, poor=poor, look=look)
 
     def first_reasons(self) -> str:
-        """Return in one line the first reasons why recordings are left out, and the number of others."""
+        """Return the first reasons why recordings are left out, and the number of others, in one line."""
         lines = [left_out_line(name, why) for name, why in self.left_out.items()]
         return first_lines(lines) + (ADVICE if self.refused else "")
 
@@ -155,7 +155,7 @@ def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], al
     """Decide which recordings of a benchmark are published.
 
     Args:
-        settings: the benchmark's settings, with limits and people's decisions.
+        settings: the benchmark's settings, with limits and reviews.
         build: the folder with a subfolder for each recording.
         recordings: ids of the built recordings.
         allow_poor: whether recordings that violate limits are published, too.

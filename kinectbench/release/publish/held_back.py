@@ -17,7 +17,7 @@ DECIMALS = 12
 
 
 def without_truth(pair: Pair, T_floor_world: Float64) -> PairInput:
-    """Return the input of a pair, transformed to a world frame of its own (`own_world`).
+    """Return the input of a pair, transformed to a world frame that this view has for itself (`own_world`).
 
     In a common world frame, the views of an object together would reveal its shape.
 
@@ -33,9 +33,9 @@ def without_truth(pair: Pair, T_floor_world: Float64) -> PairInput:
 
 
 def own_world(T_floor_camera: Float64) -> Float64:
-    """Return T_own_floor (4, 4), from the floor frame to the own world frame of one view, both with z up.
+    """Return T_own_floor (4, 4), from the floor frame to a view's own world frame; z is up in both.
 
-    In the own frame the camera is above the origin and looks along x. If it looks straight down, the top of
+    In the own frame, the camera is above the origin and looks along x. If it looks straight down, the top of
     its image points along x.
     """
     forward, image_up = T_floor_camera[:2, 2], -T_floor_camera[:2, 1]
@@ -48,7 +48,7 @@ def own_world(T_floor_camera: Float64) -> Float64:
 
 
 def own_floor(floor: FloorFile) -> FloorFile:
-    """Return floor.json in the frames of `own_world`: the floor is z = 0, and other planes are left out."""
+    """Return floor.json in a view's own world frame: the floor is z = 0, and other planes are left out."""
     kept = floor.model_copy(
         update={"plane_world": np.array([0.0, 0.0, 1.0, 0.0]), "T_floor_world": np.eye(4)}
     )
@@ -56,7 +56,7 @@ def own_floor(floor: FloorFile) -> FloorFile:
 
 
 def own_views(views: ViewsFile) -> ViewsFile:
-    """Return views.json with only `VIEW_KEYS` of the views that have a pair: no frames, poses or shares.
+    """Return views.json reduced to views with a pair, and to their `VIEW_KEYS`: no frames, poses or shares.
 
     Refused views and warnings are left out, too.
     """

@@ -1,4 +1,4 @@
-"""`publish --isolate`: one view of each object with held-back truth, without any data that reveal it.
+"""`publish --isolate`: one view of each object with held-back truth, without any data that reveal the truth.
 
 Several views of an object can be registered with each other, and so reveal its shape. So everything that
 depends on other views or on the camera's pose is left out, too: the floor, the pose, the background, the mask
@@ -34,11 +34,11 @@ JPEG_QUALITY = 95
 
 @dataclass(frozen=True)
 class Isolated:
-    """The views that `--isolate` publishes of the recordings with held-back truth.
+    """The result of choosing one view for each object with held-back truth.
 
     Attributes:
         views: {recording: name that its published view has in the build}.
-        left_out: ids of other recordings of the same objects, and of recordings without a pair.
+        left_out: ids of the other recordings of these objects, and of recordings without a pair.
     """
 
     views: Mapping[str, str] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Isolated:
 
 
 def refuse_framing(settings: BenchmarkSettings) -> None:
-    """Raise an error if the pairs' framing reveals the hidden part of an object by the cube's size and place.
+    """Raise an error if size and place of a pair's cube reveal the hidden part of the object.
 
     Raises:
         SettingsError: the framing is `object`.
@@ -67,7 +67,7 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
 
 
 def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str]) -> Isolated:
-    """Draw one view of each object with equal probability from the views with a pair of all its recordings.
+    """Draw one view of each object; all views with a pair, in all its recordings, have equal probability.
 
     The draw depends only on `views.seed` and the object's name and views, not on other objects.
 
@@ -90,14 +90,15 @@ def isolate(settings: BenchmarkSettings, build: Path, recordings: Collection[str
 
 
 def only_view(rows: Sequence[Row], view: str) -> tuple[Row, ...]:
-    """Return only the row of the published view (`view` in the build), under its public name `VIEW`."""
+    """Return only the row whose name in the build is `view`, renamed to the public name `VIEW`."""
     return tuple(row.model_copy(update={"view": VIEW}) for row in rows if row.view == view)
 
 
 def isolated_view(view: PosedView) -> PosedView:
     """Return the view restricted to the object: no depth outside the mask, and no mask without depth.
 
-    The original mask also covers pixels without depth, because it comes from the object fused from all views.
+    The original mask also covers pixels without depth: it is made from the object, which is fused from all
+    views.
     """
     mask = view.mask & (view.depth_m > 0)
     return replace(view, depth_m=np.where(mask, view.depth_m, np.float32(0)), mask=mask)

@@ -63,8 +63,8 @@ def colored_scene(built: Path | None) -> TriangleMesh | None:
 def glb_bytes(mesh: TriangleMesh, T_floor_world: Float64, scene: TriangleMesh | None = None) -> bytes | None:
     """Return an object's mesh as a GLB of at most 2 MB; the bytes are reproducible.
 
-    None if the mesh has no triangle, or has too many that cannot be simplified because they share no
-    vertices.
+    The result is None if the mesh has no triangle, or has too many and cannot be simplified, because its
+    triangles share no vertices.
 
     Args:
         mesh: the object, world frame, metres.
@@ -105,10 +105,9 @@ def _glb(whole: TriangleMesh, shown: TriangleMesh, T_gltf_world: Float64, colors
 
 
 def _apart_mm(of: TriangleMesh, to: TriangleMesh) -> dict[str, float]:
-    """Return {"mean", "max"} of the distances of the vertices of `of` from the surface of `to`, millimetres.
+    """Return {"mean", "max"} of the distances from vertices of `of` to the surface of `to`, millimetres.
 
-    Between `MEASURED` and 2 x `MEASURED` vertices are used, evenly spaced by index, or all if there are
-    fewer.
+    Between `MEASURED` and 2 x `MEASURED` vertices are used, evenly spaced by index; if there are fewer, all.
     """
     if of is to:
         return {"mean": 0.0, "max": 0.0}

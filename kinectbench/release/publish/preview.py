@@ -100,7 +100,7 @@ def write_preview(
 
 
 def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing:
-    """Return the list of all recordings, with links to the recordings that the page shows with pictures."""
+    """Return the list of all recordings; those in `shown`, which have pictures on the page, are linked."""
     rows = [
         (
             name,
@@ -127,7 +127,10 @@ def _part(
     held_back: bool,
     views: int,
 ) -> dict[str, object]:
-    """Return the values for a recording's section of the page."""
+    """Return the values for a recording's section of the page.
+
+    `here` has the recording's pairs; `views` of them, evenly spread, are shown with pictures.
+    """
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,
@@ -152,7 +155,7 @@ def _turntable(objects: Path, built: Path | None) -> str | None:
 
 
 def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:
-    """Return (caption, `data:` URL) of each picture of a pair: depth with mask, partial, truth if public."""
+    """Return (caption, `data:` URL) of each picture of a pair: depth with mask, partial, public truth."""
     pair = (read_input if held_back else read_pair)(folder / target.file)
     # The input itself; each of its cells is 4 x 4 pixels.
     partial = unpack(pair.partial)
@@ -189,7 +192,7 @@ def seen_from_the_right(cells: Bools, color: tuple[int, int, int]) -> Rgb:
 def _upright_slice(partial: Bools, full: Bools, known: Bools) -> Rgb:
     """Draw a vertical slice through the middle of a shape, (ny, nz, 3) uint8 RGB; the camera is on the left.
 
-    Cells of `full` are clay-coloured, cells of `partial` blue, and empty cells that are not known yellow.
+    Cells of `full` are clay-coloured, cells of `partial` blue. Empty cells are yellow if they are not known.
     """
     filled = np.flatnonzero(full.any(axis=(1, 2)))
     middle = int(filled[0] + filled[-1]) // 2 if len(filled) else len(full) // 2
@@ -208,7 +211,7 @@ def enlarged(picture: Rgb) -> Rgb:
 
 
 def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
-    """Draw cells, whose axes are rows, columns and away from the viewer, as a shaded relief: uint8 RGB."""
+    """Draw cells as a shaded relief, uint8 RGB; their axes are rows, columns, and away from the viewer."""
     covered = np.asarray(cells.any(axis=2))
     depth = _nearest(cells)
     smooth = _blurred(depth, covered)
@@ -227,7 +230,7 @@ def _shaded(cells: Bools, color: tuple[int, int, int]) -> Rgb:
 def _nearest(cells: Bools) -> Float64:
     """Return (rows, columns), the index of the first set cell along the last axis; 0 if none is set.
 
-    If that axis is not contiguous in memory, argmax takes 14 times as long as a loop over layers (54 ms
+    It loops over layers if that axis is not contiguous in memory: argmax then takes 14 times as long (54 ms
     instead of 4 ms for 256^3 cells).
     """
     if cells.strides[2] == min(cells.strides, key=abs):

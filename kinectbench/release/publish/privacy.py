@@ -62,13 +62,13 @@ KEPT = (
 
 
 def scrubbed(value: object, file: str, removals: list[Removed], model: object = None) -> Any:
-    """Return a copy of a JSON value without private facts; removals are appended to `removals`.
+    """Return a copy of a JSON value without private facts; what was removed is appended to `removals`.
 
     Args:
         value: a JSON value.
-        file: the release's file that will hold the value.
+        file: name of the release's file that will hold the value.
         removals: a list to which removed facts are added.
-        model: the pydantic model behind `value`, or None. A key that looks private is kept if the model
+        model: the pydantic model that gave `value`, or None. A key that looks private is kept if the model
             declares it, or if it is a key of a declared mapping (such as the name of a category).
     """
     removed: list[str] = []
@@ -78,7 +78,7 @@ def scrubbed(value: object, file: str, removals: list[Removed], model: object = 
 
 
 def scrubbed_file(stored: StoredFile, file: str, removals: list[Removed]) -> StoredFile:
-    """Return the content of a file without private facts; removals are appended to `removals`.
+    """Return a copy of a file's content without private facts; what was removed is appended to `removals`.
 
     Raises:
         KinectBenchError: `stored.ERROR`, if the file is invalid without these facts.
@@ -90,7 +90,7 @@ def scrubbed_file(stored: StoredFile, file: str, removals: list[Removed]) -> Sto
 
 
 def scrubbed_jpeg(data: bytes, file: str, removals: list[Removed]) -> bytes:
-    """Return the bytes of a JPEG file without metadata; removals are appended to `removals`.
+    """Return the bytes of a JPEG file without metadata; what was removed is appended to `removals`.
 
     Raises:
         ReleaseError: the data is no complete JPEG file.
@@ -129,12 +129,12 @@ def removed_lines(rows: list[Removed]) -> Iterator[str]:
 
 
 def _rows(file: str, removed: list[str]) -> list[Removed]:
-    """Return rows of privacy.json for one file: one for each kind of fact in `removed`."""
+    """Return rows of privacy.json for one file: one for each different text in `removed`."""
     return [Removed(file=file, what=what) for what in dict.fromkeys(removed)]
 
 
 def _scrubbed(value: object, key: str, removed: list[str], model: object) -> object:
-    """Return the value of a JSON key without private facts; append removals to `removed`. Recursive."""
+    """Return the value of JSON key `key` without private facts; append these to `removed`. Recursive."""
     if isinstance(value, Mapping):
         result, declared = {}, _declared(model)
         for name, child in value.items():
@@ -159,13 +159,13 @@ def _scrubbed(value: object, key: str, removed: list[str], model: object) -> obj
 
 
 def _last_part(path: re.Match[str]) -> str:
-    """Return the text that replaces a matched path: its last part, unless that is a user's name."""
+    """Return the replacement of a matched path: its last part, or a placeholder if that is a user's name."""
     *above, last = re.split(r"[/\\]+", path[0].rstrip("/\\"))
     return "(path removed)" if above and above[-1].lower() in HOMES else last
 
 
 def _declared(model: object) -> Mapping[str, object]:
-    """Return {JSON key: model's value} of the keys that a model declares; empty for other values."""
+    """Return {JSON key: value} of the keys that a model or `_Entries` declares; empty for other values."""
     if isinstance(model, BaseModel):
         fields = type(model).model_fields.items()
         return {field.serialization_alias or name: _below(getattr(model, name)) for name, field in fields}
@@ -174,11 +174,11 @@ def _declared(model: object) -> Mapping[str, object]:
 
 @dataclass(frozen=True)
 class _Entries:
-    """The `entries` of a mapping in a model; its keys are data, such as names of categories, and are kept."""
+    """A mapping inside a model. Its keys are data, such as names of categories, so they are not scrubbed."""
 
     entries: Mapping[str, object]
 
 
 def _below(value: object) -> object:
-    """Return a field's value as `model` for `_scrubbed`; a mapping is wrapped, so that its keys are kept."""
+    """Return a field's value as `model` for `_scrubbed`; a mapping becomes `_Entries`, to keep its keys."""
     return _Entries(value) if isinstance(value, Mapping) else value

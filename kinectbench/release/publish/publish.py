@@ -53,7 +53,7 @@ class PublishSummary:
         pairs: number of pairs.
         recordings: ids of the published recordings, in the given order.
         warnings: one line each. The card has the same lines, except reasons that reveal held-back truth.
-        private: the private part for scoring, if truth is held back.
+        private: folder of the private part, which has the truth for scoring; None if no truth is held back.
         private_sha256: the hash that identifies the private part.
         removed: removed private facts, one line each.
         unanswered: keys of the datasheet's unanswered questions.
@@ -73,7 +73,7 @@ class PublishSummary:
 
     @property
     def scoring(self) -> Path:
-        """The folder that has the truth."""
+        """The folder that has the truth: the private part if there is one."""
         return self.private or self.folder
 
 
@@ -98,15 +98,15 @@ def publish(
     Args:
         settings: the benchmark's settings.
         build: the folder with a subfolder for each recording.
-        out: the release's folder; with `hold_back` its public part, and `<out>-private` is written, too.
+        out: the release's folder. With `hold_back`, its public part; the private part is `<out>-private`.
         recordings: ids of built recordings. A recording that has no pair, or that the gate refuses, is left
             out with a warning.
         options: thresholds, held-back splits and their isolation, whether poor recordings pass the gate.
 
     Raises:
-        ReleaseError: a built file is missing, a pair has another framing or partial rule than the benchmark,
-            no recording passes the gate, the same frames are in two splits, there is no pair at all or none
-            to hold back, a file is larger than `verify` accepts, or a folder holds something else.
+        ReleaseError: a built file is missing; a pair has another framing or partial rule than the benchmark;
+            no recording passes the gate; the same frames are in two splits; no pair exists; a split to hold
+            back has no recording; a file is larger than `verify` accepts; or a folder holds something else.
         SettingsError: views are isolated, but the framing is `object`.
         StorageError: a built file is damaged, or the disk is full or read-only.
     """
@@ -169,7 +169,7 @@ def _refuse_many_files(settings: BenchmarkSettings, build: Path, recordings: Seq
 def _refuse_empty_split(
     settings: BenchmarkSettings, recordings: Sequence[str], hold_back: Sequence[str]
 ) -> None:
-    """Raise an error if a split is to be held back that has no recording."""
+    """Raise an error if a split whose truth is to be held back has no recording."""
     by_id = settings.by_id()
     splits = {by_id[name].split for name in recordings}
     for split in hold_back:
@@ -251,7 +251,7 @@ def _pairs(
     isolated: Isolated,
     removals: list[Removed],
 ) -> dict[str, Published]:
-    """Write the files of each recording that passed; return {id: published part}, if it has a pair."""
+    """Write the files of each recording that passed; return {id: published part} for those with a pair."""
     made = dict[str, Published]()
     by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
@@ -265,7 +265,7 @@ def _pairs(
 
 
 def _with_warnings(published: Published, passed: Gate, name: str) -> Published:
-    """Return a published recording whose entry also has its violated limits and its reasons for a review."""
+    """Return a published recording, with its violated limits and its reasons for a review in its entry."""
     changes = dict[str, object]()
     if name in passed.poor:
         changes["poor"], changes["accepted"] = passed.poor[name]
@@ -284,7 +284,7 @@ def _write_texts(
     removals: list[Removed],
     isolated: Sequence[str],
 ) -> None:
-    """Write datasheet.md, CHANGELOG.md, lineage.json, thresholds; append removed facts to `removals`."""
+    """Write datasheet.md, CHANGELOG.md, lineage.json and thresholds; append removed facts to `removals`."""
     infos = {name: published.info for name, published in made.items()}
     color = _color(settings, made)
     sheet = datasheet(settings, targets, infos, color, warnings, options.hold_back, isolated)
@@ -309,7 +309,7 @@ def _gives_away(
     infos: Mapping[str, RecordingInfo],
     isolated: Isolated,
 ) -> list[str]:
-    """Return warnings on what a release may reveal: people in colour images, held-back shapes."""
+    """Return warnings on what a release may reveal: people in colour images, shapes that are held back."""
     warnings = []
     if settings.publish.color:
         warnings.append("colour images are included: look through them for faces and people")
@@ -324,7 +324,7 @@ def _gives_away(
 
 
 def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """Return a warning if the release has no validation split, from which methods get their thresholds."""
+    """Return a warning if the release has no validation split: methods get their thresholds from it."""
     names = [recording.id for recording in settings.recordings if recording.split == "validation"]
     if any(name in infos for name in names):
         return []
@@ -333,7 +333,7 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
 
 
 def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """Return a line for each recording with quality warnings: the first, and the number of further ones."""
+    """Return a line for each recording with quality warnings: its first, and the number of further ones."""
     lines = []
     for name, info in infos.items():
         warnings = info.quality.warnings
@@ -343,7 +343,7 @@ def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
 
 
 def _unknown(made: Mapping[str, Published]) -> list[str]:
-    """Return a line for each recording with pairs whose true shape is entirely unknown."""
+    """Return a line for each recording that has pairs whose true shape is entirely unknown."""
     return [
         f"{name}: nothing of the true shape is known in {'1 pair' if len(of) == 1 else f'{len(of)} pairs'} "
         f"({', '.join(of[:SHOWN_VIEWS])}{', …' if len(of) > SHOWN_VIEWS else ''}); the protocol `known` "
@@ -366,8 +366,8 @@ def _public_settings(
     """Return the settings for benchmark.json, without this machine's paths and private facts.
 
     Recordings of the splits `hold_back` lack the keys that reveal their truth; with `isolate` they have only
-    `SETTINGS_KEYS`. Each recording states its underside (closed or open), because the defaults of its
-    category are not published. Removed private facts are appended to `removals`.
+    `SETTINGS_KEYS`. The defaults of categories are not published, so each recording states its underside
+    (closed or open). Removed private facts are appended to `removals`.
     """
     public = settings.model_dump(mode="json", exclude={"name", "license", "publish", "categories"})
     for recording, own in zip(public["recordings"], settings.recordings, strict=True):
@@ -388,7 +388,7 @@ def _public_settings(
 
 
 def _set_apart(row: dict[str, Any]) -> dict[str, Any]:
-    """Return {key: value} of `source` and `license` in `row`, and set both to None in it."""
+    """Return {key: value} of `source` and `license` in `row`; in `row` itself, set both to None."""
     said: dict[str, Any] = {key: row[key] for key in ("source", "license") if key in row}
     row.update(dict.fromkeys(said))
     return said

@@ -56,7 +56,7 @@ class Built:
         recording: the recording's settings.
         folder: `build/<recording>/`.
         hidden: whether the recording's truth is held back.
-        most_named: most files that lineage.json lists one by one; of more files it has a single hash.
+        most_named: most files that lineage.json lists one by one; for more files it has a single hash.
         only: with `--isolate`, the name in the build of the only published view; None: all are published.
     """
 
@@ -99,7 +99,7 @@ class Built:
 
     @cached_property
     def posed_views(self) -> dict[str, PosedView]:
-        """The views with a pair, {published name: view}; an isolated view has the object only."""
+        """The views with a pair, {published name: view}; an isolated view is restricted to the object."""
         published = {row.view for row in self.pairs.pairs}
         return {row.view: self._posed(row) for row in self.views.views if row.view in published}
 
@@ -138,7 +138,7 @@ class Published:
 
 
 def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Published | None:
-    """Write the files of one recording into a release; return its published part, or None without a pair.
+    """Write one recording's files into a release; return its published part, or None if it has no pair.
 
     Args:
         built: the recording.
@@ -186,8 +186,8 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, 
     """Write a pair into a release as built, or only its input if its truth is held back.
 
     Returns:
-        The pair's target, whether its true shape is entirely unknown, and the share of the true surface that
-        the view sees.
+        The pair's target; whether its true shape is entirely unknown; the share of the true surface that its
+        view sees.
     """
     recording = built.recording
     content, pair = _read_pair(built, view)
@@ -213,7 +213,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, 
 
 
 def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None:
-    """Copy the object's files; if its truth is held back, only the floor."""
+    """Write an object's mesh, volume, floor and quality; if its truth is held back, write only the floor."""
     source, name = built.folder / "object", f"objects/{built.recording.id}"
     (folder / name).mkdir(parents=True)
     for file in OBJECT_FILES if not built.hidden else ():
@@ -227,8 +227,8 @@ def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None
 def _publish_views(built: Built, targets: Sequence[Target], folder: Path, removals: list[Removed]) -> bool:
     """Write depth and mask of every view with a pair, colour if requested, and views.json.
 
-    Images are copied from the build, colour without private metadata; those of an isolated view are made
-    again. Return whether the build has colour images of these views.
+    Images are copied from the build; colour loses its metadata. Images of an isolated view are made from its
+    restricted depth and mask. Return whether the build has colour images of these views.
     """
     source, name = built.folder / "views", f"views/{built.recording.id}"
     (folder / name).mkdir(parents=True)
@@ -254,7 +254,7 @@ def _publish_views(built: Built, targets: Sequence[Target], folder: Path, remova
 
 
 def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> ViewsFile:
-    """Return views.json; rows also state K, image size, whether there is a pair, and its unknown share."""
+    """Return views.json with more keys in each row: K, image size, whether it has a pair, unknown share."""
     more: dict[str, object] = {"K": camera.K, "width": camera.width, "height": camera.height}
     shares = {target.view: target.unknown_share for target in targets}
     rows = []
@@ -267,7 +267,7 @@ def _with_pairs(views: ViewsFile, camera: Camera, targets: Sequence[Target]) -> 
 
 
 def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]) -> RecordingInfo:
-    """Return a recording's entry in benchmark.json."""
+    """Return a recording's entry in benchmark.json; `visible_shares` has a value for each of its pairs."""
     recording = built.recording
     quality = QualityFile() if built.hidden else _without_method(built.quality)
     refused = (*built.views.refused, *built.pairs.refused)
@@ -304,7 +304,7 @@ def _write(stored: Stored, folder: Path, name: str, removals: list[Removed]) -> 
 def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
     """Return a recording's entry in lineage.json: its files, stages and the frames of its views.
 
-    If its truth is held back, frames and people's statements on the object are left out. An isolated
+    If its truth is held back, the frames and the user's statements about the object are left out. An isolated
     recording has only source and licence.
     """
     if built.isolated:
@@ -344,7 +344,7 @@ def _frame(row: ViewRow) -> LineageView:
 
 
 def _stage(folder: Path, hidden: bool) -> LineageStage:
-    """Return a stage's entry in lineage.json; if `hidden`, without people's statements on the object."""
+    """Return a stage's entry in lineage.json; if `hidden`, without the user's statements about the object."""
     manifest = Manifest.read(folder)
     return LineageStage(
         package_version=manifest.package_version,

@@ -1,4 +1,4 @@
-"""Estimate the IoU that an attacker reaches who rebuilds a held-back truth from an object's public views.
+"""Estimate the IoU that an attacker reaches who rebuilds held-back truth from an object's public views.
 
 Anybody can register the views with each other. No registration finds better poses than the true ones, so a
 solid carved from the views at their true poses shows about what an attack can reach.
@@ -52,7 +52,7 @@ class PosedView:
 
 
 def rebuilt_line(infos: Mapping[str, RecordingInfo]) -> str | None:
-    """Return a warning with the highest IoU of a rebuilt held-back object, and the remedy; None if none is.
+    """Return a warning with the highest IoU of a rebuilt object, and the remedy; None if none was rebuilt.
 
     Args:
         infos: {recording: its entry in benchmark.json}.
@@ -89,11 +89,11 @@ def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> t
 
     Args:
         views: {name: public view} of the object.
-        pair_of: function that returns the complete pair of a view by its name.
+        pair_of: function that returns the complete pair of a view, given its name.
 
     Returns:
-        Two IoUs with the truth on known cells, each a mean over the cubes of some views: of the solid rebuilt
-        from all views, and of the solid rebuilt from the cube's own view alone.
+        Two IoUs with the truth on known cells: of the solid rebuilt from all views, and of the solid rebuilt
+        from one view alone. Both are means over the cubes of some views; the one view is that of the cube.
     """
     pairs = {name: pair_of(name) for name in spread(sorted(views), CUBES)}
     every = [_ious(pair, list(views.values())) for pair in pairs.values()]
@@ -103,12 +103,12 @@ def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> t
 
 
 def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:
-    """Return the IoU with a pair's truth of each of the three `solids` of the views, in the pair's cube."""
+    """Return the IoU with the truth, in a pair's cube, of each of the three `solids` made from the views."""
     return [sampled_known_iou(solid, pair) for solid in solids(pair.grid, views)]
 
 
 def sampled_known_iou(solid: Bools, pair: Pair) -> float:
-    """Return the IoU of a solid (64, 64, 64) and the truth at `every_fourth` cell, known cells only.
+    """Return the IoU of a solid (64, 64, 64) and the truth sampled by `every_fourth`, on known cells only.
 
     It is 1 if both are empty.
     """
@@ -150,9 +150,10 @@ def solids(grid: Grid, views: Sequence[PosedView]) -> tuple[Bools, Bools, Bools]
 
 
 def _seen_through(points_world: Float64, view: PosedView, margin_m: float) -> Bools:
-    """Return (n,) bool: points (n, 3) that project outside a view's mask, or lie in front of its depth.
+    """Return (n,) bool: which points (n, 3) project outside a view's mask, or lie in front of its depth.
 
-    "In front" means by more than `margin_m` and the depth's noise. Points outside the image are False.
+    A point lies in front if it is nearer by more than `margin_m` and the depth's noise. Points that project
+    outside the image are False.
     """
     points = transform_points(invert_rigid(view.T_world_camera), points_world)
     ahead = np.where(points[:, 2:] > 0, points, np.array([0.0, 0.0, 1.0]))

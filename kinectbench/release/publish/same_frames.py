@@ -1,4 +1,4 @@
-"""Find recordings that are declared twice under two ids, so that no test data is training data."""
+"""Find recordings that are declared twice under two ids, which could put test data into the training data."""
 
 import heapq
 from collections import defaultdict
@@ -22,7 +22,7 @@ def _same_frames(
 ) -> Iterator[tuple[RecordingSettings, RecordingSettings]]:
     """Yield every two recordings that have the same frames but name different objects.
 
-    Recordings with different boxes, picks or masks select different objects, and are left out.
+    If their boxes, picks or masks differ, they do select different objects, and are not yielded.
 
     Args:
         settings: the benchmark's settings.
@@ -50,7 +50,7 @@ def _same_frames(
 
 
 def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> list[str]:
-    """Return a line for each two recordings that `_same_frames` yields.
+    """Return a line for every two recordings that have the same frames but name different objects.
 
     Raises:
         ReleaseError: two such recordings are in different splits.
@@ -78,16 +78,16 @@ def _files(folder: Path) -> Mapping[str, SourceFile]:
 
 
 def _looked_for(files: Mapping[str, SourceFile]) -> list[str]:
-    """Return the hashes to search for in other recordings: of the smallest `LOOKED_FOR` large files.
+    """Return the `LOOKED_FOR` smallest hashes of a recording's large files, to look up in other recordings.
 
-    Large means at least the mean size, so that the files are images or the bag.
+    A file is large if it has at least the mean size, so that it is an image or the bag.
     """
     mean = sum(file.size for file in files.values()) / max(1, len(files))
     return heapq.nsmallest(LOOKED_FOR, {file.sha256 for file in files.values() if file.size >= mean})
 
 
 def _shared(files: Mapping[str, SourceFile], others: Mapping[str, SourceFile]) -> float:
-    """Return the share of the smaller recording's bytes that lie in files that both recordings have."""
+    """Return which share of the bytes of the smaller recording lies in files that both recordings have."""
     sizes, others_sizes = ({file.sha256: file.size for file in each.values()} for each in (files, others))
     equal = sum(size for digest, size in sizes.items() if digest in others_sizes)
     return equal / max(1, min(sum(sizes.values()), sum(others_sizes.values())))

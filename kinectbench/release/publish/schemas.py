@@ -1,7 +1,7 @@
 """Schemas of a release's files, for readers without this package.
 
 They are stored in `schemas/` beside this module, so that the bytes of a release do not depend on the version
-of pydantic; `scripts/docs_schemas.py` makes them of the models, and a test compares them.
+of pydantic. `scripts/docs_schemas.py` generates them from the models, and a test compares them.
 """
 
 from collections.abc import Iterable, Iterator, Sequence

@@ -71,7 +71,7 @@ class Head:
         framing: framing of every pair.
         partial_rule: partial rule of every pair.
         settings: the settings that made the release, as plain JSON values, without paths of the machine.
-        texts: the card's texts that depend on the origin of the pairs.
+        texts: the parts of the card's text that depend on the origin of the pairs.
         citation: authors, title, version and address for citing the release.
         held_back: splits of which only inputs are published.
         left_out: {recording: why it is not published}, for built and failed recordings.
@@ -155,7 +155,7 @@ def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> A
 
 
 def note_in_benchmark_json(folder: Path, **more: str) -> None:
-    """Set keys of benchmark.json in a finished release; they must not count in its benchmark_sha256."""
+    """Set keys of benchmark.json in a finished release; its benchmark_sha256 must not depend on them."""
     ReleaseInfo.read(folder).model_copy(update=more).write(folder)
     path = folder / SHA256SUMS
     sums = parse_sums(read_plain_text(path), str(path)) | {

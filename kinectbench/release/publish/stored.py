@@ -48,7 +48,8 @@ def publish_stored(
         progress: called with (recordings fetched, recordings in all).
 
     Raises:
-        ReleaseError, SettingsError: as in `publish_if_stale`; or files of something else are in the store.
+        ReleaseError, SettingsError: as in `publish_if_stale`; or a release's folder in the store holds other
+            files.
         StorageError: the store fails; the release in the store may be incomplete until the next run.
     """
     settings, place = jobs[0].settings, jobs[0].root
@@ -74,7 +75,7 @@ def publish_stored(
 
 
 def _fetch_state(store: Store, root: Path) -> None:
-    """Download the record of the last publication, and benchmark.json of the release and its private part."""
+    """Download the last publication's record, and benchmark.json of the release and of its private part."""
     for name in (
         f"build/{PublishStamp.FILE}",
         f"{RELEASE}/{BENCHMARK_JSON}",
@@ -86,7 +87,7 @@ def _fetch_state(store: Store, root: Path) -> None:
 
 
 def _fetch_failures(store: Store, root: Path, names: Sequence[str]) -> None:
-    """Download each named recording's failed.json, which states why it is not built, if there is one."""
+    """Download failed.json, the reason why a recording is not built, of each named recording that has it."""
     for name, content in zip(
         names,
         in_parallel(partial(store.read_if_there, f"build/{name}/{Failed.FILE}") for name in names),
@@ -101,7 +102,7 @@ def _fetch_pairs_manifest(copy: Checkout) -> None:
 
 
 def _fetch_read(copy: Checkout) -> None:
-    """Download the files of a built recording that `publish` reads."""
+    """Download those files of a built recording that `publish` reads."""
     recording = copy.job.recording.id
     for stage, files in READ.items():
         if files is None:

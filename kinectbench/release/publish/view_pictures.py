@@ -21,12 +21,12 @@ WIDTH_PX = 320
 
 
 def row_picture(target: Target) -> str:
-    """Return `file_name` in a pair's row: the path of its picture below the folder of its split."""
+    """Return a picture's path relative to the folder of its split: `file_name` in the pair's row."""
     return f"{target.recording}/{target.view}.jpg"
 
 
 def rows_text(targets: Sequence[Target]) -> str:
-    """Return the text of a split's metadata.jsonl: a row per pair, `file_name` and columns of targets.csv."""
+    """Return a split's metadata.jsonl: a row per pair, with `file_name` and the columns of targets.csv."""
     names = columns_of(targets)
     rows = [{"file_name": row_picture(t)} | {name: getattr(t, name) for name in names} for t in targets]
     return "".join(json.dumps(row) + "\n" for row in rows)

@@ -1,1 +1,1 @@
-"""Triage: which recordings of a build are trustworthy, need a review, or show the same object."""
+"""Triage: find the recordings of a build that need a review, are to be rejected, or show the same object."""

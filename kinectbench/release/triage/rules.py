@@ -1,4 +1,4 @@
-"""Judge recordings: find violated limits, which reject a recording, and reasons for a person's review.
+"""Judge recordings: find violated limits, which reject a recording, and reasons for a review by the user.
 
 The limits are `publish.gate` of benchmark.yaml: a recording that violates one is rejected. A recording with
 reasons for a review is published, and the release states the reasons. docs/evidence/releases.md compares the
@@ -51,12 +51,12 @@ class Judged:
     """The reasons against one recording, one line each.
 
     Attributes:
-        recording: the recording's settings, with a person's review.
+        recording: the recording's settings, with the user's review if there is one.
         failure: why the recording is not built; None: it is built.
         limits: limits of `publish.gate` that it violates.
         look: reasons for a review.
-        incomplete: parts that no camera saw. The release states them, scores leave them out; they do not
-            affect the decision.
+        incomplete: parts that no camera saw. They do not affect the decision, because the release states them
+            and scores leave them out.
     """
 
     recording: RecordingSettings
@@ -67,7 +67,7 @@ class Judged:
 
     @property
     def decision(self) -> Decision:
-        """The decision: a person's review has priority over the rules, but a failed build is rejected."""
+        """The decision: a failed build is rejected; else the user's review has priority over the rules."""
         review = self.recording.review
         if self.failure or (review and review.decision == "reject"):
             return "reject"
@@ -79,10 +79,10 @@ class Judged:
 def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> Iterator[Judged]:
     """Yield the reasons against every recording of a benchmark, in the order of the settings.
 
-    Figures that are not known give no reason.
+    Values that are not known give no reason.
 
     Args:
-        settings: the benchmark's settings, with limits and people's decisions.
+        settings: the benchmark's settings, with limits and the user's reviews.
         build: the folder with a subfolder for each recording.
         built: ids of recordings whose pairs are built.
 
@@ -107,7 +107,7 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
 
 
 def failure(folder: Path) -> str:
-    """Return one line on why `build/<recording>/` (`folder`) is not complete."""
+    """Return one line on why the build in `folder`, which is `build/<recording>/`, is not complete."""
     try:
         failed = Failed.read_if_there(folder)
     except StorageError:  # damaged: the reason is unreadable
@@ -145,7 +145,7 @@ def _beyond(
 
 
 def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
-    """Yield reasons to review the trajectory: its grade, or many frames without a pose."""
+    """Yield reasons to review the trajectory: a poor grade, or many frames without a pose."""
     if health is None:
         return
     if health.grade == "not good":
@@ -167,7 +167,7 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
 
 
 def _incomplete(quality: QualityFile) -> Iterator[str]:
-    """Yield a line for each kind of unseen part of the object that is large."""
+    """Yield a line for each large unseen part: space behind openings, unknown voxels, an unviewed side."""
     behind_m3 = sum(frontier.volume_m3 for frontier in quality.frontiers)
     if quality.volume_m3 and behind_m3 > MOST_BEHIND * quality.volume_m3:
         yield (
@@ -181,7 +181,7 @@ def _incomplete(quality: QualityFile) -> Iterator[str]:
 
 
 def _of_parts(folder: Path) -> Iterator[str]:
-    """Yield a reason to review the solid if another object may be merged with it."""
+    """Yield a reason to review the solid if it may include another object."""
     if (share := part_that_stands_alone(folder)) is not None:
         yield (
             f"a part of it, {share:.0%} of the solid, stands alone, and the rest does without it: does "
@@ -190,7 +190,7 @@ def _of_parts(folder: Path) -> Iterator[str]:
 
 
 def current_reference(folder: Path) -> ReferenceFile | None:
-    """Read the result of `compare-truth` in `build/<recording>/`; None if missing or of an earlier build.
+    """Read the result of `compare-truth` for `build/<recording>/`; None if missing or of an earlier build.
 
     Raises:
         StorageError: the file is damaged.

@@ -1,6 +1,6 @@
 """Find recordings of the same object by registering their shapes with each other on the floor.
 
-docs/releases.md has the rule; docs/evidence/releases.md has the measurements of `python
+docs/releases.md explains the rule. docs/evidence/releases.md has the results of `python
 benchmarks/truth/same_object.py`.
 """
 
@@ -38,7 +38,7 @@ LEAST_AGREEMENT = 0.9
 
 @dataclass(frozen=True)
 class Shape:
-    """Points on an object's surface, metres, in the floor frame (z up) shifted in x and y to its middle.
+    """Points on an object's surface, metres, in the floor frame (z up), with x and y relative to their mean.
 
     Attributes:
         measured: (n, 3) points of the surface that cameras measured.
@@ -50,7 +50,7 @@ class Shape:
 
     @classmethod
     def of(cls, measured_floor: Float64, surface_floor: Float64) -> Self:
-        """Make a shape from points (n, 3) in the floor frame; more than about `KEPT` points are thinned."""
+        """Make a shape from points (n, 3) in the floor frame; keep about `KEPT` points of larger sets."""
         middle = np.array([*surface_floor[:, :2].mean(axis=0), 0.0])
         few = (points[:: max(1, len(points) // KEPT)] - middle for points in (measured_floor, surface_floor))
         return cls(*few)
@@ -73,11 +73,11 @@ class Shape:
 
 
 def shape_agreement(a: Shape, b: Shape) -> float:
-    """Register two shapes by a turn about the vertical and a shift; return their agreement, 0 to 1.
+    """Register two shapes by a rotation about the vertical and a translation; return their agreement, 0 to 1.
 
     Returns:
-        The share of one shape's measured points that lie near the other's surface; the smaller of the shares
-        for either shape.
+        The share of one shape's measured points that lie near the other's surface. It is computed both ways,
+        and the smaller share is returned.
     """
     diagonals_m = [float(np.linalg.norm(np.ptp(shape.surface, axis=0))) for shape in (a, b)]
     near_m = max(NEAR_SHARE * max(diagonals_m), NEAR_M)
@@ -95,10 +95,10 @@ def shape_agreement(a: Shape, b: Shape) -> float:
 
 
 def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tuple[Float64, Float64]:
-    """Register points (n, 3) to the points of a k-d tree by ICP, starting from rotation R without shift.
+    """Register points (n, 3) to the points of a k-d tree by ICP, starting from R without translation.
 
     `near_m` is the distance, metres, at which points count as near each other. Return R (3, 3), a rotation
-    about z, and t (3,), metres: R p + t of a point p lies near the tree's points.
+    about z, and t (3,), metres: R p + t maps a point p onto the tree's points.
     """
     t = np.zeros(3)
     for step in range(STEPS):
@@ -119,10 +119,10 @@ def _refined(points: Float64, R: Float64, tree: "cKDTree", near_m: float) -> tup
 def same_objects(
     folders: Mapping[str, Path], sizes_m: Mapping[str, Float64], objects: Mapping[str, str]
 ) -> Iterator[tuple[str, str, float]]:
-    """Yield (recording, other recording, agreement) for shapes that agree under different object names.
+    """Yield (recording, other recording, agreement) for shapes that agree although their object names differ.
 
-    Only shapes of similar height, length and width are compared. An object is missed if a recording has not
-    seen one of its sides, so that its size differs more.
+    Only shapes of similar height, length and width are compared. If one of two recordings did not see a side
+    of the object, the sizes may differ more, and the match is missed.
 
     Args:
         folders: {recording: path of its `object/`}.

@@ -1,4 +1,4 @@
-"""Find a part of a solid that could stand by itself, probably another object merged with the object.
+"""Find a part of a solid that could stand by itself: probably another object, merged with the wanted one.
 
 If a box touches a chair, the depth shows no gap, and both are built as one solid. Such a box is thick, and
 wider than its joint with the chair. Box and chair both reach the floor.
@@ -37,7 +37,7 @@ LEAST_AWAY = 0.15
 
 
 def part_that_stands_alone(folder: Path) -> float | None:
-    """Return the volume of a part that stands alone, as a share of the solid; None without such a part.
+    """Return the volume share of a solid's part that could stand alone; None if there is no such part.
 
     Args:
         folder: `build/<recording>/object/`; if its volume is missing or damaged, the result is None.
@@ -50,7 +50,7 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the volume share of the smallest part that could stand alone, like the other cells; or None.
+    """Return the volume share of the smallest part that could stand alone, if the rest could, too; or None.
 
     Args:
         solid: (nx, ny, nz) bool, z up, with at least one cell set.
@@ -71,10 +71,10 @@ def share_standing_alone(solid: Bools) -> float | None:
 
 
 def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
-    """Yield (core, part), masks of `cells`, for each thick part.
+    """Yield (core, part) for each thick part of the solid; both are masks shaped like `cells`.
 
-    A core is a connected set of cells deeper inside than `radius` cells. Its part has all cells within about
-    `radius` of the core.
+    A core is a connected set of cells that are deeper than `radius` cells inside the solid. Its part has all
+    cells within about `radius` of the core.
     """
     labels, count = ndimage.label(ndimage.distance_transform_edt(cells) > radius)
     for number in range(1, count + 1):
@@ -83,13 +83,13 @@ def _thick_parts(cells: Bools, radius: float) -> Iterator[tuple[Bools, Bools]]:
 
 
 def _stands_beside(cells: Bools, core: Bools, part: Bools, low: int) -> bool:
-    """Return whether a part stands on the floor, and both it and the remaining cells would stand alone.
+    """Return whether a part stands on the floor, and both it and the rest of the solid could stand alone.
 
     Args:
         cells: (nx, ny, nz) mask of the solid, with an empty layer below.
         core: mask of the part's cells deep inside.
         part: mask of the part.
-        low: number of the lowest layers, with the empty one, in which cells count as on the floor.
+        low: number of lowest layers, including the empty one, whose cells count as standing on the floor.
     """
     columns = core.any(axis=2)
     low_columns = np.asarray(cells[:, :, :low].any(axis=2))
@@ -115,7 +115,7 @@ def _tops(cells: Bools) -> NDArray[np.int64]:
 
 
 def _balances(cells: Bools, low: int) -> bool:
-    """Return whether the cells' centroid lies above the convex hull of their `low` lowest layers."""
+    """Return whether the cells' centroid is above the convex hull of those in the `low` lowest layers."""
     feet = np.argwhere(cells[:, :, :low].any(axis=2)).astype(np.float64)
     try:
         hull = ConvexHull(feet)

@@ -1,4 +1,4 @@
-"""Triage of a benchmark: decide on each recording, and find recordings of one object under two names."""
+"""Triage of a benchmark: decide on each recording, and find two recordings of one object under two names."""
 
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ def triage(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
     """Sort the recordings of a benchmark into accept, look and reject, by the rules that `publish` applies.
 
     Args:
-        settings: the benchmark's settings, with limits and people's decisions.
+        settings: the benchmark's settings, with limits and the user's reviews.
         build: the folder with a subfolder for each recording.
         built: ids of recordings whose pairs are built.
 
@@ -61,7 +61,7 @@ def _row(each: Judged, settings: BenchmarkSettings, quality: QualityFile | None)
 def _severity(row: TriageRow) -> tuple[int, float, int, str]:
     """Return the sort key of a row: worst decision, lowest `estimated_iou_low`, most reasons, id.
 
-    Rows without an estimate come first among those of one decision.
+    Among rows with the same decision, those without an estimate come first.
     """
     low = row.estimated_iou_low
     return DECISIONS.index(row.decision), -1.0 if low is None else low, -len(row.reasons), row.recording
@@ -78,7 +78,7 @@ def _size_m(quality: QualityFile) -> Float64 | None:
 def _same(
     recordings: Sequence[RecordingSettings], build: Path, sizes_m: dict[str, Float64]
 ) -> Iterator[SameObject]:
-    """Yield pairs of recordings with one shape but two object names; pairs in different splits come first."""
+    """Yield every two recordings with one shape but two object names, first those in different splits."""
     by_id = {each.id: each for each in recordings}
     pairs = []
     names = {name: by_id[name].object_name for name in sizes_m}
