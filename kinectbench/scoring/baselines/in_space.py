@@ -1,4 +1,4 @@
-"""Score baselines in memory under the protocols camera and aligned, with their occupied cells as a solid."""
+"""Score baselines in memory under the protocols camera and aligned; their occupied cells are the solid."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -37,7 +37,7 @@ def space_baselines(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> list[ScoreTable]:
-    """Return the named baselines' tables, in the order of `names`, without baselines in `WITHOUT_SURFACE`.
+    """Return the tables of the named baselines, in this order, except baselines in `WITHOUT_SURFACE`.
 
     Args:
         release: the release that is predicted.
@@ -88,7 +88,7 @@ def space_baselines(
 def space_baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
 ) -> set[str]:
-    """Score a few pairs again; return the names of baselines whose tables have other rows.
+    """Score a few randomly drawn views again; return the baselines whose tables have other rows for them.
 
     Args:
         release: the release that was predicted.
@@ -119,7 +119,7 @@ def space_baselines_that_differ(
 
 
 def _tallies(task: BaselineTask) -> Tallies:
-    """Return {baseline: voxel counts of a validation pair}, for the choice of thresholds."""
+    """Return {baseline: its voxel counts of a validation pair}; they serve to choose the thresholds."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
     return {name: tally(prediction, truth) for name, prediction in predicted(task)}
 
