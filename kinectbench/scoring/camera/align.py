@@ -1,9 +1,9 @@
 """Register a predicted surface to the true one by a translation, optionally with a scale and a rotation.
 
 Rule of this project: a symmetric form of point-to-plane ICP (Chen and Medioni 1992). Each sample of the
-prediction is matched to the nearest sample of the truth, and each sample of the truth to the nearest sample
-of the prediction, so that neither shape can shrink onto a part of the other. Only known parts of the truth
-are used. Starts and steps are fixed: nothing is random, and no result depends on the number of cores.
+prediction is matched to the nearest sample of the truth, and vice versa, so that neither shape can shrink
+onto a part of the other. Only known parts of the truth are used. Initial poses and numbers of steps are
+fixed: nothing is random, and no result depends on the number of cores.
 """
 
 from collections.abc import Iterator, Sequence
@@ -48,9 +48,9 @@ class SurfaceRegistration:
     """The similarity that aligns a predicted surface with the true one.
 
     Attributes:
-        T: (4, 4) similarity that moves the prediction within the truth's grid frame, metres; its rotation has
-            determinant +1.
-        ok: whether the iteration converged, and the registered shape has a plausible size.
+        T: (4, 4) similarity to apply to the prediction, from the truth's grid frame to itself, metres; its
+            rotation has determinant +1.
+        ok: whether the iteration converged and the registered shape has a plausible size.
     """
 
     T: Float64
@@ -59,7 +59,7 @@ class SurfaceRegistration:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Samples of the predicted surface, unregistered (`ours`), and of the known true one (`theirs`)."""
+    """Samples of the predicted surface (`ours`), not registered, and of the known true surface (`theirs`)."""
 
     truth: SpaceTruth
     ours: Surface
@@ -67,18 +67,18 @@ class _Pair:
 
     @property
     def normals(self) -> Float64:
-        """(n, 3) normals of the true surface's samples."""
+        """Normals of the samples of the true surface: (n, 3)."""
         assert self.theirs.normals is not None
         return self.theirs.normals
 
     @cached_property
     def ways(self) -> tuple[NearestOfMoving, NearestOfMoving]:
-        """Search objects: for the nearest true sample of each predicted one, and for the reverse."""
+        """Searches for the nearest true sample of each predicted sample, and for the reverse."""
         ours, theirs = self.ours, self.theirs
         return NearestOfMoving(theirs.samples, len(ours)), NearestOfMoving(ours.samples, len(theirs))
 
     def thinned(self, most: int) -> "_Pair":
-        """Return the pair with at most `most` samples per surface; the true samples are smoothed."""
+        """Return the pair with at most `most` samples per surface; true samples are also smoothed."""
         made = self.truth.smoothed
         if most not in made:
             few = replace(self, theirs=self.theirs.thinned(most))
@@ -95,7 +95,7 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
     Args:
         truth: the truth of the view.
         surface: the predicted surface, in the truth's grid frame.
-        kind: what the registration may change: "t" a shift, "t+s" also the scale, "R+t+s" also the rotation.
+        kind: what the registration estimates: "t" a translation, "t+s" also a scale, "R+t+s" also a rotation.
     """
     return register_kinds(truth, surface, (kind,))[kind]
 
@@ -103,9 +103,9 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
 def register_kinds(
     truth: SpaceTruth, surface: Surface, kinds: Sequence[str]
 ) -> dict[str, SurfaceRegistration]:
-    """Return {kind: registration}, as `register_surface` gives it for each kind; shared work is done once.
+    """Return {kind: registration}, as `register_surface` does for each kind, but do shared work only once.
 
-    Without a known true surface, each is the identity, with `ok` False.
+    If no part of the true surface is known, each registration is the identity, with `ok` False.
     """
     known = truth.known_surface
     if not len(known):
@@ -125,9 +125,10 @@ def register_kinds(
 
 
 def _starts(pair: _Pair, kind: str) -> Iterator[Float64]:
-    """Yield initial similarities (4, 4): the identity; then centroids aligned.
+    """Yield initial similarities (4, 4): the identity; then one or more that align the centroids.
 
-    The latter also equalise the sizes and try fixed rotations about each axis, as far as `kind` allows.
+    If `kind` allows a scale, these also equalise the sizes; if it allows a rotation, there is one for each of
+    several fixed rotations.
     """
     yield np.eye(4)
     ours, theirs = pair.ours.center_m, pair.theirs.center_m
@@ -147,9 +148,9 @@ def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float6
     """Match samples in both directions, with the prediction moved by `T` (4, 4).
 
     Returns:
-        Moved predicted samples (k, 3), their matched true samples (k, 3) and the normals there (k, 3); the
-        mean of the moved samples (3,); a robust weight per match (k,); and the number of matches from
-        prediction to truth, which come first.
+        For the k matches: the moved predicted samples (k, 3), the matched true samples (k, 3), and the
+        normals of these (k, 3). Then the mean of the moved samples (3,), a robust weight per match (k,), and
+        the number of matches from prediction to truth; they come before those from truth to prediction.
     """
     from kinectbench.core.geometry.gauss_newton import robust_weights
     from kinectbench.scoring.camera.kernels import mapped
@@ -166,7 +167,7 @@ def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float6
 
 
 def _far(pair: _Pair, T: Float64) -> float:
-    """Return the sum of both directions' mean match distances, metres, with the prediction moved by `T`."""
+    """Return the sum of both directions' mean match distances, metres; `T` moves the prediction."""
     places, targets, *_, count = _matches(pair, T)
     distances = np.sqrt(((places - targets) ** 2).sum(axis=1))
     ways = np.split(distances, [count])
@@ -176,8 +177,9 @@ def _far(pair: _Pair, T: Float64) -> float:
 def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> tuple[Float64, float]:
     """Take up to `count` registration steps from `start`; return the similarity and the last step's length.
 
-    The length is in metres, 0 if the steps only slide or turn the shape along a surface that fits. `kind` is
-    as in `register_surface`; `along` is the weight of point-to-point beside point-to-plane distances.
+    The length is in metres; it is 0 if the shape fits and the last steps only slid or turned it along the
+    surface. `kind` is as in `register_surface`. `along` is the weight of point-to-point distances relative to
+    point-to-plane distances.
     """
     from kinectbench.core.geometry.gauss_newton import NormalEquations
     from kinectbench.scoring.camera.steps import similarity_about, step_equations

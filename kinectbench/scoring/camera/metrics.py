@@ -37,15 +37,16 @@ class PartFigures:
 
     Attributes:
         surface: surface metrics; all None if the part has no known true surface.
-        voxels: voxel metrics; all None in that case, too, and if there is no solid.
-        coverage_voxels: share of the grid's cells that are counted.
+        voxels: voxel metrics; all None if the part has no known true surface, or if there is no predicted
+            solid.
+        coverage_voxels: share of the grid's cells that are counted, which are the known cells of the part.
         coverage_shape: share of the true shape's cells that are counted; 1 if the shape is empty.
-        surface_unknown_share: share of the part's true surface area that is unknown and left out; None if the
-            part has no true surface.
-        ceiling: the best scores that the truth's uncertainty allows; None if the truth states none, or no
-            true surface of the part is known.
-        as_papers: metrics as other papers compute them; only for the part "whole" under `camera`, and None if
-            no true or no predicted surface is in known space.
+        surface_unknown_share: share of the part's true surface area that is unknown and therefore left out;
+            None if the part has no true surface.
+        ceiling: the best scores that the truth's uncertainty allows; None if the truth states no uncertainty,
+            or no true surface of the part is known.
+        as_papers: metrics as other papers compute them, for the part "whole" under `camera`; None for other
+            parts and protocols, and if no true or no predicted surface is in known space.
     """
 
     surface: SurfaceMetrics
@@ -63,10 +64,11 @@ class Way:
 
     Attributes:
         distances_m: (n,) distance of each sample to the other surface.
-        cosines: (n,) |n . n'| with the nearest sample's normal; None if one surface has no normals.
+        cosines: (n,) |n . n'| of the sample's normal and the nearest sample's; None if one surface has no
+            normals.
         areas: (n,) area that each sample represents.
         seen: (n,) whether the sample lies in space that the view saw.
-        is_mesh: whether `areas` are those of a mesh's triangles, which may be close to 0.
+        is_mesh: whether the samples are on a mesh's triangles, whose `areas` may be close to 0.
     """
 
     distances_m: Float64
@@ -86,9 +88,9 @@ class Way:
     def mean(self, values: Float64, worse: Callable[[float, float], float] = min) -> float:
         """Return the area-weighted mean of values (n,).
 
-        For a mesh, return the worse of this mean and the unweighted one (`worse`: min, or max of distances).
-        Otherwise a mesh could gain by scattering tiny triangles: each has a sample that may be near the
-        truth, and has almost no area that counts as wrong.
+        For a mesh, return the worse of this mean and the unweighted mean. `worse` is min, or max if the
+        values are distances. Otherwise a mesh could gain by scattering tiny triangles: each has a sample that
+        may be near the truth, but almost no area that counts as wrong if it is not.
         """
         by_sample, area = float(values.mean()), float(self.areas.sum())
         if not area > 0:
@@ -98,21 +100,21 @@ class Way:
         return worse(by_area, by_sample) if self.is_mesh else by_area
 
     def near(self, tolerance_m: float) -> float:
-        """Return the share of the area within a tolerance of the other surface; of a mesh as in `mean`."""
+        """Return the share of the area within a tolerance of the other surface, as `mean` averages."""
         return self.mean((self.distances_m <= tolerance_m).astype(np.float64))
 
 
 def figures_by_part(
     truth: SpaceTruth, surface: Surface | None, solid: Solid | None, in_camera: bool = True
 ) -> tuple[dict[ShapePart, PartFigures], float]:
-    """Return {part: metrics}, and the share of the predicted surface's area that lies in unknown space.
+    """Return {part: its metrics}, and the share of the predicted surface's area that lies in unknown space.
 
     Args:
         truth: the truth of the view.
         surface: the predicted surface in the truth's grid frame; None for an empty prediction.
-        solid: the predicted solid in the truth's cells; None if the prediction has no inside.
-        in_camera: whether the prediction is unregistered (protocol `camera`): then more samples are measured,
-            and metrics are also computed as other papers do.
+        solid: the predicted solid in the cells of the truth's grid; None if the prediction has no inside.
+        in_camera: whether the protocol is `camera`, without registration. Then more samples are measured, and
+            metrics are also computed as in other papers.
     """
     if surface is None:
         surface = point_surface(np.zeros((0, 3)), None)
@@ -147,9 +149,9 @@ def figures_by_part(
 
 
 def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
-    """Measure at most `most` samples of `one` against `other`; distances are infinite if either is empty.
+    """Measure distances from up to `most` samples of `one` to `other`; infinite if either is empty.
 
-    `seen` (n,) says which samples of `one` lie in space that the view saw.
+    `seen` (n,) marks the samples of `one` that lie in space that the view saw.
     """
     which = _drawn(one, most)
     queries, is_mesh = one.chosen(which), one.is_triangle
@@ -166,9 +168,9 @@ def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
 
 
 def _drawn(surface: Surface, most: int) -> Int64:
-    """Return the indices of at most `most` samples, drawn at random; the seed is a hash of all samples.
+    """Draw at most `most` samples at random and return their indices; the seed is a hash of all samples.
 
-    So nobody can choose which samples are measured. A transformed surface keeps the draw of the original.
+    So nobody can choose which samples are measured. For a transformed surface, the original's draw is used.
     """
     if len(surface) <= most:
         return np.arange(len(surface))
@@ -181,7 +183,7 @@ def _drawn(surface: Surface, most: int) -> Int64:
 
 
 def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
-    """Return the surface metrics, given the distances from prediction to truth (`there`) and back."""
+    """Return the surface metrics; `there` is measured from prediction to truth, `back` the other way."""
     if not len(back.areas):
         return SurfaceMetrics()
     if not len(there.areas) or not np.isfinite(back.distances_m).all():
@@ -206,7 +208,7 @@ def _tolerances_m(truth: SpaceTruth) -> dict[str, float]:
 
 
 def _as_octmae(there: Way, back: Way) -> dict[str, float]:
-    """Return OctMAE's metrics by key: mean distances, and F-scores at 5 to 30 mm (its eval.py, 08c1be6)."""
+    """Return {name: value} of OctMAE's mean distances, and F-scores at 5 to 30 mm (its eval.py, 08c1be6)."""
     ways = (there, back)
     mm = MM_PER_M
     return {
@@ -232,10 +234,10 @@ def counted_cells(truth: SpaceTruth, part: str) -> Packed:
 
 
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
-    """Return IoU, precision, recall and F1 over a part's known cells, and two shares of counted cells.
+    """Return the voxel metrics over the known cells of a part, and two shares of these counted cells.
 
-    These are the share of the grid's cells and the share of the true shape's cells that are counted. What is
-    predicted outside the grid counts as wrong, except for the part "visible".
+    The shares are those of the grid's cells and of the true shape's cells that are counted. Predicted volume
+    outside the grid counts as wrong, except for the part "visible".
     """
     if part not in truth.counted:
         counted = counted_cells(truth, part)

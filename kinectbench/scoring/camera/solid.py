@@ -1,4 +1,4 @@
-"""Convert a predicted shape to a solid in the truth's cells; measure its volume outside the grid."""
+"""Convert a predicted shape to a solid in the truth's grid; measure the solid's volume outside this grid."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ class Solid:
 
     Attributes:
         cells: (256, 256, 32) uint8, packed: the cells whose centre is inside the solid.
-        outside: volume of the solid outside the grid, in cells of the truth.
+        outside: volume of the solid outside the grid, in units of the truth's cells.
     """
 
     cells: Packed
@@ -33,13 +33,13 @@ class Solid:
 
 
 def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
-    """Return a mesh to take as the solid of an open mesh or of points; None if none can be made.
+    """Return a mesh that serves as the solid of an open mesh or of points; None if none can be made.
 
     Args:
         shape: an open mesh, or points.
         surface: the shape's surface, in the shape's frame.
-        close: one of `CLOSINGS`. "winding" returns an open mesh unchanged, for `solid_in`. "poisson"
-            reconstructs a mesh, nearly always closed, from samples that have normals.
+        close: one of `CLOSINGS`. "winding" returns an open mesh unchanged, because `solid_in` closes it.
+            "poisson" reconstructs a mesh, which is nearly always closed, from samples that have normals.
     """
     if close == "winding":
         return shape if shape.form == "mesh" else None
@@ -60,17 +60,17 @@ def solid_in(
     T_grid_prediction: Float64,
     close: str | None = None,
 ) -> Solid | None:
-    """Return a predicted solid in the truth's cells; None for points, and for open meshes without `close`.
+    """Return a predicted solid in the truth's cells; None for points, and for an open mesh without `close`.
 
-    A cell is set if its centre lies inside a mesh, in an occupied cell, or where the linearly interpolated
-    distance is negative.
+    A cell is set if its centre lies inside the mesh, in an occupied cell, or where the linearly interpolated
+    distance is negative, depending on the shape's form.
 
     Args:
         truth: the truth of the view.
         shape: the predicted shape.
-        mesh: result of `closed_mesh` for the shape.
+        mesh: result of `closed_mesh` for the shape; None if it is open or no mesh.
         T_grid_prediction: (4, 4) similarity from the shape's frame to the truth's grid frame.
-        close: if not None, an open mesh is made solid by winding numbers.
+        close: if not None, an open mesh is made solid by winding numbers, whatever the value.
 
     Raises:
         PredictionError: the mesh is too far away, or too many of its faces overlap each other.
@@ -126,7 +126,7 @@ def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
 
 
 def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:
-    """Return the volume, in cells of the truth, of predicted cells centred outside the truth's grid."""
+    """Return the volume of predicted cells centred outside the truth's grid, in units of its cells."""
     assert shape.cells is not None and shape.voxel_size_m is not None
     limit_m, outside = FULL_CELLS * truth.voxel_size_m, 0
     for number, plane in enumerate(shape.cells):  # memory stays at one plane

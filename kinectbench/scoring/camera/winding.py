@@ -30,9 +30,9 @@ MOST_STEPS = 3 * 10**9
 
 
 def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, float] | None:
-    """Return the cells whose centre is inside a mesh: its winding number there is above 1/2 or below -1/2.
+    """Return the cells whose centre is inside a mesh: the winding number there is above 1/2 or below -1/2.
 
-    So a mesh may be oriented inwards.
+    So the faces of a mesh may also be oriented inwards.
 
     Args:
         vertices: (n, 3), in cells, from the corner of the grid.
@@ -40,8 +40,8 @@ def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, f
         side: number of cells of the grid along each axis.
 
     Returns:
-        (side, side, side) bool, and the volume inside the mesh but outside the grid, in cells, accurate to
-        blocks of about 1/64 of the mesh's box. None if it would take more than `MOST_STEPS` steps.
+        The cells, (side, side, side) bool; and the volume inside the mesh but outside the grid, in cells,
+        with a resolution of about 1/64 of the mesh's box. None if it would take more than `MOST_STEPS` steps.
     """
     corners = vertices[faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -54,7 +54,10 @@ def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, f
 
 
 def _halved(corners: Float64) -> Float64:
-    """Split triangles (n, 3, 3) at their longest edge until none exceeds `LONGEST`; winding numbers stay."""
+    """Split triangles (n, 3, 3) until no edge exceeds `LONGEST`, or there are `MOST_HALVED` triangles.
+
+    Each is split at its longest edge, which does not change any winding number.
+    """
     while True:
         lengths = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)
         long = lengths.max(axis=1) > LONGEST
@@ -71,9 +74,9 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
     """Build a complete binary tree over triangles (n, 3, 3): the children of node i are 2 i and 2 i + 1.
 
     Returns:
-        The sorted triangles, padded with empty ones; and for each node (k leaves, from k on) the sum of its
-        triangles' area-weighted normals (2 k, 3), and the centre (2 k, 3) and radius (2 k,) of a ball around
-        them.
+        The sorted triangles, padded with empty ones. Then, for each node, the sum of the area-weighted
+        normals of its triangles (2 k, 3), and the centre (2 k, 3) and radius (2 k,) of a ball around them.
+        The k leaves are the nodes from k on; node 1 is the root.
     """
     leaves = 1 << max(0, int(np.ceil(np.log2(len(corners) / LEAF))))
     filling = np.broadcast_to(corners[-1, 0], (leaves * LEAF - len(corners), 3, 3))
@@ -102,13 +105,14 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most):  # type: ignore[no-untyped-def]
-    """Set the cells of `found` inside the mesh; return the inner volume outside the grid, in cells.
+    """Set the cells of `found` that are inside the mesh; return the mesh's volume outside the grid, in cells.
 
-    Space is processed in cubic blocks: a block is subdivided unless the winding number at its centre is sure
-    to decide for all of it. The result is NaN if this takes more than `most` steps.
+    Space is processed in cubic blocks. A block is subdivided unless the winding number at its centre is
+    certain to decide for the whole block. The result is NaN if this takes more than `most` steps.
 
     `triangles`, `total`, `middle` and `radius` are as `_tree` returns them; `low` and `high` (3,) are corners
-    of the mesh's box. `root` is the side of the largest blocks, `coarse` of the smallest outside the grid.
+    of the mesh's box. `root` is the side of the largest blocks, `coarse` that of the smallest blocks outside
+    the grid.
     """
     side, outside, steps = found.shape[0], 0.0, 0
     first, last = np.floor(low / root).astype(np.int64), np.floor(high / root).astype(np.int64)
@@ -155,7 +159,7 @@ def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _number(x, y, z, triangles, total, middle, radius, nodes):  # type: ignore[no-untyped-def]
-    """Return a point's winding number, a lower bound of its distance to any triangle, and the steps taken."""
+    """Return a point's winding number, a lower bound of its distance to the mesh, and the steps taken."""
     leaves = len(total) // 2
     found, clear, top, steps = 0.0, np.inf, 1, 0
     nodes[0] = 1
@@ -185,7 +189,9 @@ def _number(x, y, z, triangles, total, middle, radius, nodes):  # type: ignore[n
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _solid_angle(triangle, x, y, z):  # type: ignore[no-untyped-def]
-    """Return a triangle's solid angle at a point, positive from behind, and a lower bound of its distance.
+    """Return the solid angle of a triangle seen from a point, and a lower bound of its distance to the point.
+
+    The angle is positive if the point lies behind the triangle.
 
     Source: A. van Oosterom and J. Strackee, "The solid angle of a plane triangle" (1983).
     """
