@@ -26,15 +26,15 @@ def run_tasks(
     """Apply a module-level function to every task; return the results in the order of the tasks.
 
     Args:
-        function: must not depend on the order of the tasks.
+        function: its results must not depend on the order of the tasks.
         tasks: picklable values.
-        jobs: number of processes at most; with 1, or with fewer than `2 * TASKS_A_PROCESS` tasks, all run in
-            the calling process.
+        jobs: maximum number of processes; with 1, or with fewer than `2 * TASKS_A_PROCESS` tasks, all tasks
+            run in the calling process.
         progress: called with (tasks done, tasks in all).
         keep: called in the calling process with each task and its result, in the order of the tasks.
 
     Raises:
-        KinectBenchError: a task raised it, or a process was killed, for lack of memory for example.
+        KinectBenchError: a task raised it, or a process was killed, for example because memory was full.
     """
     results: list[Result] = []
 
