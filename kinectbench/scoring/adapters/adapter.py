@@ -11,7 +11,7 @@ from kinectbench.core.types import Float64
 from kinectbench.release.exchange.rgbd import WriteView
 from kinectbench.scoring.camera_shape import CameraShape
 
-# At most so many files are read from the folder of one view (chosen here).
+# Maximum number of files in the folder of one view (chosen here).
 MOST_FILES = 1000
 
 

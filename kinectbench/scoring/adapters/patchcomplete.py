@@ -19,13 +19,13 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
 
-# PatchComplete's loader has this grid and clips distances here; its own metric counts cells up to
-# SOLID_BELOW as solid.
+# PatchComplete's loader uses this number of voxels, and clips distances at CLIP_VOXELS; its own metric counts
+# cells with values up to SOLID_BELOW as solid.
 VOXELS = 32
 CLIP_VOXELS = 2.5
 SOLID_BELOW = 1e-10
 KEY = "predicted_voxels"
-# Size of 32^3 numbers of eight bytes, and what an npz adds.
+# Size of 32^3 numbers of eight bytes, plus the overhead of an npz.
 MOST_BYTES = VOXELS**3 * 8 + (1 << 16)
 
 

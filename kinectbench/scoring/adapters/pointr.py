@@ -55,7 +55,7 @@ def _upright(release: Release, view: RgbdView) -> Float64:
         up = invert_rigid(view.T_world_camera)[:3, :3] @ floor.T_floor_world[2, :3]
     towards = -np.array([0.0, 0.0, 1.0])
     right = np.cross(up, towards)
-    # A camera that looks straight down keeps its own right.
+    # If the camera looks straight down, x is the camera's x.
     right = right if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
     return np.stack([right, up, np.cross(right, up)], axis=1)

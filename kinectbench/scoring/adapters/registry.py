@@ -30,9 +30,10 @@ ADAPTERS: Mapping[str, Adapter] = {
     "pointr": POINTR,
     "patchcomplete": PATCHCOMPLETE,
 }
-# The key of method.json's settings by which a later `adapt` recognises a folder with nothing but its output.
+# The key in the settings of method.json by which a later `adapt` recognises that a folder holds only its own
+# output.
 FILES = "files_sha256"
-# Two poses of one view that differ by less are equal: writing and reading JSON changes far less.
+# Two poses of a view are equal if they differ by less; writing and reading JSON changes far less.
 SAME_POSE = 1e-6
 
 
