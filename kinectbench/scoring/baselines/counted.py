@@ -1,4 +1,4 @@
-"""Score baselines in memory, pair by pair; the tables equal the tables of their prediction files."""
+"""Score baselines in memory, pair by pair; prediction files of the baselines would give the same tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -93,7 +93,7 @@ def counted_baselines(
         names: baselines that the release allows (`possible_baselines`).
         counting: how pairs are counted; surface metrics are computed on the test split only.
         thresholds_file: a threshold file (`read_thresholds`); default: thresholds are chosen per baseline on
-            the validation split; without one they are 0.5.
+            the validation split, or are 0.5 if it has no pairs.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -104,7 +104,8 @@ def counted_baselines(
     rates = base_rates(release, jobs)
     fixed = None if thresholds_file is None else thresholds_for(thresholds_file, release.split("test"))
     splits: tuple[Split, ...] = ("validation", "test") if fixed is None else ("test",)
-    # Only surface metrics need the thresholds: without them one round, and one start of processes, will do.
+    # Only surface metrics need the thresholds. Without them, one round suffices, and processes start only
+    # once.
     rounds = [(split,) for split in splits] if counting.surface else [splits]
     pairs = sum(len(release.split(split)) for split in splits)
     thresholds = {} if fixed is None else dict.fromkeys(names, fixed)

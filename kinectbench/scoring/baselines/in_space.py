@@ -44,7 +44,7 @@ def space_baselines(
         names: baselines that the release allows (`possible_baselines`).
         protocols: camera, aligned or both.
         thresholds_file: a threshold file (`read_thresholds`); default: thresholds are chosen per baseline on
-            the validation split; without one they are 0.5.
+            the validation split, or are 0.5 if it has no pairs.
         jobs: number of processes.
         progress: called with (views done, views in all).
 
@@ -140,6 +140,6 @@ def _results(
     for name, prediction in predicted(task):
         try:
             results[name] = grid_result(truth, prediction, thresholds[name][category], asked)
-        except PredictionError as error:  # a surface of noise
+        except PredictionError as error:  # such as a surface of noise
             results[name] = f"{task.target.name}: {error}"
     return results

@@ -34,7 +34,7 @@ def sweep_plane(
     row_within: Bools,
     column_within: Bools,
 ) -> None:
-    """Advance rays to the next plane of cells: rays that meet a set cell become hit, and hit rays set cells.
+    """Advance rays to the next plane of cells. Rays that meet a set cell become hit; hit rays set cells.
 
     There are p x p rays, and n x n cells in a plane.
 

@@ -7,8 +7,8 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.scoring.baselines.inputs import Inputs
 
-# Planes that are tried: every 5 degrees of half a turn, and a sixteenth of the partial's extent apart over
-# three extents (chosen by hand).
+# Planes that are tried: every 5 degrees over half a turn; for each direction, offsets over three times the
+# extent of the partial view, a sixteenth of the extent apart (chosen by hand).
 ANGLES, OFFSETS = 36, 49
 BLOCK = 4
 SAMPLED = 1500
@@ -56,7 +56,7 @@ def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) 
     for angle in np.arange(ANGLES) * np.pi / ANGLES:
         normal = np.cos(angle) * first + np.sin(angle) * second
         along = sampled @ normal
-        length = np.ptp(along)  # planes on either side, as normals cover half a circle
+        length = np.ptp(along)  # planes on both sides, as normals cover half a circle
         for offset in np.linspace(along.min() - length, along.max() + length, OFFSETS):
             score = mirror_gain(sampled, along, normal, offset, BLOCK, gain)
             if score > best:

@@ -70,7 +70,7 @@ def baseline_tasks(
     ]
 
 
-_training = lru_cache(maxsize=1)(read_training)  # the tasks of a category follow each other
+_training = lru_cache(maxsize=1)(read_training)  # tasks of one category are consecutive
 
 
 def predicted(task: BaselineTask) -> Iterator[tuple[str, NDArray[np.bool_] | NDArray[np.float16]]]:
@@ -116,7 +116,7 @@ def write_baselines(
         StorageError: the disk is full or read-only.
     """
     check_baseline_names(names or ())
-    release.of_splits(SPLITS)  # there is something to predict
+    release.of_splits(SPLITS)  # raises an error if there is no pair to predict
     possible = possible_baselines(release)
     chosen = tuple(names or possible)
     blind = [name for name in chosen if name not in possible]
@@ -131,7 +131,7 @@ def write_baselines(
             what="truth-held-back",
         )
     tasks = baseline_tasks(release, chosen, base_rates(release, jobs))
-    # Files of an earlier run, which may be of another release, must not stay where this one is stopped.
+    # If this run is stopped, no files of an earlier run, perhaps for another release, must be left.
     for name in chosen:
         _remove(out / name / MethodFile.FILE)
         for task in tasks:
