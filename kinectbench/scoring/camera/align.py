@@ -18,28 +18,34 @@ from kinectbench.scoring.camera.nearest import NearestOfMoving
 from kinectbench.scoring.camera.surface import Surface
 from kinectbench.scoring.camera.truth import SpaceTruth
 
-# How much is free of a step, from its begin: a shift (3), the logarithm of a scale, a rotation vector (3).
+# Number of free parameters of a step, counted from the first one. A step is a translation (3), the logarithm
+# of a scale (1) and a rotation vector (3).
 KINDS = {"t": 3, "t+s": 4, "R+t+s": 7}
-# Samples of each surface and steps: from all starts, then from the best of them (chosen here; with them the
-# tests' shapes come back to within the bounds stated in docs/scoring-in-space.md).
+# Number of samples of each surface and maximum number of steps: first from all starts, then from the best
+# result (chosen here; with these the shapes in the tests are registered to within the bounds stated in
+# docs/scoring-in-space.md).
 COARSE, FINE = (400, 12), (3000, 40)
-# A rotation by up to 30 degrees is within reach of the start without one; these reach farther (chosen here).
+# Rotation of the further starts. The start without rotation can correct a rotation of up to 30 degrees; these
+# starts can correct larger ones (chosen here).
 START_DEG = 45.0
-# How much of the distance along the surface counts beside that across it: much at first, then little.
+# Weight of the distance along the surface relative to the distance across it: large at first, then small.
 ALONG_COARSE, ALONG_FINE = 0.3, 0.01
-# The surface of cells is a staircase: a sample of it is moved along its normal to the mean of those within so
-# many cells. So sizes come back within 0.03 %; without, within 0.11 % (measured: a ball, a box, a cone and an
-# ellipsoid at 256 cells for 1.1 m).
+# The surface of cells is a staircase. So each sample is moved along its normal to the mean of the samples
+# within this many cells. With this, sizes are found to within 0.03 %; without it, to within 0.11 % (measured:
+# a ball, a box, a cone and an ellipsoid at 256 cells for 1.1 m).
 SMOOTHED_CELLS = 3
-# Steps that move no sample by more than this share of the object's size end it: 0.01 mm of 1 m. The last must
-# be below the second for the registration to be called ok (chosen here): 0.1 mm of 1 m.
+# The registration ends if a step moves no sample by more than the first share of the object's size: 0.01 mm
+# for 1 m. It is called ok if the last step was below the second share: 0.1 mm for 1 m (chosen here).
 STILL, OK_STILL = 1e-5, 1e-4
-# So many steps that neither shrink to this share of the one before, nor bring the distance along the normals
-# to this share of the least so far, end it as well: a ball turns on for ever, and comes no nearer. The
-# distance alone may rise on the way to rest, as steps also lessen that along the surface. If it is then below
-# this share of the size, points only slide along a surface at rest (chosen here; a dented ball has 0.6 %).
+# It also ends after PATIENCE successive steps that make no progress, because a ball could rotate forever
+# without coming nearer. A step makes progress if its length is below SHRINKING times that of the previous
+# step, or if it brings the distance along the normals below NEARER times the smallest so far. This distance
+# alone would not do: it may rise before convergence, as steps also reduce the distance along the surface. If
+# in the end it is below CLOSE times the size, the points only slide along a surface that fits (chosen here; a
+# dented ball has 0.6 %).
 SHRINKING, NEARER, PATIENCE, CLOSE = 0.7, 0.999, 3, 0.02
-# A registered shape of a size beyond these, in sizes of the truth, is called not ok (chosen here).
+# A registration is not ok if the size of the registered shape, relative to that of the truth, is outside this
+# range (chosen here).
 LEAST_SIZE, MOST_SIZE = 0.05, 20.0
 
 
@@ -117,7 +123,7 @@ def register_kinds(
         starts = [_steps(coarse, start, kind, COARSE[1], ALONG_COARSE)[0] for start in _starts(pair, kind)]
         best = min(starts, key=lambda T: _far(coarse, T))
         T, moved = _steps(fine, best, kind, FINE[1], ALONG_FINE)
-        # Of a free size the scale itself says nothing.
+        # If the prediction's scale is free, only the resulting size can be judged.
         size = similarity_scale(T) * surface.spread_m / max(known.spread_m, 1e-9)
         rests = moved < OK_STILL * truth.size_m
         found[kind] = SurfaceRegistration(T, rests and LEAST_SIZE < size < MOST_SIZE)
@@ -196,7 +202,7 @@ def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> 
         least = min(least, far)
         step = np.zeros(7)
         step[:free] = NormalEquations(H, -g).damped().step()
-        # No step doubles a size, or turns by more than a third of a circle.
+        # No step may double the size, or rotate by more than 30 degrees per axis.
         step[3:] = np.clip(step[3:], -0.5, 0.5)
         before = moved
         moved = float(np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) * size_m / 2)

@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from kinectbench.core.types import Float64
 
-# The mean is too large by at most this share of it.
+# The returned mean is too large by at most this share.
 WITHIN = 0.005
-# Places in a list; the first eps as a share of the diagonal of both, and by what it falls. Of 16, 32, 64 and
-# 100 places and of first shares of 1/8 to 1/300 these were fastest: 5 to 7 s for 16,384 points.
+# Number of places in a list; first eps, as a share of the diagonal of both sets; factor by which eps is
+# divided each round. Of 16, 32, 64 and 100 places, and of first shares from 1/8 to 1/300, these were the
+# fastest: 5 to 7 s for 16,384 points.
 NEAR, FIRST, FALL = 32, 1 / 8, 5.0
-# Bids of a point in a round of one eps, in the mean: 16 were needed at most.
+# Maximum mean number of bids per point in a round of one eps; at most 16 were needed.
 MOST_BIDS = 100
-# Distances below this share of the diagonal say nothing.
+# Distances below this share of the diagonal do not matter.
 LEAST = 1e-6
 
 
@@ -47,7 +48,7 @@ def assigned_mean_m(points_m: Float64, others_m: Float64) -> float | None:
         if not _round(*columns, prices, near, beyond, owner, eps, MOST_BIDS * n):
             return None
         mean_m = float(np.linalg.norm(points_m[owner] - others_m, axis=1).mean())
-        # With this eps the sum is too large by n eps at most.
+        # With this eps, the sum of distances is too large by at most n eps.
         if eps <= max(WITHIN * (mean_m - eps), LEAST * size_m):
             return mean_m
         eps /= FALL
@@ -57,16 +58,16 @@ def assigned_mean_m(points_m: Float64, others_m: Float64) -> float | None:
 def _round(  # type: ignore[no-untyped-def]
     points, places, prices, near, beyond, owner, eps: float, most: int
 ) -> bool:
-    """Run the auction with one eps until every place has an owner; `prices` to `owner` are updated.
+    """Run the auction with one eps until every place has an owner.
 
     Args:
         points: (3, n) the points that bid.
         places: (3, n) the points that are bid for.
-        prices: (n,) price of each place.
-        near: (n, k) each point's list of its cheapest places, as indices.
+        prices: (n,) price of each place; updated.
+        near: (n, k) each point's list of its cheapest places, as indices; updated.
         beyond: (n,) cost of the cheapest place outside the list when the list was made; -inf if there is no
-            list yet.
-        owner: (n,) the point that owns each place, initially -1.
+            list yet; updated.
+        owner: (n,) the point that owns each place, initially -1; updated.
         eps: the minimum amount by which a bid raises a price, metres.
         most: maximum number of bids.
 

@@ -9,9 +9,9 @@ from kinectbench.core.types import MM_PER_M, Float64
 from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera.surface import Surface
 
-# AdaPoinTr on PCN (2e53e72) and LaS-Comp (2301d7b) compare so many points of each.
+# Number of points of each surface that AdaPoinTr on PCN (2e53e72) and LaS-Comp (2301d7b) compare.
 POINTS, SEED = 16_384, 0
-# PCN and AdaPoinTr: distances x 1000, F below 0.01 of their normalised units.
+# PCN and AdaPoinTr multiply distances by 1000; the tolerance of their F-score is 0.01 normalised units.
 PCN_FACTOR, PCN_TOLERANCE = 1000.0, 0.01
 
 

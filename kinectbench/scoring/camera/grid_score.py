@@ -17,7 +17,7 @@ from kinectbench.scoring.pair_result import Counting, Journal
 from kinectbench.scoring.rounds import Missing, Plan, Rounds
 from kinectbench.scoring.workers import run_tasks
 
-# Thresholds are searched by all cells; surfaces decide nothing.
+# Thresholds are searched by the IoU over all cells, so surface metrics are not needed.
 SEARCHING = Counting(("paper",), surface=False)
 
 

@@ -3,7 +3,8 @@
 import numpy as np
 from numba import njit
 
-# Cells around a surface cell that its normal is made of, as in the grid protocols (`surface_kernels`).
+# A surface cell's normal is computed from the cells within this many cells along each axis, as in the grid
+# protocols (`surface_kernels`).
 RADIUS_CELLS = 3
 
 
@@ -70,7 +71,8 @@ def outward(packed, inside):  # type: ignore[no-untyped-def]
     """
     normals = np.zeros((len(inside), 3))
     rows, columns, last = packed.shape[0], packed.shape[1], packed.shape[2] - 1
-    # Of seven cells along k, as bits, the last one lowest: how many there are, the sum of their distances.
+    # For each pattern of seven cells along k (as bits, the last cell lowest): the number of occupied cells,
+    # and minus the sum of their offsets.
     counts, moments = np.zeros(128, np.int64), np.zeros(128, np.int64)
     for code in range(128):
         for bit in range(7):
@@ -189,7 +191,7 @@ def _in_triangle(uu, uv, vv, pu, pv):  # type: ignore[no-untyped-def]
         u, v = (vv * pu - uv * pv) / determinant, (uu * pv - uv * pu) / determinant
         if u >= 0 and v >= 0 and u + v <= 1:
             return u, v
-    # On an edge: the nearest of the three; what is compared is |uU + vV - p|^2 without p^2.
+    # The nearest point is on an edge: compare the three edges by |uU + vV - p|^2 - p^2.
     best_u = min(max(pu / uu, 0.0), 1.0) if uu > 0 else 0.0
     best_v = 0.0
     least = best_u * best_u * uu - 2 * best_u * pu

@@ -21,9 +21,10 @@ from kinectbench.scoring.camera.surface import Surface, point_surface
 from kinectbench.scoring.camera.truth import PARTS, SpaceTruth
 from kinectbench.scoring.prediction_file import blake3_of
 
-# Samples of each surface whose distance is measured: a mean over so many whose spread is 10 mm is within 0.07
-# mm, and the nearest of them are found in 0.06 s each way (measured). Three registrations of each view need
-# three times the time; their means are within 0.1 mm.
+# Number of samples of each surface whose distance is measured, without and with registration. If distances
+# have a spread of 10 mm, their mean over the first number is accurate to 0.07 mm; the search takes 0.06 s in
+# each direction (measured). A view has three registrations, which take three times as long; with the second
+# number their means are accurate to 0.1 mm.
 QUERIES, QUERIES_ALIGNED = 20_000, 10_000
 # OctMAE reports 5, 10 and 20 mm; Tatarchenko et al. ("What do single-view 3D reconstruction networks
 # learn?", 2019) 1 % of the size; coarser shares are for methods of low resolution.
@@ -39,7 +40,7 @@ class PartFigures:
         surface: surface metrics; all None if the part has no known true surface.
         voxels: voxel metrics; all None if the part has no known true surface, or if there is no predicted
             solid.
-        coverage_voxels: share of the grid's cells that are counted, which are the known cells of the part.
+        coverage_voxels: share of the grid's cells that are counted, that is, known and in the part.
         coverage_shape: share of the true shape's cells that are counted; 1 if the shape is empty.
         surface_unknown_share: share of the part's true surface area that is unknown and therefore left out;
             None if the part has no true surface.
@@ -95,12 +96,12 @@ class Way:
         by_sample, area = float(values.mean()), float(self.areas.sum())
         if not area > 0:
             return by_sample
-        # Not a product of vectors, whose sum depends on how many cores share it.
+        # No dot product: its sum depends on the number of cores.
         by_area = float((self.areas * values).sum() / area)
         return worse(by_area, by_sample) if self.is_mesh else by_area
 
     def near(self, tolerance_m: float) -> float:
-        """Return the share of the area within a tolerance of the other surface, as `mean` averages."""
+        """Return the share of the area that is within a tolerance of the other surface (by `mean`)."""
         return self.mean((self.distances_m <= tolerance_m).astype(np.float64))
 
 
@@ -187,7 +188,7 @@ def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
     if not len(back.areas):
         return SurfaceMetrics()
     if not len(there.areas) or not np.isfinite(back.distances_m).all():
-        # As in the grid protocols: of one surface alone the Chamfer distance is the grid's diagonal.
+        # As in the grid protocols: if there is only one surface, the Chamfer distance is the grid's diagonal.
         far_m = math.sqrt(3) * FULL_CELLS * truth.voxel_size_m
         shares = dict.fromkeys((*F_SCORE_M, *F_SCORE_SHARES, "normal_consistency"), 0.0)
         return SurfaceMetrics(chamfer_l1_m=far_m, chamfer_l2_m2=far_m**2, **shares)
@@ -222,7 +223,7 @@ def _as_octmae(there: Way, back: Way) -> dict[str, float]:
 
 
 def _f_score(precision: float, recall: float) -> float:
-    # Sums of areas may exceed the whole by rounding.
+    # By rounding, a share of the area may exceed 1.
     return min(2 * precision * recall / (precision + recall), 1.0) if precision + recall else 0.0
 
 
@@ -249,7 +250,7 @@ def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMet
         return VoxelMetrics(), *shares
     inside = counted & solid.cells
     ours, both = packed_count(inside), packed_count(inside & truth.full)
-    # The view saw nothing of what lies outside the grid.
+    # Space outside the grid counts as not seen by the view.
     predicted = ours + (solid.outside if part != "visible" else 0.0)
     precision = both / predicted if predicted else 0.0
     return (

@@ -31,7 +31,8 @@ class Samples:
         from kinectbench.scoring.camera.boxes import near_together, two_nearest
 
         order, *boxes = self.boxes
-        # As many points are mostly the same ones a little farther on: the search begins where it ended.
+        # If there are as many points as in an earlier call, they are mostly the same ones, moved a little: so
+        # the search starts at the samples found then.
         places = self._places.setdefault(len(points), np.full((len(points), 2), -1))
         which, distances = near_together(points), np.empty(len(points))
         distances[which] = two_nearest(points, which, places, False, *boxes)[:, 0]
@@ -60,7 +61,8 @@ class NearestOfMoving:
 
     def __init__(self, samples: Samples, count: int) -> None:
         self._samples = samples
-        # Where each was looked for last, how far from there it may be, and what was found.
+        # For each point: its position at the last search, how far it may move from there, and the samples
+        # found.
         self._state = np.zeros((count, 3)), np.full(count, -1.0), np.full((count, 2), -1)
 
     def of(self, points: Float64, asked: Bools) -> tuple[Float64, Int64]:

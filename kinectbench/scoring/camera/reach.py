@@ -50,7 +50,7 @@ def outside_mask_share(truth: SpaceTruth, surface: Surface) -> float | None:
     points_m = surface.points_m
     before = points_m[:, 2] > 0
     depth_m = np.where(before, points_m[:, 2], 1.0)
-    # Pixel centres are integers; what is far outside must not overflow.
+    # Pixel centres are integers. Clip, so that pixels far outside do not overflow.
     u = np.clip(np.rint(truth.K[0, 0] * points_m[:, 0] / depth_m + truth.K[0, 2]), -1, width).astype(np.int64)
     v = np.clip(np.rint(truth.K[1, 1] * points_m[:, 1] / depth_m + truth.K[1, 2]), -1, height).astype(
         np.int64

@@ -76,7 +76,7 @@ def score_in_camera(
     test = pairs_to_score(release, validation=False, solid=False)
     refuse_many_rows(len(test), asked_rows(protocols, declared.scale), declared.hypotheses)
     files, failures = _files(folder, test, declared, missing)
-    # What can refuse the release or the folder comes before hours of scoring.
+    # Checks that may refuse the release or the folder come first: scoring may take hours.
     looked_at = [found for target in sorted(files) for found in files[target][:1]]
     first = (*method_lines(folder, declared, release), *depth_warnings(release, looked_at, declared))
     strays = strays_in_camera(release, folder, declared)
@@ -182,7 +182,7 @@ def _files(
             failures.setdefault(target, found)
         else:
             line = absent.setdefault(target, missing_in_camera(name))
-            # A view of which some hypotheses are there is not empty.
+            # A view is not empty if some of its hypotheses are there.
             if missing == "error" or declared.hypotheses > 1:
                 failures.setdefault(target, line)
     for target, line in absent.items() if missing == "empty" else ():

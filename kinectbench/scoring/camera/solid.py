@@ -14,8 +14,9 @@ from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import ClosedMesh, in_cells, refuse_mesh
 from kinectbench.scoring.mesh_outside import outside_share
 
-# Of Poisson reconstruction: samples, depth of its octree, side of its cube. So cells are 1/64 of the shape,
-# and what is open is closed (measured; docs/evidence/scoring.md, "Ways to close a mesh").
+# Poisson reconstruction: number of samples, depth of the octree, side of its cube relative to the shape. So
+# cells are 1/64 of the shape, and openings are closed (measured; docs/evidence/scoring.md, "Ways to close a
+# mesh").
 POISSON_SAMPLES, POISSON_DEPTH, POISSON_CUBE = 30_000, 7, 2.0
 
 
@@ -84,7 +85,7 @@ def solid_in(
     if shape.cells is None or shape.T_camera_grid is None or shape.voxel_size_m is None:
         return None
     T = T_grid_prediction @ shape.T_camera_grid
-    # Cells of the truth, by their indices -> cells of the prediction.
+    # From cell coordinates of the truth to those of the prediction.
     T_cells = (
         np.diag([*[1 / shape.voxel_size_m] * 3, 1])
         @ np.linalg.inv(T)
@@ -111,7 +112,7 @@ def _of_mesh(truth: SpaceTruth, mesh: ClosedMesh, T_grid_mesh: Float64) -> Solid
     cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)
-    faces, volume_m3 = mesh.outward  # a similarity turns no piece
+    faces, volume_m3 = mesh.outward  # a similarity reverses no face
     volume = volume_m3 * (similarity_scale(T_grid_mesh) / truth.voxel_size_m) ** 3
     return Solid(cells, volume * outside_share(vertices, faces, FULL_CELLS))
 
@@ -129,7 +130,7 @@ def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -
     """Return the volume of predicted cells centred outside the truth's grid, in units of its cells."""
     assert shape.cells is not None and shape.voxel_size_m is not None
     limit_m, outside = FULL_CELLS * truth.voxel_size_m, 0
-    for number, plane in enumerate(shape.cells):  # memory stays at one plane
+    for number, plane in enumerate(shape.cells):  # one plane is in memory at a time
         occupied = np.argwhere(plane if shape.form == "voxels" else plane < 0)
         cells = np.column_stack([np.full(len(occupied), number), occupied])
         centers_m = transform_points(T_grid_own, (cells + 0.5) * shape.voxel_size_m)

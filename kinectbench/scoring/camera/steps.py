@@ -97,7 +97,7 @@ def similarity_about(step, middle):  # type: ignore[no-untyped-def]
     x, y, z = step[4], step[5], step[6]
     angle = np.sqrt(x * x + y * y + z * z)
     along = np.sin(angle) / angle if angle > 0 else 1.0
-    # (1 - cos a) / a^2, without the difference.
+    # (1 - cos a) / a^2, written without the difference, which would lose digits.
     across = 0.5 * (np.sin(angle / 2) / (angle / 2)) ** 2 if angle > 0 else 0.5
     T[0, 0], T[0, 1], T[0, 2] = (
         1 - across * (y * y + z * z),

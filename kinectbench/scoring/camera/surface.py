@@ -17,12 +17,13 @@ from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera_shape import CameraShape
 
-# Samples of a mesh beside one for each triangle: they are 5 mm apart on a chair of 1.5 m^2 (chosen here; the
-# test of a mesh has 0.05 mm between it and exact distances).
+# Number of samples of a mesh, of which each triangle has at least one. They are 5 mm apart on a chair of 1.5
+# m^2 (chosen here; in the test of a mesh, distances are within 0.05 mm of exact ones).
 MESH_SAMPLES = 60_000
-# Of the mean triangle's area. All that is smaller has at most this share of the whole.
+# Share of the mean triangle's area. All smaller triangles together have at most this share of the whole area.
 DUST = 0.01
-# Of cells, at some 250 bytes each: a cube that fills a grid of 512 a side has 1.6 M.
+# Maximum number of samples of cells, at some 250 bytes each. A cube that fills a grid of 512 a side has 1.6
+# M.
 MOST_SAMPLES = 2 << 20
 # Steps of the sequence that places samples within a triangle. Source: M. Roberts, "The unreasonable
 # effectiveness of quasirandom sequences" (2018): the inverse powers of the plastic number.
@@ -78,7 +79,7 @@ class Surface:
 
     def chosen(self, which: Bools | Int64) -> "Surface":
         """Return the surface with only the samples that a mask or indices select; all patches stay."""
-        if which.dtype == np.bool_:  # rows by number take half of the time (measured)
+        if which.dtype == np.bool_:  # indexing by numbers takes half the time (measured)
             which = np.flatnonzero(which)
         if self.placed is not None:
             before, T = self.placed
@@ -157,7 +158,7 @@ def surface_of(shape: CameraShape) -> Surface:
 
 def point_surface(points_m: Float64, normals: Float64 | None) -> Surface:
     """Return points (n, 3), metres, without duplicates, as a surface; normals (n, 3) may have any length."""
-    if len(points_m) > 1:  # a point that is there twice is one: a tree of equal points is slow
+    if len(points_m) > 1:  # remove duplicates: a tree of equal points is slow
         order = np.lexsort(points_m.T)
         again = (np.diff(points_m[order], axis=0) == 0).all(axis=1)
         kept = np.sort(order[np.concatenate([[True], ~again])])
@@ -194,7 +195,7 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
         corner, first, second, across = (part[kept] for part in (corner, first, second, across))
     normals = across / np.where(twice > 0, twice, 1)[:, None]
     total = twice.sum()
-    # Of a mesh without any area all triangles count alike.
+    # If a mesh has no area at all, all triangles count alike.
     areas = twice / 2 if total > 0 else np.ones(len(faces))
     most = MESH_SAMPLES if total > 0 else 0
     counts = np.maximum(1, np.rint(areas / areas.sum() * most)).astype(np.int64)
@@ -241,7 +242,7 @@ def _distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
     found = [zero_crossings(padded, axis) for axis in range(3)]
     points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
     _refuse_many(len(points))
-    # Two directions across the normal: from the axis that is least along it.
+    # Two directions perpendicular to the normal, from the axis that is least parallel to it.
     least = np.eye(3)[np.abs(normals).argmin(axis=1)]
     first = np.cross(normals, least)
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
@@ -270,7 +271,7 @@ def _squares(
 
     A sample's area is that of the oblique surface that its square represents, not that of the square.
     """
-    # A plane with this normal has as many steps or crossings for each cell of its area.
+    # A plane with this normal has so many faces or crossings per area of a cell's face.
     steps = np.abs(normals).sum(axis=1)
     areas, owner = voxel_size_m**2 / np.where(steps > 0, steps, 1), np.arange(len(centers_m))
     return Surface(centers_m, areas, normals, corner, first, second, owner, is_triangle=False)

@@ -20,8 +20,8 @@ from kinectbench.scoring.camera.surface import Surface, cell_surface, mesh_surfa
 from kinectbench.scoring.surface import size_cells
 from kinectbench.scoring.truth import read_parts
 
-# Of the truth's cells about so many are counted, each so-manieth: with 256 cells a side they lie 4 cells
-# apart or nearer (chosen here; of a box cut in halves 0.500 is found).
+# About this many cells of the truth are counted, at regular steps. At 256 cells a side, they are at most 4
+# cells apart (chosen here; for a box that is cut in half, the share found is 0.500).
 COUNTED = 100_000
 PARTS: tuple[ShapePart, ...] = ("whole", "visible", "occluded")
 
@@ -87,7 +87,7 @@ class SpaceTruth:
     def some_cells_m(self) -> Float64:
         """Centres of about `COUNTED` evenly chosen known cells of the solid: (n, 3), metres, camera frame."""
         cells = np.flatnonzero(unpack(self.full & self.known))
-        # No step that divides a side would always meet the same columns.
+        # The step is odd: one that divides the side would always meet the same columns.
         cells = cells[:: max(len(cells) // COUNTED, 1) | 1]
         centers_m = (np.stack(np.unravel_index(cells, (FULL_CELLS,) * 3), axis=1) + 0.5) * self.voxel_size_m
         return transform_points(invert_rigid(self.T_grid_camera), centers_m)
@@ -203,7 +203,7 @@ def _open_truth(files: ViewFiles, path: Path, sha256: str) -> SpaceTruth:
 def space_truth(
     full: Packed, known: Packed, seen: Packed, T_grid_camera: Float64, voxel_size_m: float
 ) -> SpaceTruth:
-    """Return the truth of packed grids (256, 256, 32); it has no mask and intrinsics, and a `sigma_m` of 0.
+    """Return the truth of packed grids (256, 256, 32); it has no mask, no intrinsics, and a `sigma_m` of 0.
 
     Raises:
         PredictionError: it has more than `MOST_SAMPLES` cell faces at its surface.

@@ -31,7 +31,7 @@ from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import closed_mesh, open_because
 from kinectbench.scoring.prediction_file import blake3_of
 
-# A protocol, and under `aligned` what the registration may change.
+# (protocol, kind of registration): see `register_surface` for the kinds; None under `camera`.
 Asked = tuple[str, str | None]
 
 
@@ -134,7 +134,7 @@ def score_view(job: ViewJob) -> ViewResult | str:
             return line if line.startswith(file.name) else f"{file.name}{file.path.suffix}: {line}"
         except OSError as error:
             return f"{file.name}{file.path.suffix}: cannot be read ({error.strerror or error})"
-        except (ValueError, MemoryError) as error:  # one view's file does not end the others
+        except (ValueError, MemoryError) as error:  # one faulty file must not stop the other views
             return f"{file.name}{file.path.suffix}: cannot be scored ({printable(str(error), 120)})"
     digest = digests[0] if len(digests) == 1 else blake3_of("".join(digests).encode())
     return ViewResult((*found[0], *_over(truth, found, votes)), truth.unknown_share, digest)
@@ -186,7 +186,7 @@ def score_shape(
         if votes is not None and solid is not None:
             votes.solids.setdefault((protocol, kind), []).append(solid.cells)
         found, left_out = figures_by_part(truth, moved, solid, in_camera=kind is None)
-        # A registration moves what was predicted off its view.
+        # Only for the unregistered shape: a registration moves it away from its view.
         cut = cut_share(truth, shape, volume_m) if kind is None else None
         silhouette = outside_mask_share(truth, surface) if kind is None else None
         rows += [

@@ -10,7 +10,8 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
 from kinectbench.scoring.camera.metrics import counted_cells
 from kinectbench.scoring.camera.truth import SpaceTruth
 
-# Tenths of the votes. Source: C. Guo et al., "On calibration of modern neural networks" (2017), with 15 bins.
+# Number of bins of the share of votes. Source: C. Guo et al., "On calibration of modern neural networks"
+# (2017), who use 15.
 BINS = 10
 
 
@@ -28,17 +29,17 @@ class Votes:
     def calibration(
         self, truth: SpaceTruth, asked: tuple[str, str | None], part: ShapePart, k: int
     ) -> Calibration | None:
-        """Return how often known cells of a part are truly solid, by the share of predictions that are.
+        """Return how often cells are truly solid, by the share of predictions that call them solid.
 
         Args:
             truth: the truth of the view.
             asked: (protocol, kind of registration) of the solids.
-            part: whole, visible or occluded.
+            part: whole, visible or occluded; only its known cells are counted.
             k: number of predictions of the view.
 
         Returns:
-            The calibration; None if a prediction has no inside, or if no counted cell is solid in any
-            prediction.
+            The calibration; None if a prediction has no inside, or if no prediction calls a counted cell
+            solid.
         """
         solids = self.solids.get(asked, [])
         if len(solids) < k:

@@ -10,22 +10,26 @@ from numba import njit
 
 from kinectbench.core.types import Bools, Float64, Int32
 
-# Triangles of a leaf of the tree: 4 to 16 take the same time (chosen here).
+# Number of triangles in a leaf of the tree; 4 to 16 take the same time (chosen here).
 LEAF = 4
-# Triangles in a ball are taken together where it is farther away than twice its radius (Barill, section 4).
+# The triangles in a ball are approximated together if the ball is farther away than twice its radius (Barill,
+# section 4).
 FAR_RADII = 2.0
-# The number is harmonic off the triangles: in a ball of radius R without any it differs from that of the
-# middle by at most 1.5 r / R at a distance r, if it stays within a range of 2, as where two parts overlap.
-# Source: Schwarz's lemma for harmonic functions (Axler et al., "Harmonic Function Theory", chapter 6).
+# The winding number is harmonic away from the triangles. So in a ball of radius R without triangles, at a
+# distance r from the centre, it differs from its value at the centre by at most 1.5 r / R, if its range is at
+# most 2, as where two parts overlap. Source: Schwarz's lemma for harmonic functions (Axler et al., "Harmonic
+# Function Theory", chapter 6).
 STEEPEST = 1.5
-# Outside the grid a volume alone is asked: its blocks are at most so many along the mesh's box (chosen here).
+# Outside the grid, only the volume is needed: at most so many blocks are used along the mesh's box (chosen
+# here).
 BLOCKS_OUTSIDE = 64
-# Longest edge, in cells, and most triangles: near large ones no block is decided. A chair of 230 faces took
-# 12 s whole and 4 s in pieces of 16 cells; 8 cells gained less than a second.
+# Longest edge, in cells, and maximum number of triangles after splitting. Near large triangles, no block can
+# be decided: a chair of 230 faces took 12 s unsplit, and 4 s with edges of 16 cells; 8 cells gained less than
+# a second.
 LONGEST, MOST_HALVED = 16.0, 1 << 18
-# Nodes and triangles that are looked at, in all. Open balls, sheets, chairs, tables of 150 to 210,000 faces,
-# smooth and noisy, take 0.4 to 2 billion at 256 cells (2 to 15 s of a busy core); a soup of 20,000 triangles
-# across each other takes 30 or more.
+# Maximum number of nodes and triangles that are examined in all. Open balls, sheets, chairs, tables of 150 to
+# 210,000 faces, smooth and noisy, take 0.4 to 2 billion at 256 cells (2 to 15 s of a busy core); a soup of
+# 20,000 triangles across each other takes 30 or more.
 MOST_STEPS = 3 * 10**9
 
 
@@ -82,7 +86,7 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
     filling = np.broadcast_to(corners[-1, 0], (leaves * LEAF - len(corners), 3, 3))
     triangles = np.concatenate([corners, filling])
     middles, order = triangles.mean(axis=1), np.arange(len(triangles))[None]
-    while len(order) < leaves:  # across the longest side; stable, so that machines agree
+    while len(order) < leaves:  # split across the longest side; stable, so that machines agree
         at = middles[order]
         along = (at.max(axis=1) - at.min(axis=1)).argmax(axis=1)
         rank = np.take_along_axis(at, along[:, None, None], axis=2)[..., 0].argsort(axis=1, kind="stable")
@@ -93,7 +97,7 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
     weighted = areas * triangles.mean(axis=1)
     total, middle, radius = (np.zeros((2 * leaves, *end)) for end in ((3,), (3,), ()))
     count = leaves
-    while count:  # level by level, the root at last
+    while count:  # level by level, the root last
         sums = [part.reshape(count, -1, part.shape[1]).sum(axis=1) for part in (normals, areas, weighted)]
         level = slice(count, 2 * count)
         total[level], middle[level] = sums[0], sums[2] / sums[1]
@@ -205,5 +209,5 @@ def _solid_angle(triangle, x, y, z):  # type: ignore[no-untyped-def]
     below += (d * g + e * h + f * i) * one + (g * a + h * b + i * c) * two
     longest = max((a - d) ** 2 + (b - e) ** 2 + (c - f) ** 2, (d - g) ** 2 + (e - h) ** 2 + (f - i) ** 2)
     longest = max(longest, (g - a) ** 2 + (h - b) ** 2 + (i - c) ** 2)
-    # No place of a triangle is farther from all three corners than the longest edge / sqrt 3.
+    # Every point of a triangle is within longest edge / sqrt 3 of one of its corners.
     return 2 * np.arctan2(across, below), min(one, two, three) - np.sqrt(longest / 3)
