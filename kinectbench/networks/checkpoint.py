@@ -19,7 +19,7 @@ from kinectbench.core.artefacts.method import TrainingRow
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 from kinectbench.networks.network import Network
 
-# Exceptions for a damaged file: torch unpickles in Python, where hostile bytes may raise anything.
+# Exceptions that a damaged file may raise: torch unpickles in Python, where hostile bytes can raise anything.
 DAMAGED = (
     *DAMAGED_ZIP,
     OSError,
@@ -34,7 +34,7 @@ DAMAGED = (
 PICKLE = "data.pkl"
 # Size limits: a tensor's description takes some 300 bytes, a row of the log some 200.
 TENSOR_BYTES, ROW_BYTES, SLACK_BYTES = 2 << 10, 1 << 10, 64 << 10
-# Copies of each value: the network's, and two of Adam's.
+# Number of copies of each value: one in the network, two in Adam's state.
 COPIES = 3
 # A loss is a float32.
 MOST_LOSS = float(torch.finfo(torch.float32).max)
@@ -157,7 +157,7 @@ def set_values(
     """Load the checkpoint's values into a network and its optimisers.
 
     Raises:
-        ValueError, KeyError: the values are of another network, or impossible after so many steps.
+        ValueError, KeyError: the values are of another network, or impossible after `step` steps.
     """
     own = network.state_dict()
     if set(own) != set(checkpoint.network):
@@ -190,7 +190,7 @@ def _check_adam(state: object, optimiser: torch.optim.Optimizer, step: int) -> N
 
 
 def _check(values: object, like: Tensor, positive: bool = False) -> None:
-    """Refuse a value that is no finite tensor of `like`'s shape and dtype, or below 0 though `positive`."""
+    """Refuse a value that is no finite tensor of `like`'s shape and dtype; if `positive`, also below 0."""
     if not isinstance(values, Tensor) or values.layout != torch.strided:
         raise ValueError("no tensor")
     if (values.shape, values.dtype) != (like.shape, like.dtype):

@@ -21,7 +21,7 @@ from kinectbench.scoring.truth import read_parts
 from kinectbench.settings.words import suggestion
 
 _Value = TypeVar("_Value", bound=np.generic)
-# One thread reads the next batch while the present one is learnt.
+# Number of threads that read the next batches while the network learns from the current one.
 READING_THREADS = 2
 
 

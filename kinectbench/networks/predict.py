@@ -48,9 +48,9 @@ PRECISIONS: tuple[Precision, ...] = ("packed", "float16")
 # Levels of deflate. float16 at 256^3 take 26 MB; compressing them further takes longer than predicting them.
 # Packed ones take 6.7 MB at level 1, 6.1 MB at 4 and 5.8 MB at 6, in 0.15, 0.25 and 0.85 s a view.
 LEVEL, PACKED_LEVEL = 1, 4
-# Errors of one pair: the others can be predicted.
+# Errors that concern one pair only, so that the others can still be predicted.
 OF_ONE_PAIR = (PairError, PredictionError)
-# Folders of installed packages; one's own code may lie above such a one.
+# Folders of installed packages; the folder of the user's code may contain one.
 INSTALLED = {"site-packages", "dist-packages"}
 
 
@@ -120,7 +120,7 @@ def run_of(
     trained: Trained, release: Release, threshold: float | None, precision: Precision, device: str
 ) -> UnfinishedFile:
     """Return everything that determines the bytes of a run's prediction files; arguments as in `predict`."""
-    # Values written unchanged have no key, so that folders of earlier versions stay current.
+    # There is no key for values that are written unchanged, so that folders of earlier versions stay valid.
     is_fine = threshold is None and trained.network.output_cells == FULL_CELLS
     coded = {"precision": precision} if is_fine and precision == "packed" else {}
     own = {"code_sha256": _code_sha256(trained)} if trained.config.network.kind == OWN else {}
@@ -153,7 +153,7 @@ def _code_sha256(trained: Trained) -> str:
         one = left.pop()
         path = Path(getattr(one, "__file__", None) or "").resolve()
         is_own = path.is_relative_to(root) and not INSTALLED & set(path.relative_to(root).parts)
-        if path not in paths and is_own and path.is_file():  # packages need no file, torch names some in vain
+        if path not in paths and is_own and path.is_file():  # torch names files that do not exist
             paths.add(path)
             left += _imported(one, path) if path.suffix == ".py" else ()
     with storage_errors(root):
@@ -301,7 +301,7 @@ def method_of(
             mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
         )
         | {"notes": notes(trained, release)},
-        # Bits are already decided, whatever threshold they are compared with.
+        # Bits are the same at every threshold, so no threshold is stated.
         threshold=training.threshold if run.threshold is None else None,
         hardware=run.hardware,
         seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,

@@ -75,7 +75,7 @@ class PredictionFolder:
             if name in {_name(target) for target in targets} and self._digest(name) == digest
         }
         is_same = done is not None and done.run_sha256 == run.sha256
-        # A file that changed since, wanted or not, is removed, and the run starts from the beginning.
+        # If any file has changed, wanted or not, it is removed, and the run counts as unfinished.
         is_whole = is_same and all(map(self.holds, wanted)) and self._kept.keys() == written.keys()
         self._complete = done if is_whole else None
         if self._complete is None:
@@ -128,7 +128,7 @@ class PredictionFolder:
                     "choose another folder by --out",
                     what="other-content",
                 )
-        # Names with a dot are the system's, or half a file of a run that was killed at its start.
+        # Hidden files are the system's, or incomplete files of a run that was killed at its start.
         ours = unfinished or (done and (done.run_sha256 or "weights_sha256" in (done.settings or {})))
         if not ours and any(not path.name.startswith(".") for path in folder.iterdir()):
             raise SettingsError(

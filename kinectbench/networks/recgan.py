@@ -83,7 +83,8 @@ def discriminator_loss(
     features = discriminator(partial, mixed)
     value = features.sum() if settings.penalty_on == "sum" else features.mean(dim=1).sum()
     (slopes,) = torch.autograd.grad(value, mixed, create_graph=True)
-    # The root has no gradient at 0, and a saturated discriminator would turn all weights into NaN.
+    # The added constant is needed because the root has no gradient at 0: if the discriminator saturates, all
+    # weights would become NaN.
     norms = (slopes.float().flatten(1).square().sum(dim=1) + 1e-12).sqrt()
     penalty = (norms - 1).square().mean()
     critic = discriminator(partial, fake).mean() - discriminator(partial, real).mean()

@@ -61,7 +61,8 @@ def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") 
             network.start_by_he()
     if device == "meta":
         return network
-    # With channels adjacent in memory a step on the CPU takes two thirds of the time, a view three quarters.
+    # With channels adjacent in memory, a training step on the CPU takes two thirds of the time, and a
+    # prediction three quarters.
     for values in network.parameters():
         if values.dim() == 5:
             values.data = values.data.contiguous(memory_format=torch.channels_last_3d)

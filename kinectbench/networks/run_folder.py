@@ -25,7 +25,7 @@ from kinectbench.networks.steps import Learner, Losses
 from kinectbench.networks.weights import FILE as WEIGHTS
 from kinectbench.networks.weights import arrays_of_network, write_weights
 
-# Most differing keys that are named.
+# Maximum number of differing keys that are named.
 SHOWN = 3
 CPU_INFO = Path("/proc/cpuinfo")
 CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"

@@ -94,8 +94,8 @@ class Learner:
         assert settings is not None
         with self._autocast():
             (logits, target, weight) = next(network.taught(batch.partial, batch.truth, generator))
-        # Unknown voxels are empty in both, and a cell that is known in part is as full as that part: nothing
-        # is learnt there.
+        # Unknown voxels are empty in both, and only the known part of a cell counts: nothing is learnt from
+        # unknown ones.
         fake, real = logits.float().sigmoid() * weight, target * weight
         with self._autocast():
             critic_loss = discriminator_loss(

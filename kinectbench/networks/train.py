@@ -41,7 +41,7 @@ from kinectbench.networks.weights import FILE as WEIGHTS
 from kinectbench.networks.weights import arrays_of_network, check_values, write_weights
 from kinectbench.release.release import Release, Target
 
-# A killed run loses at most so much; writing 2 GB takes some seconds.
+# A killed run loses at most this time; writing 2 GB takes some seconds.
 SAVE_EVERY_S = 300.0
 
 
@@ -100,12 +100,10 @@ def train(
 
     Args:
         config: the method's configuration.
-        releases: the releases; their train splits are trained on, their validation splits serve for
-            validation.
+        releases: their train splits are for training, their validation splits for validation.
         folder: the training's folder.
         minutes: stop after this time; default: after all epochs.
-        device: a device name of torch, such as "cpu" or "cuda"; default: the GPU if there is one, else the
-            CPU.
+        device: a device of torch, such as "cpu" or "cuda"; default: the GPU if there is one, else the CPU.
         wait: whether to wait if another run uses the folder; if False, an error is raised.
         progress: called with (steps done, steps in all).
         watch: called with each new row of the log.
@@ -114,8 +112,7 @@ def train(
         The progress of the training.
 
     Raises:
-        ReleaseError, PredictionError: there is no pair, a pair is missing or changed, or an output of the
-            network is no probability.
+        ReleaseError, PredictionError: there is no pair, one is missing or changed, or an output is wrong.
         SettingsError: the folder belongs to another training, or `config` or `device` cannot be used.
         StorageError: the disk cannot be written, the checkpoint is damaged, or another run uses the folder.
         StepError: memory is full, a loss or a weight is not finite, or another process has stopped.
@@ -133,7 +130,7 @@ def train(
         with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
             if part[0] == 0:
                 prepare_folder(folder, config)
-            wait_for_all(part[1])  # until then the folder is shared
+            wait_for_all(part[1])  # rank 0 prepares the folder first
             network = make_network(config.network, config.training.seed, where)
             check_values(network)
             learner = Learner(network, config, where, part)
@@ -168,7 +165,7 @@ def _check_shared(batch: int, processes: int) -> None:
 
 @contextmanager
 def _deterministic(device: str) -> Iterator[None]:
-    """Make torch deterministic within the block; on a GPU, it only warns of operations that cannot be."""
+    """Make torch deterministic within the block; on a GPU, warn of operations that are not deterministic."""
     kept = (
         torch.are_deterministic_algorithms_enabled(),
         torch.is_deterministic_algorithms_warn_only_enabled(),
@@ -210,7 +207,7 @@ def _run(
     ):
         return
     try:
-        _look_if_due(training, watch)  # an earlier run may have stopped before
+        _look_if_due(training, watch)  # an earlier run may have stopped before validating
         for batch in batches(training.pairs, config, steps, device, training.part):
             with interrupts_held():  # a step is done completely or not at all
                 before = time.monotonic()

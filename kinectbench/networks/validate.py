@@ -60,7 +60,7 @@ def validation_iou(
         (partial,) = read_parts(path, sha256, ("partial",))
         prediction = completed(network, unpack(partial), config, device)
         counted = tally(prediction, read_packed_truth(path, sha256))
-        # As in scores, a pair of which nothing is known says nothing.
+        # As in scores, a pair without known truth is left out.
         of = unknown if is_all_unknown(counted, PROTOCOL) else curves
         of.append(ious(protocol_counts(counted, PROTOCOL)))
     mean = np.mean(curves or unknown, axis=0)

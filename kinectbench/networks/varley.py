@@ -13,7 +13,7 @@ from kinectbench.networks.network import Network
 
 CELLS = 40
 CHANNELS, VECTOR = 64, 5000
-# Sides from 40 cells: 37, 34, pooled to 17, 14, pooled to 7.
+# Sides after each layer, from 40 cells: 37, 34, pooled to 17, 14, pooled to 7.
 BOTTOM_CELLS = 7
 
 
