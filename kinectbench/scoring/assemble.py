@@ -90,10 +90,10 @@ def make_table(
 def _validation(
     release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
 ) -> ValidationUse | None:
-    """Return the numbers of validation pairs and of predicted ones; None if they chose no threshold."""
+    """Return the numbers of validation pairs and of predicted ones; None if no threshold is from them."""
     if thresholds.source not in SEARCHED:
         return None
-    without = frozenset(empty)  # they may be half of ten thousands
+    without = frozenset(empty)  # a set, as there may be thousands of them
     predicted = sum(target.split == "validation" and target not in without for target in results)
     return ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
 

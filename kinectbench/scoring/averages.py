@@ -177,7 +177,7 @@ def overall_averages(
 ) -> dict[str, OverallAverages]:
     """Return {heading: mean over the counted categories, its intervals, numbers of pairs and objects}.
 
-    The means of the truth's quality include also the categories without a counted pair.
+    The means of the truth's quality also include the categories without a counted pair.
     """
     estimated = ("truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high")
     of_truth = (*estimated, "truth_repeatability_iou", "truth_unknown_share")

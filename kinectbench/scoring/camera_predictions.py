@@ -248,7 +248,7 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
 
 
 def missing_in_camera(name: str) -> str:
-    """Return the line that a prediction is missing, with the names of the file that are accepted."""
+    """Return the line that a prediction is missing, with the accepted file names."""
     return f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}"
 
 

@@ -28,12 +28,12 @@ METRES = {"m": 1.0, "mm": 0.001, "free": 1.0}
 # Factors from the axes named in `method.json` to the camera (x right, y down, z forward). PyTorch3D: x left,
 # y up, z forward; OpenGL: x right, y up, z backward.
 CAMERA_AXES = {"cv": (1.0, 1.0, 1.0), "pytorch3d": (-1.0, -1.0, 1.0), "opengl": (1.0, -1.0, -1.0)}
-# No point of a room is farther away, in any supported unit.
+# No point of a room is farther away than this, in any supported unit.
 FARTHEST_M = 1e6
-# No object is smaller.
+# No cell is smaller than this.
 NEAREST_M = 1e-6
-# Most cells at a surface: a solid of 512 a side that fills its grid has 1.6 M, its distances twice that; a
-# grid of noise would exceed the memory.
+# Maximum number of cells at a surface. A solid that fills a grid of 512 a side has 1.6 M, and its distances
+# have twice as many; a grid of noise would exceed the memory.
 MOST_SHOWN = 4 << 20
 
 

@@ -37,7 +37,7 @@ def left_out_lines(tables: Tables) -> list[str]:
 def _left_out_line(name: str, table: ScoreTable) -> str:
     reasons = {failure.reason for failure in table.failures}
     if not table.rows and len(reasons) == 1:
-        # As of a method that the protocols do not fit: empty predictions would not mend it.
+        # Such as a method that the protocols do not fit, for which `--missing empty` would not help.
         return f"{name}: left out, none of its pairs is scored: {reasons.pop()}"
     return (
         f"{name}: left out, some of its pairs are not scored ({len(table.failures)} failed): complete it, or "
@@ -140,7 +140,7 @@ def check_same(tables: Tables, protocol: str) -> None:
             problem = f"other pairs than {first}; score both against one benchmark"
         elif differs := next((pair for pair, of in pairs.items() if of != truth[pair]), None):
             problem = f"states other truth of {differs} than {first}; score both again"
-        elif set(table.all_unknown_pairs.get(protocol, ())) != left_out:  # only the truth decides
+        elif set(table.all_unknown_pairs.get(protocol, ())) != left_out:  # this depends only on the truth
             problem = f"leaves out other pairs than {first}; score both again"
         if problem:
             raise SettingsError(f"{name}: {problem}", what="other-scores")

@@ -27,7 +27,7 @@ from kinectbench.scoring.uncertainty import (
 
 ALPHA = 0.05
 ALL = "all"
-# Most folders in an error message.
+# Maximum number of folders named in an error message.
 MOST_NAMED = 6
 GROUPS_NOTE = (
     "group: methods that share a letter cannot be distinguished; of methods that share none a difference is "

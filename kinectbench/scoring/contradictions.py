@@ -32,15 +32,16 @@ from kinectbench.scoring.thresholds import (
     VALIDATION_SOURCE,
 )
 
-# Keys that a table has from the version on that accounts for thresholds and missing predictions; from then on
-# each row has its IoU at every threshold, too.
+# Keys that every table has since the version (ACCOUNTED) that states thresholds and missing predictions.
+# Since that version, each row also has its IoU at every threshold.
 ACCOUNTS = (
     *("complete", "benchmark_sha256", "thresholds", "threshold_source", "threshold_source_by_category"),
     *("threshold_objects", "validation", "missing_as_empty", "base_rate", "failures", "hashes"),
 )
-# From this version of `score` on, a category without validation pairs has a pooled or its own threshold.
+# Since this version of `score`, a category without validation pairs gets a pooled threshold or the method's
+# own.
 POOLED_FROM = 5
-MOST_CE = -math.log(CE_CLIP)  # nats a voxel, for a prediction that is wrong everywhere
+MOST_CE = -math.log(CE_CLIP)  # nats per voxel, of a prediction that is wrong everywhere
 
 
 def contradictions(table: ScoreTable) -> Iterator[str]:
@@ -228,7 +229,7 @@ def _fit(source: str, by_category: set[str], version: int) -> bool:
 
 
 def _of_missing(table: ScoreTable) -> Iterator[str]:
-    """Report disagreements of `missing_as_empty`, settings, `hashes` and rows about pairs scored as empty."""
+    """Report that `missing_as_empty`, settings, `hashes` and rows disagree about pairs scored as empty."""
     test = {row.pair: row.cells for row in table.rows}
     empty = set(table.missing_as_empty)
     if {name for name, cells in test.items() if not cells} != empty & test.keys():

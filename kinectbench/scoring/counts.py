@@ -75,7 +75,7 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 def tallies(
     prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """Return the tally against `truth`, and {protocol: tally} for protocols with another truth."""
+    """Return a prediction's tally against `truth`, and {protocol: tally} for protocols with another truth."""
     truths = {name: truth.under(PROTOCOLS[name]) for name in protocols}
     others = {name: tally(prediction, of, upsampling) for name, of in truths.items() if of is not truth}
     return tally(prediction, truth, upsampling), others
@@ -147,8 +147,8 @@ def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PI
         return np.stack([np.packbits(plane > threshold, axis=-1) for plane in planes])
     if prediction.dtype == np.bool_:
         return np.packbits(prediction.view(np.bool_), axis=-1)
-    # The largest number of the prediction's type up to the threshold: compares like float64 without
-    # conversion.
+    # The largest value of the prediction's dtype that is not above the threshold. Comparing with it gives the
+    # same result as a comparison in float64, without conversion.
     cut = prediction.dtype.type(threshold)
     if float(cut) > threshold:
         cut = np.nextafter(cut, prediction.dtype.type(0))

@@ -224,7 +224,7 @@ def _dataset_class() -> type[Dataset]:
     except ImportError:
         return Dataset
 
-    def reduce(self: Dataset) -> tuple[object, ...]:  # workers make the class again, too
+    def reduce(self: Dataset) -> tuple[object, ...]:  # so that worker processes make the class again
         return _dataset, (self.release, self.targets, self.keys, self.transform, self.packed)
 
     return type("TorchDataset", (Dataset, TorchDataset), {"__reduce__": reduce})

@@ -22,7 +22,7 @@ SUPPORTED: Mapping[str, tuple[Any, ...]] = {
     "T_camera_prediction": (None,),
 }
 SUFFIXES_OF = {"voxels": (".npy", ".npz"), "mesh": MESHES}
-# Most notes, keys and files that are named; most characters of a note that are shown.
+# Maximum numbers of notes, keys and files that are named, and of characters of a note that are shown.
 NAMED = 20
 LONGEST_NOTE = 200
 
@@ -83,7 +83,8 @@ def method_problems(folder: Path, method: MethodFile | None, release: Release) -
         if (folder / UnfinishedFile.FILE).is_file():
             return [f"{UnfinishedFile.FILE}: `predict` has not completed these predictions; run it again"]
         return []
-    # The public and the private half have the same inputs: predictions for one serve the other.
+    # The public and the private half have the same inputs, so predictions for one are also valid for the
+    # other.
     halves = (release.metadata.public_benchmark_sha256, release.metadata.private_benchmark_sha256)
     if method.benchmark_sha256 in (None, release.benchmark_sha256, *halves):
         return []

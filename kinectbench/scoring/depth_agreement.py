@@ -26,21 +26,21 @@ if TYPE_CHECKING:
 # cent from the median of all, and testing all errors of a view takes 0.1 s (chosen here).
 DEPTH_POINTS, SHAPE_POINTS = 300, 20_000
 SEED = 0
-# Thresholds of the distance, as shares of the diagonal of the measured points. Below the first it is small:
-# points 1 cm apart on an object of 1 m leave as much. Above the second it is reported even if no error
-# explains it (chosen here; in the test of ten objects exact shapes have 0.3 % at most).
+# Thresholds of the distance, as shares of the diagonal of the measured points. Below the first, the distance
+# is small: it is what points 1 cm apart on an object of 1 m leave. Above the second, it is reported even if
+# no error explains it (chosen here; in the test of ten objects, exact shapes have at most 0.3 %).
 SMALL, LARGE = 0.01, 0.1
-# A shape is a scene if this share of its surface is farther from the middle of the pair's cube than the
-# cube's side: an object has nothing there, a room of 5 m around an object of 1 m has most there (chosen
-# here).
+# A shape is a scene if more than this share of its surface is farther from the middle of the pair's cube than
+# the cube's side. An object has no surface there; a room of 5 m around an object of 1 m has most of its
+# surface there (chosen here).
 SCENE = 0.2
 # An error explains a distance if correcting it brings the shape nearer by the first factor; and if the part
 # of the distance beyond the gaps between the shape's points shrinks by the second factor (chosen here).
 NEARER, NEARER_BEYOND_GAPS = 1.5, 3.0
-# Errors whose distances differ by less than this factor explain it equally well: a round shape hides an axis
-# (chosen here).
+# Errors whose distances differ by less than this factor explain a distance equally well: for a round shape,
+# axes can hardly be distinguished (chosen here).
 ABOUT = 1.3
-# 10 m in 65535 steps are 6553.5 steps a metre; millimetres have 1000.
+# 10 m in 65535 steps are 6553.5 steps per metre; millimetres are 1000 per metre.
 STEPS_OF_10_M = 6.5535
 
 # Message about a prediction -> the factor that corrects it.
@@ -76,7 +76,7 @@ class Agreement:
             a mirror plane has several.
         beyond_share: share of the shape's surface that is more than a cube's side from the middle of the
             pair's cube.
-        refused: why `score` refuses the shape because it cannot be made solid; "" if it can.
+        refused: why the shape cannot be made solid, so that `score` refuses it; "" if it can.
         open_because: why a mesh is not closed, in words; "" if it is closed, or no mesh.
         content: digest of the shape; None if it is not needed.
     """
@@ -130,14 +130,14 @@ def agreement(
     diagonal = float(np.linalg.norm(np.ptp(depth_points_m, axis=0)))
 
     def distance(T: Float64) -> float:
-        """Return the distance of the transformed shape; the points move instead, so the tree is reused."""
+        """Return the distance after mapping the shape by T; the points are mapped back instead."""
         back = (seen - T[:3, 3]) @ np.linalg.inv(T[:3, :3]).T
         return float(np.median(tree.query(back)[0])) * _scale(T)
 
     gap = _gap(tree, rng)
 
     def beyond(distance_m: float, scale: float) -> float:
-        """Return a distance without the part that is due to gaps between a cloud's points, times `scale`."""
+        """Return sqrt(distance^2 - (gap scale)^2): the distance beyond what the cloud's gaps cause."""
         return float(np.sqrt(max(distance_m**2 - (gap * scale) ** 2, 0)))
 
     own = distance(np.eye(4))

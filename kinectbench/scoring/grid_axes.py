@@ -8,7 +8,8 @@ import numpy as np
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.scoring.counts import Prediction
 
-# Which axis of the pair each axis of a prediction is, and for each axis of the pair whether it is flipped.
+# (for each axis of a prediction, which axis of the pair it is; for each axis of the pair, whether it is
+# flipped).
 Axes = tuple[tuple[int, ...], tuple[bool, ...]]
 
 
@@ -21,7 +22,7 @@ def _changes(axes: Axes) -> int:
 ALL_AXES: tuple[Axes, ...] = tuple(
     sorted(product(permutations(range(3)), product((False, True), repeat=3)), key=_changes)
 )
-# At most and at least so many predictions are compared: all predictions of a method have the same axes.
+# Maximum and minimum number of predictions that are compared; all predictions of a method have the same axes.
 MOST_LOOKED_AT, LEAST_LOOKED_AT = 20, 10
 # Number of measured cells that are compared, and distances in cells of 256 to the compared cells in front of
 # each: beyond a Kinect's noise, before most other parts of an object.
@@ -32,7 +33,8 @@ MEASURED, BEFORE = 4000, (6, 9, 12, 15, 18)
 # and coarse grids of 16 and 32 cells): right axes reach .07 to 1, wrong ones at most .55 of that; shapes
 # moved by 10 or 24 of 256 cells reach .11 with the best axes.
 LEAST_BETTER, MOST_RATIO, LEAST_FIT = 0.9, 0.75, 0.12
-# Axes whose fit is at least this share of the best fit as well (symmetric objects): the simplest are named.
+# Axes that reach at least this share of the best fit count as equally good (symmetric objects); the simplest
+# of them are named.
 AS_WELL = 0.95
 
 

@@ -17,7 +17,7 @@ CODES = 8
 HALF_PATTERNS = 0x3C01  # bit patterns of the float16 values 0 to 1
 
 _BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)
-# Spreads bit i of a byte to byte i of a word: two shifts and two ors then make eight codes.
+# Spreads bit i of a byte to byte i of a word, so that two shifts and two ors make eight codes.
 _SPREAD = (_BITS.astype(np.uint64) << (np.arange(8, dtype=np.uint64) * np.uint64(8))).sum(
     axis=1, dtype=np.uint64
 )
@@ -39,7 +39,7 @@ def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Pa
     Returns:
         (0x3C01, 8), the number of voxels with each bit pattern and code (1 occupied + 2 known + 4 seen).
     """
-    # Two tables in turn: increments of the same cell would wait for each other.
+    # Use two tables in turn, because successive increments of the same cell would wait for each other.
     even = np.zeros(HALF_PATTERNS * CODES, np.uint32)
     odd = np.zeros(HALF_PATTERNS * CODES, np.uint32)
     for byte in range(len(full)):

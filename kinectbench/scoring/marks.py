@@ -9,7 +9,7 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHOD_SOURCE, POOLED_SOURCE
 
-# Most names in a mark.
+# Maximum number of names in a mark.
 LISTED = 3
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinectbench.core.types import Float64, Int32
 
-# Number of triangles processed at a time: some 30 MB with their pieces.
+# Number of triangles processed at a time; with their pieces they take some 30 MB.
 AT_ONCE = 1 << 16
 
 

@@ -56,7 +56,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
             what="open-mesh",
         )
     packed = voxelize_solid(vertices, faces, grid)
-    # A vertex less than half a cell beyond the grid cuts off no cell centre.
+    # If no vertex is more than half a cell beyond the grid, no cell centre is cut off.
     if np.abs(vertices / voxel_size_m - FULL_CELLS / 2).max() <= (FULL_CELLS + 1) / 2:
         return unpack(packed), 0.0
     if not packed.any():

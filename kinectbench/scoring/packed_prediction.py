@@ -16,16 +16,16 @@ from kinectbench.scoring.counts import CE_CLIP, STEPS, THRESHOLDS, Prediction
 
 # Arrays of these names mark a packed prediction.
 CODES, LEVELS = "codes", "levels"
-# A byte has so many values.
+# Number of values of a byte.
 MOST_LEVELS = 256
 HALF_ONE = 0x3C00
 # First number: levels between neighbouring thresholds. Second: beyond the outermost thresholds, the factor
-# from the logit of one level's bound to the next. The demo's 16 views by `recae-small` take 6.3 MB a view,
-# instead of 25.9 MB in float16; the cross-entropy changes by 0.05 %, 0.1 % at most. On six of the views, with
-# middles as levels, 4 and 1.04 took 1.4 times the space for 0.02 % at most, 3 and 1.15 three quarters of it
-# for 0.25 %.
+# between the logits of successive bounds of levels. The demo's 16 views by `recae-small` take 6.3 MB per
+# view, instead of 25.9 MB in float16; the cross-entropy changes by 0.05 %, at most by 0.1 %. On six of the
+# views, with middles as levels, (4, 1.04) took 1.4 times the space and changed it by at most 0.02 %; (3,
+# 1.15) took three quarters of the space and changed it by 0.25 %.
 PARTS, GROWTH = 2, 1.08
-# Weight of a value that does not occur: a level of only such values then lies among them, too.
+# Weight of a value that does not occur, so that a level of only such values also lies among them.
 UNUSED = 1e-9
 OUTERMOST_LOGIT = float(np.log(THRESHOLDS[-1] / (1 - THRESHOLDS[-1])))
 

@@ -32,10 +32,10 @@ from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import PackedTruth, read_packed_truth, read_voxel_size
 
 EMPTY_CELLS = 16
-# A pair takes some kilobytes of the journal.
+# Maximum size of a journal; a pair takes some kilobytes.
 MOST_JOURNAL_BYTES = 1 << 30
-# At least so many kept results, and at least this share, are counted again before the rest is accepted. If
-# half of the results were made up, four drawn ones would all be genuine in one case of sixteen.
+# Minimum number and minimum share of kept results that are counted again before the rest is accepted. If half
+# of the results were invented, four drawn results would all be genuine in one case of sixteen.
 LEAST_CHECKED, CHECKED_SHARE = 4, 0.01
 
 

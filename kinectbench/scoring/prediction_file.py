@@ -222,7 +222,7 @@ def _is_packed(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> bool:
 def _checked(array: NDArray[np.generic]) -> Prediction:
     """Return the array in native byte order and C order; refuse values outside [0, 1]."""
     if _is_packed(array.shape, array.dtype):
-        # Of a file in Fortran order the bits come in that order, too.
+        # If the file is in Fortran order, so are the unpacked bits.
         return np.ascontiguousarray(np.unpackbits(array.view(np.uint8), axis=-1)).view(np.bool_)
     array = _native(array)
     if array.dtype == np.float16:

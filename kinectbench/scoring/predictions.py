@@ -22,11 +22,11 @@ from kinectbench.scoring.suspicious import MOST_OUTSIDE
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
-# Mesh formats that are not supported; such a file in a prediction's place was meant as one.
+# Mesh formats that are not supported; a file with such a suffix in a prediction's place is reported.
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
 # The files that a method's folder should hold, in words.
 EXPECTED = "<recording>/<view>.npy, .npz, .ply or .obj, or in the camera frame .glb"
-# Most files of a folder of predictions that are listed; no release has as many pairs.
+# Maximum number of files in a folder of predictions; no release has as many pairs.
 MOST_FILES = 1_000_000
 
 
@@ -168,7 +168,7 @@ def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
 
 
 def missing_line(target: Target) -> str:
-    """Return the line that a target has no file, with the names of the file that are accepted."""
+    """Return the line that a target has no file, with the accepted file names."""
     return f"{target.name}: no prediction; expected {target.name}.npy, .npz, .ply or .obj"
 
 

@@ -1,7 +1,7 @@
 """The tables of the 3D-RecGAN++ paper, on its real recordings and synthetic test sets; its networks' sizes.
 
 Source: Yang, Rosa, Markham, Trigoni, Wen: Dense 3D Object Reconstruction from a Single Depth View
-(3D-RecGAN++), IEEE TPAMI. All results are at 256^3 voxels. The tables have the paper's numbers; precision and
+(3D-RecGAN++), IEEE TPAMI. All results are at 256^3 voxels. Tables are numbered as in the paper; precision and
 recall are from its Table 11.
 """
 
@@ -27,7 +27,7 @@ class PublishedScore:
     Attributes:
         method: its name in the paper.
         iou: intersection over union.
-        ce: cross-entropy, nats a voxel.
+        ce: cross-entropy, nats per voxel.
         precision: None where the paper has none.
         recall: None where the paper has none.
     """

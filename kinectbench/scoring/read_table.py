@@ -18,10 +18,11 @@ from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
 
-# Relative tolerance. Sums in another order differ by 1e-15; the smallest change that is shown is 1e-3.
+# Relative tolerance. Sums in another order differ by 1e-15; the smallest change that is displayed is 1e-3.
 TOLERANCE = 1e-9
-# Share of an interval's width by which a bootstrapped end may differ, as another version of numpy may draw
-# other samples: 10 000 resamples place an end to within 2.6 % (measured with 100 000 draws of another seed).
+# Share of an interval's width by which a bootstrapped end may differ, because another version of numpy may
+# draw other samples. With 10 000 resamples, an end is accurate to 2.6 % (measured with 100 000 draws of
+# another seed).
 OF_BOOTSTRAP = 0.05
 NOTHING: tuple[object, ...] = (None, [], (), {})
 # Keys that are compared. Notes and marks, which other versions may word differently, are only computed again.
@@ -113,7 +114,7 @@ def differing(stated: object, computed: object, key: str, whole: bool = False) -
 def _bootstrapped(
     stated: Mapping[str, Sequence[float] | None], computed: Mapping[str, Sequence[float] | None], key: str
 ) -> Iterator[str]:
-    """Report bootstrap intervals, which are random, that differ by more than a small part of their width."""
+    """Report intervals that differ by more than 5 % of their width, as the bootstrap is random."""
     for name, ends in stated.items():
         of = computed.get(name)
         near = of is not None and ends is not None and OF_BOOTSTRAP * (of[1] - of[0]) + TOLERANCE

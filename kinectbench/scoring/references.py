@@ -11,10 +11,11 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.truth import read_parts
 from kinectbench.scoring.workers import run_tasks
 
-# The splits that base rates are taken from, in this order: truth for training first; the test split's truth
-# makes the base rate an oracle.
+# The splits that base rates are taken from, in this order. Validation and training truth come first, because
+# the truth of the test split makes the base rate an oracle.
 SOURCES = {"validation": "validation", "train": "train", "test": "test (oracle)"}
-# Pairs that make another process worth its start: 2.5 s, against 13 ms a pair (measured).
+# Number of pairs for which another process is worthwhile: it takes 2.5 s to start, and a pair takes 13 ms
+# (measured).
 PAIRS_A_PROCESS = 200
 
 

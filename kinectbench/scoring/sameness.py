@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# Predictions that equal another one are reported from this share on: one category's mean is the same for all
-# of its views, and two views of a coarse grid may agree by chance.
+# Minimum share of equal predictions that is reported. A lower share may be valid: the mean shape of a
+# category is the same for all its views, and two coarse grids may be equal by chance.
 LEAST_EQUAL = 0.5
 
 
@@ -38,7 +38,7 @@ def content_of(*arrays: NDArray[np.generic]) -> Held:
 
 
 def same_lines(contents: Mapping[str, Held]) -> Iterator[str]:
-    """Yield a line for each value that fills predictions, and one if at least half of all equal another.
+    """Yield a line for each value of constant predictions, and one if half of all or more are duplicates.
 
     Args:
         contents: {name of a prediction: its content}.

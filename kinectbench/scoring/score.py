@@ -55,8 +55,7 @@ def score(
         release: the release that was predicted.
         predictions: one method's folder, with a file `<recording>/<view>` for each view; untrusted.
         method: the method's name.
-        protocols: names of `PROTOCOLS`; or `camera`, `aligned` or both; default: all that apply, except
-            `shell`.
+        protocols: names of `PROTOCOLS`, or camera, aligned or both; default: all that apply, except shell.
         thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
         missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid in its place.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
@@ -64,18 +63,15 @@ def score(
         jobs: number of processes, or an executor for other machines; the result does not depend on it.
         progress: called with (pairs done, pairs in all).
         resume_in: a folder where counts are kept until all pairs are counted; None keeps nothing.
-        close: one of `CLOSINGS`: how open meshes and points in the camera frame are made solid; None if they
-            are not.
+        close: one of `CLOSINGS`, to make open meshes and points in the camera frame solid; None: not at all.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
-        ReleaseError: there is no test pair, an object is in two splits, a pair file is missing or changed, or
-            truth is held back.
-        SettingsError: an option is unknown, unusable or does not fit the pairs or method.json; or the table
-            would have too many rows.
+        ReleaseError: no test pair, an object in two splits, a pair file missing or changed, truth held back.
+        SettingsError: an option is unknown, unusable or does not fit the pairs or method.json; too many rows.
     """
     here = jobs if isinstance(jobs, int) else 1
     check_declared(Request(protocols, thresholds_file, None, missing, upsampling, close, jobs), predictions)
@@ -171,11 +167,9 @@ def score_methods(
         predictions: one method's folder, whose subfolders are recordings, or a folder of methods.
         out: folder for the results.
         method: name of a single method; default: its folder's name.
-        protocols: see `score`. For methods that they do not fit, tables without scores are returned, after
-            the others.
+        protocols: see `score`; tables of methods that they do not fit are returned last, without scores.
         thresholds_file: a threshold file (`read_thresholds`).
-        save_thresholds: a file to write the thresholds to; at least one must be chosen on the validation
-            split.
+        save_thresholds: a file for the thresholds; at least one must be chosen on the validation split.
         missing: "error" or "empty".
         upsampling: "half-pixel" or "corner-aligned".
         surface: see `score`.
@@ -185,8 +179,7 @@ def score_methods(
 
     Raises:
         SettingsError: an option contradicts another option, a method.json, or the number of methods.
-        PredictionError, ReleaseError: as in `score`; or there is a single method, and none of its predictions
-            can be scored.
+        PredictionError, ReleaseError: as in `score`, or no prediction of a single method can be scored.
     """
     request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)

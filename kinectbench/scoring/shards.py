@@ -63,7 +63,7 @@ def decode_sample(
 
 
 def _parts(sample: Mapping[str, bytes], row: Mapping[str, object], keys: Sequence[str]) -> Arrays:
-    """Return the arrays that the keys need, those of the truth only if the sample has it; `row` is JSON."""
+    """Return the arrays that the keys need (those of the truth if the sample has it); `row` is its JSON."""
     given = pair_keys(sample[NPZ]) if NPZ in sample else [name.removesuffix(NPY) for name in sample]
     names = [n for n in wanted_parts(keys, hidden="full" not in given) if n in given or n not in OPTIONAL]
     if NPZ in sample:

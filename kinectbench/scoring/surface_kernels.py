@@ -16,7 +16,8 @@ from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Packed
 
 _SIDE = 32  # blocks along an axis; a packed byte is one column of a block
-# Number of cells matched at a time, at some 50 bytes each: a shape has fewer, noise takes 32 such parts.
+# Number of cells matched at a time, at some 50 bytes each. A shape has fewer cells; noise takes 32 such
+# parts.
 _PART_CELLS = 1 << 18
 
 

@@ -8,8 +8,8 @@ from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import Thresholds
 
-# Share of a mesh's volume: a cube placed by the view alone may cut off as much of the true shape (pairs,
-# framing: view).
+# Largest share of a mesh's volume outside the cube that is plausible: a cube that is placed by the view alone
+# may cut off as much of the true shape (setting `framing: view` of pairs).
 MOST_OUTSIDE = 0.05
 # A smaller share of a mesh outside the grid is not reported.
 LEAST_OUTSIDE = 0.001

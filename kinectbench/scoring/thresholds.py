@@ -14,16 +14,16 @@ from kinectbench.release.release import Target
 from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, ious, protocol_counts
 
 FIXED = 0.5
-# Sources of a threshold; for a file its SHA-256 follows. "pooled": searched on the validation pairs of all
-# other categories together.
+# Sources of a threshold; after "file:" follows the file's SHA-256. "pooled": searched on the validation pairs
+# of all other categories together.
 VALIDATION_SOURCE = "validation"
 POOLED_SOURCE = "pooled"
 METHOD_SOURCE = "method"
 FIXED_SOURCE = "fixed"
 FROM_FILE = "file:"
 STEPS_IN_WORDS = "0.1, 0.15, ... 0.9"
-# Sources for which validation pairs were counted; and all sources but files: the first that occurs is the
-# table's.
+# Sources for which validation pairs were counted; and all sources except files, in order: the first that
+# occurs is that of the whole table.
 SEARCHED = (VALIDATION_SOURCE, POOLED_SOURCE)
 SOURCES = (*SEARCHED, METHOD_SOURCE, FIXED_SOURCE)
 

@@ -13,9 +13,9 @@ MIN_OBJECTS = 3
 RESAMPLES = 10_000
 SEED = 0
 RESAMPLES_AT_ONCE = 1000
-# Number of values drawn together: 32 MB; more would not be faster.
+# Number of values drawn at a time: 32 MB; more would not be faster.
 DRAWN_AT_ONCE = 1 << 22
-# Most objects that are resampled; 2000 with twelve metrics take 1.5 s (measured).
+# Maximum number of objects that are resampled; 2000 with twelve metrics take 1.5 s (measured).
 MOST_RESAMPLED = 2000
 
 
@@ -104,9 +104,9 @@ def _add_resampled(
 
 MAX_EXACT = 30
 SAMPLES, LEAST_SAMPLES = 1_000_000, 10_000
-# Most signs drawn in all, in 1.5 s: a million assignments for 500 objects (measured).
+# Maximum number of signs drawn in all: a million assignments for 500 objects, which take 1.5 s (measured).
 MOST_SIGNS = 500_000_000
-# Drawn at a time: 128 MB.
+# Maximum numbers of assignments and of signs drawn at a time: 128 MB.
 ROWS_AT_ONCE, SIGNS_AT_ONCE = 8_000, 16_000_000
 # Sums that differ by less, relative to the sum of absolute differences, are equal.
 EQUAL = 1e-12
@@ -187,7 +187,7 @@ def smallest_p(count: int) -> float:
 
 
 def holm(p_values: list[float]) -> list[float]:
-    """Return p-values corrected for the number of tests (Holm, Scand. J. Statist. 6, 1979), in order."""
+    """Return p-values corrected by Holm's method (Scand. J. Statist. 6, 1979), in the same order."""
     rising = np.argsort(p_values, kind="stable")
     corrected = np.minimum(1.0, np.arange(len(p_values), 0, -1) * np.array(p_values)[rising])
     adjusted = np.empty(len(p_values))

@@ -8,8 +8,8 @@ from kinectbench.core import KinectBenchError
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.engine.processes import KILLED, submit_all, worker_pool
 
-# Tasks that make another process worth its start: it costs 2 s of CPU, a pair with all baselines 2.4 s. Two
-# pairs took 10.4 CPU s in two processes, 6.0 in one, and no less time.
+# Number of tasks for which another process is worthwhile. Its start takes 2 s of CPU, a pair with all
+# baselines 2.4 s. Two pairs took 10.4 s of CPU in two processes and 6.0 s in one, in the same time.
 TASKS_A_PROCESS = 2
 
 Task = TypeVar("Task")
