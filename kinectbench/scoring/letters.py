@@ -18,7 +18,7 @@ MOST_GROUPS = 2 * len(ascii_lowercase)
 
 
 def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str, str]:
-    """Return the letters of each method; the best method always has an `a`.
+    """Return the letters of each method; the best method has an `a`.
 
     Args:
         names: the methods, the best first, without repetition.

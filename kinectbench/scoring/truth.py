@@ -40,7 +40,7 @@ class PackedTruth:
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
 
     def under(self, protocol: Protocol) -> "PackedTruth":
-        """Return the truth that a protocol compares with, with its true shape and its known cells."""
+        """Return the truth that a protocol compares with: its own true shape and its own known cells."""
         of = self.distrusting(protocol.distrusts)
         return of if protocol.truth == SOLID else replace(of, full=of.others[protocol.truth])
 

@@ -101,7 +101,7 @@ class Way:
         return worse(by_area, by_sample) if self.is_mesh else by_area
 
     def near(self, tolerance_m: float) -> float:
-        """Return the share of the area that is within a tolerance of the other surface (by `mean`)."""
+        """Return the share of the area within a tolerance of the other surface, averaged as in `mean`."""
         return self.mean((self.distances_m <= tolerance_m).astype(np.float64))
 
 

@@ -96,7 +96,7 @@ def score_in_camera(
 
 
 def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) -> None:
-    """Refuse a table with too many rows, before it is computed for hours.
+    """Refuse a table that would have too many rows, before computing it, which may take hours.
 
     Args:
         views: number of views to score.

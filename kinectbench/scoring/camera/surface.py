@@ -1,4 +1,4 @@
-"""A surface as samples on small flat patches, which give distances of points from it, and sample areas.
+"""A surface as samples with areas, on small flat patches, from which distances of points are measured.
 
 Rules of this project: the patches of a mesh are its triangles. The patches of occupied cells are the faces
 between occupied and free cells. The patches of signed distances are squares of one cell's size at the zero

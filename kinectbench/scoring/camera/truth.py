@@ -28,7 +28,7 @@ PARTS: tuple[ShapePart, ...] = ("whole", "visible", "occluded")
 
 @dataclass(frozen=True)
 class SpaceTruth:
-    """The truth of a view, with which predictions are compared; in its grid's frame, metres.
+    """The truth of a view, to compare predictions with; coordinates are in its grid's frame, metres.
 
     Attributes:
         full: (256, 256, 32) uint8, packed: the true solid.

@@ -52,8 +52,8 @@ class Scored:
         hypotheses: how the row combines several predictions of the view; None for the row of a single
             prediction.
         closed: the value of `--close` by which an open mesh or points were made solid; None if they were not.
-        calibration: how well several predictions, as votes for a cell being solid, are calibrated; None
-            without votes.
+        calibration: how well the votes of several predictions for solid cells are calibrated; None without
+            votes.
         open_because: why a mesh is not closed, in words; "" if it is closed, or no mesh.
     """
 

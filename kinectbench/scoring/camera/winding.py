@@ -58,7 +58,7 @@ def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, f
 
 
 def _halved(corners: Float64) -> Float64:
-    """Split triangles (n, 3, 3) until no edge exceeds `LONGEST`, or there are `MOST_HALVED` triangles.
+    """Split triangles (n, 3, 3) until no edge exceeds `LONGEST`, but into at most `MOST_HALVED` triangles.
 
     Each is split at its longest edge, which does not change any winding number.
     """
