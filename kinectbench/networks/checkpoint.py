@@ -1,6 +1,6 @@
-"""checkpoint.pt: the state of a training, in PyTorch's format. It is untrusted and may be damaged.
+"""Read checkpoint.pt, the state of a training in PyTorch's format. It is untrusted and may be damaged.
 
-Its size is limited by the network, and nothing is used before everything is checked.
+The network limits the file's size, and nothing is used before everything is checked.
 """
 
 import pickle
@@ -19,7 +19,7 @@ from kinectbench.core.artefacts.method import TrainingRow
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 from kinectbench.networks.network import Network
 
-# Exceptions for a damaged file: torch unpickles in Python, where hostile bytes may raise anything.
+# Exceptions that a damaged file may raise: torch unpickles in Python, where hostile bytes can raise anything.
 DAMAGED = (
     *DAMAGED_ZIP,
     OSError,
@@ -34,7 +34,7 @@ DAMAGED = (
 PICKLE = "data.pkl"
 # Size limits: a tensor's description takes some 300 bytes, a row of the log some 200.
 TENSOR_BYTES, ROW_BYTES, SLACK_BYTES = 2 << 10, 1 << 10, 64 << 10
-# Copies of each value: the network's, and two of Adam's.
+# Number of copies of each value: one in the network, two in Adam's state.
 COPIES = 3
 # A loss is a float32.
 MOST_LOSS = float(torch.finfo(torch.float32).max)
@@ -116,11 +116,11 @@ def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Ch
     Args:
         path: the checkpoint's file.
         network: the network that is trained; a file larger than it needs is refused.
-        steps: number of steps of the whole training; the log has at most a row for each.
+        steps: number of steps of the whole training; the log has at most one row per step.
         device: device for its tensors.
 
     Raises:
-        DAMAGED: an exception of this tuple, if the file is missing, damaged, or of another kind.
+        DAMAGED: one of the exceptions in this tuple, if the file is missing, damaged, or of another kind.
     """
     shapes = network.state_dict()
     tensors = (COPIES + 1) * len(shapes)
@@ -143,7 +143,7 @@ def read_checkpoint(path: Path, network: Network, steps: int, device: str) -> Ch
 
 
 def checked_state(checkpoint: Checkpoint, steps: int) -> StoredState:
-    """Return the progress of a training with this many steps.
+    """Check and return a checkpoint's progress; `steps` is the number of steps of the whole training.
 
     Raises:
         ValueError: no such training can have this state.
@@ -157,7 +157,7 @@ def set_values(
     """Load the checkpoint's values into a network and its optimisers.
 
     Raises:
-        ValueError, KeyError: the values are of another network, or impossible after so many steps.
+        ValueError, KeyError: the values are of another network, or impossible after `step` steps.
     """
     own = network.state_dict()
     if set(own) != set(checkpoint.network):
@@ -190,7 +190,7 @@ def _check_adam(state: object, optimiser: torch.optim.Optimizer, step: int) -> N
 
 
 def _check(values: object, like: Tensor, positive: bool = False) -> None:
-    """Refuse a value that is no finite tensor of `like`'s shape and dtype, or `positive` and below 0."""
+    """Refuse a value that is no finite tensor of `like`'s shape and dtype; if `positive`, also below 0."""
     if not isinstance(values, Tensor) or values.layout != torch.strided:
         raise ValueError("no tensor")
     if (values.shape, values.dtype) != (like.shape, like.dtype):
@@ -200,7 +200,7 @@ def _check(values: object, like: Tensor, positive: bool = False) -> None:
 
 
 def _lay_out(optimiser: torch.optim.Optimizer) -> None:
-    """Give an optimiser's state the memory layout of its parameters, as if it had been created by training.
+    """Give an optimiser's state the memory layout of its parameters, which it would have after training.
 
     Otherwise sums are rounded in another order, and the training continues differently.
     """

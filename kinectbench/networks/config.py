@@ -150,7 +150,7 @@ class MethodSettings(Settings):
     training: TrainingSettings = TrainingSettings()
 
     def of_category(self, category: str) -> "MethodSettings":
-        """Return the same settings for pairs of one category only; the name gets the category.
+        """Return these settings for pairs of one category only; the category is added to the method's name.
 
         Raises:
             SettingsError: the category's name cannot be part of a method's name.
@@ -185,7 +185,7 @@ class MethodSettings(Settings):
 
     @property
     def sha256(self) -> str:
-        """Return the hash of the values that differ from defaults; so a new setting changes no old hash."""
+        """Return the hash of the values that differ from defaults; new settings do not change old hashes."""
         return sha256_text(canonical_json(self.model_dump(mode="json", exclude_defaults=True)))
 
 
@@ -202,8 +202,8 @@ def find_config(name: str) -> MethodSettings:
     """Read a configuration by its name in the package, or by its path.
 
     Raises:
-        SettingsError: there is no such configuration, or two have this name; or one line for each error in
-            it.
+        SettingsError: there is no such configuration, or both the package and a file have this name; or the
+            configuration has errors, one line each.
     """
     path = Path(name)
     if name in packaged_configs():
@@ -222,14 +222,14 @@ def read_config(path: Path) -> MethodSettings:
     """Read and check a configuration.
 
     Raises:
-        SettingsError: the file cannot be read, or one line for each error: file and line, key, what is
-            allowed.
+        SettingsError: the file cannot be read, or has errors: one line each, with file and line, key, and
+            what is allowed.
     """
     return read_model(path, MethodSettings, "name: my-method")
 
 
 def write_config(config: MethodSettings, path: Path) -> None:
-    """Write a configuration with all defaults; `read_config` reads it back, also in older versions."""
+    """Write a configuration, defaults included, in a form that older versions of `read_config` read too."""
     values = config.model_dump(mode="json")
     if config.training.category is None:
         del values["training"]["category"]

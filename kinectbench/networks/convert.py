@@ -1,4 +1,4 @@
-"""Convert the checkpoint of 3D-RecGAN++'s authors into a method that `predict` runs, without TensorFlow."""
+"""Convert the checkpoint of 3D-RecGAN++'s authors to a method that `predict` can run, without TensorFlow."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,12 +28,13 @@ OF_THE_OPTIMISER = ("/Adam", "/Adam_1", "beta1_power", "beta2_power", "beta1_pow
 
 @dataclass(frozen=True)
 class Mapped:
-    """How a checkpoint's tensor is converted to a tensor of the network.
+    """How a tensor of the checkpoint is converted to a tensor of the network.
 
     Attributes:
         name: the tensor's name in the network.
-        axes: the order in which a convolution's axes are taken; None for other tensors.
-        rows: the axis of a fully connected layer, or of its bias, that runs over cells and channels; None for
+        axes: order in which the axes of a convolution's tensor are taken (`numpy.transpose`); None for other
+            tensors.
+        rows: the axis that runs over cells and channels, in a fully connected layer or its bias; None for
             other tensors.
     """
 
@@ -57,7 +58,7 @@ class Mapped:
 
 
 def _channels_first(values: Float32, axis: int) -> Float32:
-    """Reorder an axis that runs over 4 x 4 x 4 cells and channels, channels last, to channels first."""
+    """Reorder an axis that runs over 4 x 4 x 4 cells and channels from channels-last to channels-first."""
     first = np.moveaxis(values, axis, 0)
     cells = first.reshape(*3 * (BOTTOM_CELLS,), -1, *first.shape[1:])
     return np.moveaxis(np.moveaxis(cells, 3, 0).reshape(first.shape), 0, axis)
@@ -70,9 +71,9 @@ class Conversion:
     Attributes:
         folder: the method's folder.
         tensors: number of converted tensors.
-        generator, discriminator: number of parameter values of each network.
-        optimiser: number of the optimiser's tensors, which are not needed.
-        left_out: names and shapes of the checkpoint's remaining tensors, which the network does not have.
+        generator, discriminator: numbers of parameter values of the two networks.
+        optimiser: number of tensors of the optimiser, which are not needed.
+        left_out: names and shapes of all other tensors of the checkpoint, which the network does not have.
     """
 
     folder: Path
@@ -99,8 +100,8 @@ CHANNELS_FIRST = (4, 3, 0, 1, 2)
 def mapping() -> dict[str, Mapped]:
     """Return {name of a tensor in the checkpoint: how it is converted}.
 
-    A convolution is [x, y, z, in, out] in the checkpoint and [out, in, x, y, z] in the network; a transposed
-    one is [x, y, z, out, in] and [in, out, x, y, z].
+    The axes of a convolution are [x, y, z, in, out] in the checkpoint and [out, in, x, y, z] in the network.
+    Those of a transposed convolution are [x, y, z, out, in] and [in, out, x, y, z].
     """
     mapped: dict[str, Mapped] = {}
     parts = [(f"aeu/e{k + 1}", f"down.{k}") for k in range(len(ENCODER))]
@@ -124,12 +125,12 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
     """Convert the checkpoint of 3D-RecGAN++'s authors, and write the method's folder.
 
     Args:
-        model: a folder with `<name>.index` and `<name>.data-00000-of-00001`, or the index.
+        model: a folder with `<name>.index` and `<name>.data-00000-of-00001`, or the path of the index.
         out: the method's folder.
 
     Raises:
-        StorageError: there is no checkpoint, a file of it is missing or damaged, tensors do not fit (one line
-            each), or the disk is full or read-only.
+        StorageError: there is no checkpoint, one of its files is missing or damaged, tensors do not fit (one
+            line each), or the disk is full or read-only.
         SettingsError: `out` belongs to another training.
     """
     bundle = open_bundle(_find_index(model))
@@ -157,7 +158,7 @@ def convert_recgan(model: Path, out: Path) -> Conversion:
 
 
 def _find_index(model: Path) -> Path:
-    """Return a checkpoint's index: `model` itself if it ends in .index, else the only one in that folder."""
+    """Return a checkpoint's index: `model` itself if it ends in .index, else the only one in the folder."""
     if model.suffix == SUFFIX:
         return model
     if not model.is_dir():
@@ -172,7 +173,7 @@ def _find_index(model: Path) -> Path:
 
 
 def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSettings:
-    """Return the configuration of the network whose first layer is as wide as the checkpoint's.
+    """Return the configuration of a network whose first layer is as wide as that of the checkpoint.
 
     Raises:
         StorageError: the checkpoint is not of 3D-RecGAN++.
@@ -188,7 +189,7 @@ def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSe
 
 
 def tensor_misfits(tensors: Mapping[str, StoredTensor], wanted: Mapping[str, tuple[int, ...]]) -> list[str]:
-    """Return a line for each tensor that is missing or of another shape."""
+    """Return a line for each tensor that is missing or of another shape than `wanted`, {name: shape}."""
     lines = []
     for name, shape in wanted.items():
         if name not in tensors:

@@ -31,7 +31,7 @@ def _remainder(data: NDArray[np.uint8], table: NDArray[np.uint32]) -> np.uint32:
 
 
 def masked_crc32c(data: bytes | NDArray[np.uint8]) -> int:
-    """Return the checksum as TensorFlow stores it: rotated by 15 bits, plus a constant.
+    """Return the CRC-32C as TensorFlow stores it: rotated by 15 bits, plus a constant.
 
     Source: TensorFlow's lib/hash/crc32c.h.
     """

@@ -1,4 +1,4 @@
-"""Batches of a release's pairs, in an order that the seed determines, so that any step can be repeated."""
+"""Batches of pairs of releases. The seed determines their order, so that any step can be repeated."""
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -21,7 +21,7 @@ from kinectbench.scoring.truth import read_parts
 from kinectbench.settings.words import suggestion
 
 _Value = TypeVar("_Value", bound=np.generic)
-# One thread reads the next batch while the present one is learnt.
+# Number of threads that read the next batches while the network learns from the current one.
 READING_THREADS = 2
 
 
@@ -48,17 +48,17 @@ class PairFile(NamedTuple):
 def training_targets(
     releases: Sequence[Release], leave_out: Collection[str] = (), category: str | None = None
 ) -> tuple[tuple[Release, Target], ...]:
-    """Return the training pairs, each with its release, release after release.
+    """Return (release, training pair) for all training pairs, release after release.
 
     Args:
         releases: different releases.
-        leave_out: objects that are not trained on.
-        category: the only category that is trained on; None: all.
+        leave_out: names of objects that are not trained on.
+        category: the only category that is trained on; None for all.
 
     Raises:
-        ReleaseError: there is no release; or one has no training pairs (of the category), their truth is held
-            back, or it is given twice; or an object is for training in one release, and for validation or
-            testing in another.
+        ReleaseError: there is no release; a release has no training pairs (of the category), or their truth
+            is held back; a release is given twice; or an object is trained on in one release, and is for
+            validation or testing in another.
     """
     pairs: list[tuple[Release, Target]] = []
     if not releases:
@@ -87,13 +87,13 @@ def training_targets(
 
 
 def unknown_objects(releases: Sequence[Release], names: Iterable[str]) -> list[str]:
-    """Return the names (such as misspelt ones) that are no object of any release."""
+    """Return those names, such as misspelt ones, that are not objects of any release."""
     objects = {target.object for release in releases for target in release.targets}
     return [name for name in names if name not in objects]
 
 
 def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
-    """Refuse a release given twice, and objects trained on that a release validates or tests with."""
+    """Refuse a release that is given twice, and trained objects that a release uses to validate or test."""
     if len({release.benchmark_sha256 for release in releases}) < len(releases):
         raise ReleaseError("--data: the same release is given twice; leave one out", what="overlap")
     for release in releases:
@@ -110,7 +110,7 @@ def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
 def validation_pairs(
     releases: Sequence[Release], most: int, category: str | None = None
 ) -> tuple[PairFile, ...]:
-    """Return up to `most` validation pairs with public truth, of a category or all, evenly spread."""
+    """Return up to `most` evenly spread validation pairs with public truth, of one category or of all."""
     pairs = [
         PairFile(release.pair_path(target), target.sha256)
         for release in releases
@@ -122,9 +122,9 @@ def validation_pairs(
 
 
 def pairs_of_step(step: int, pairs: int, batch: int, seed: int) -> list[int]:
-    """Return the indices, 0 to `pairs` - 1, of the `batch` pairs of a step.
+    """Return the indices, from 0 to `pairs` - 1, of the `batch` pairs of a step.
 
-    Every epoch is shuffled; a step may span epochs.
+    The order of pairs is shuffled for every epoch. A step may span two or more epochs.
     """
     shuffled: dict[int, NDArray[np.int64]] = {}
     chosen = []
@@ -148,11 +148,11 @@ def batches(
     device: str,
     part: tuple[int, int] = (0, 1),
 ) -> Iterator[Batch]:
-    """Yield this process's part of the batch of each step, the next one read ahead.
+    """Yield this process's part of the batch of each step; the next batch is read ahead.
 
     Args:
         pairs: pairs of the training splits.
-        config: gives size of a batch, seed, axes, and whether unknown voxels are masked.
+        config: determines the size of a batch, seed, axes, and whether unknown voxels are masked.
         steps: the requested steps.
         device: device for the tensors.
         part: rank of this process, and number of processes that share each batch.
@@ -181,7 +181,10 @@ def _grids(pair: PairFile, config: MethodSettings) -> list[NDArray[np.bool_]]:
 
 
 def turned_axes(grid: NDArray[_Value], config: MethodSettings) -> NDArray[_Value]:
-    """Return a grid (n, n, n) with x and y reversed if the network has the authors' axes; its own inverse."""
+    """Return a grid (n, n, n), with x and y reversed if the network has the authors' axes.
+
+    Applied twice, it returns the original grid.
+    """
     return grid[::-1, ::-1] if config.network.axes == "recgan" else grid
 
 

@@ -24,8 +24,8 @@ EPSILON = 1e-3
 class EPN(Network):
     """3D-EPN: 52,447,201 parameters, plus 3,360 of batch normalisation.
 
-    Four convolutions down to one cell, two fully connected layers, four transposed convolutions with skip
-    connections.
+    It has four convolutions down to one cell, two fully connected layers, and four transposed convolutions
+    with skip connections.
     """
 
     def __init__(self, divisor: int = 1) -> None:
@@ -54,7 +54,7 @@ class EPN(Network):
         self._initialise()
 
     def _initialise(self) -> None:
-        """Draw weights and biases uniformly within 1 / sqrt(fan-in) of 0, scales of normalisation in [0, 1].
+        """Draw weights and biases uniformly in +-1 / sqrt(fan-in), and scales of normalisation in [0, 1].
 
         Source: the default `reset` of the Torch7 modules that the authors use.
         """
@@ -93,7 +93,7 @@ def _uniform(layer: nn.Linear | nn.Conv3d | nn.ConvTranspose3d, inputs: int) -> 
 
 
 def _normalised(norm: nn.Module, x: Tensor) -> Tensor:
-    """Apply batch normalisation; with one value per channel, use the running statistics even in training."""
+    """Apply batch normalisation; if a channel has only one value, use running statistics even in training."""
     if x.shape[0] * x.shape[2] ** 3 > 1:
         return norm(x)
     assert isinstance(norm, nn.BatchNorm3d)

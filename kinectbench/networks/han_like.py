@@ -1,10 +1,10 @@
-"""`han-like`: a global network at 32^3 and a local one on patches of 32^3, up to 256^3, after Han et al.
+"""`han-like`, after Han et al.: a global network at 32^3, and a local one that refines patches to 256^3.
 
 Source: Han et al., High-Resolution Shape Completion Using Deep Neural Networks for Global Structure and Local
-Geometry Inference, ICCV 2017, as far as its description goes: projected depth images through an LSTM beside a
-3-D fully convolutional network, then patches of 32^3 with the global structure as guidance, trained end to
-end. The paper's layer sizes are not known to us. Ours give 7.5 M parameters, the number in 3D-RecGAN++'s
-table. The loss, the choice of patches and the six directions of projection are ours, too.
+Geometry Inference, ICCV 2017. Its description covers an LSTM over projected depth images beside a 3-D fully
+convolutional network, then patches of 32^3 cells with the global structure as guidance, and end-to-end
+training. The paper's layer sizes are not known to us. Ours give 7.5 M parameters, the number in 3D-RecGAN++'s
+table. The loss, the choice of patches and the six directions of projection are our choices too.
 """
 
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ DECIDED = 0.02
 
 
 class Downward(nn.ModuleList):
-    """Convolutions 4^3 of stride 2; the forward pass returns the output of each of them."""
+    """A sequence of convolutions 4^3 of stride 2; the forward pass returns the outputs of all of them."""
 
     def __init__(self, inputs: int, channels: tuple[int, ...]) -> None:
         """Make the layers, given the input's channels and the channels after each convolution."""
@@ -36,7 +36,7 @@ class Downward(nn.ModuleList):
         super().__init__(nn.Conv3d(a, b, KERNEL, stride=2, padding=1) for a, b in layers)
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """Return the output of every level, the finest first."""
+        """Return the output of every level of x (b, c, n, n, n), the finest first."""
         levels = []
         for layer in self:
             x = functional.leaky_relu(layer(x), 0.2)
@@ -59,7 +59,7 @@ class Upward(nn.Module):
         self.last = nn.Conv3d(channels[0], 1, 3, padding=1)
 
     def forward(self, x: Tensor, levels: list[Tensor]) -> Tensor:
-        """Return logits at the resolution of `Downward`'s input, given the bottom features and all levels."""
+        """Return logits at the resolution of `Downward`'s input, given bottom features and all levels."""
         finer = [None, *reversed(levels[:-1])]
         for layer, level in zip(self.layers, finer, strict=True):
             x = functional.relu(layer(x if level is None else torch.cat([x, level], dim=1)))
@@ -67,12 +67,12 @@ class Upward(nn.Module):
 
 
 class SixSides(nn.Module):
-    """Encodes depth images of the partial view from six sides, which an LSTM reads one after another."""
+    """Encodes depth images of the partial view from six sides; an LSTM reads them one after another."""
 
     def __init__(self, channels: tuple[int, ...], divisor: int) -> None:
         """Make the layers, given the channels of the image convolutions.
 
-        The lengths of an image's vector and of the LSTM's state are divided by `divisor`.
+        `divisor` divides the lengths of an image's vector and of the LSTM's state.
         """
         super().__init__()
         vector, context = IMAGE_VECTOR // divisor, CONTEXT_VECTOR // divisor
@@ -95,7 +95,7 @@ class SixSides(nn.Module):
 
 
 class HanLike(Network):
-    """The whole network, 7.5 M parameters: `coarse` predicts at 32^3, `patch` in parts of the 256^3 grid."""
+    """The whole network, 7.5 M parameters: `coarse` predicts at 32^3, `patch` predicts parts of 256^3."""
 
     def __init__(self, divisor: int = 1) -> None:
         """Make the network; hidden channels and vectors are divided by `divisor`."""
@@ -123,9 +123,10 @@ class HanLike(Network):
         """Return logits (p, 1, 32, 32, 32) of patches.
 
         Args:
-            cells: (p, 2, 32, 32, 32) float32, coarse probability and partial view, resampled to 256^3.
+            cells: (p, 2, 32, 32, 32) float32, coarse probability and partial view, resampled to the 256^3
+                grid.
             structure: (p, c) global structure of each patch's shape.
-            corners: (p, 3) int64, index of the patch along each axis.
+            corners: (p, 3) int64, the index of each patch along each axis.
         """
         levels = self.patch_down(cells)
         place = (corners.to(cells.dtype) + 0.5) / PATCHES - 0.5
@@ -135,10 +136,10 @@ class HanLike(Network):
     def taught(
         self, partial: Tensor, truth: TruthBatch, generator: Generator
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Yield logits, targets and weights: of the coarse grid, then of some patches of each shape.
+        """Yield (logits, targets, weights) of the coarse grid, and then of some patches of each shape.
 
-        At most eight patches are drawn from those that the shape's surface passes through; if there are none,
-        from all.
+        At most eight patches are drawn from those that the shape's surface crosses or nears; if there are
+        none, from all.
         """
         logits, structure = self.coarse(partial)
         target, weight = truth.at(GLOBAL_CELLS)
@@ -155,9 +156,10 @@ class HanLike(Network):
             )
 
     def forward(self, partial: Tensor) -> Tensor:
-        """Return logits (b, 1, 256, 256, 256): refined in patches where the coarse grid is undecided.
+        """Return logits (b, 1, 256, 256, 256), given partial views (b, 1, 64, 64, 64).
 
-        Elsewhere they are those of the coarse grid, interpolated.
+        Where the coarse grid is undecided, they are refined patch by patch. Elsewhere they are the
+        interpolated logits of the coarse grid.
         """
         logits, structure = self.coarse(partial)
         probability = logits.float().sigmoid()
@@ -174,9 +176,9 @@ class HanLike(Network):
 
 
 def six_depth_images(partial: Tensor) -> Tensor:
-    """Return depth images of a grid from its six sides: (b, 6, 1, n, n), the distance to the first set cell.
+    """Return depth images of grids (b, 1, n, n, n) from their six sides: (b, 6, 1, n, n).
 
-    Distances are in [0, 1], in units of the grid's side; 1 if no cell is set.
+    A value is the distance to the first set cell, in units of the grid's side; 1 if no cell is set.
     """
     count = partial.shape[-1]
     images = []
@@ -188,13 +190,13 @@ def six_depth_images(partial: Tensor) -> Tensor:
 
 
 def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tensor:
-    """Return the input of the local network for patches: (p, 2, 32, 32, 32).
+    """Return the inputs of the local network for p patches: (p, 2, 32, 32, 32).
 
     Args:
-        probability: (1, 32, 32, 32) coarse prediction; it is resampled trilinearly, and its outermost cells
-            are repeated beyond the border.
-        partial: (1, 64, 64, 64); each cell becomes 4^3 cells.
-        corners: (p, 3) int64, index of the patch along each axis.
+        probability: (1, 32, 32, 32) coarse prediction; it is resampled trilinearly, with its outermost cells
+            repeated beyond the border.
+        partial: (1, 64, 64, 64) partial view; each cell becomes 4^3 cells.
+        corners: (p, 3) int64, the index of each patch along each axis.
     """
     # With one more cell on each side, a patch's own cells are resampled as in the whole grid.
     around = functional.pad(probability[None], [1] * 6, mode="replicate")[0]
@@ -209,8 +211,8 @@ def patch_inputs(probability: Tensor, partial: Tensor, corners: Tensor) -> Tenso
 def _cut(grid: Tensor, corners: Tensor, cells: int = PATCH_CELLS, more: int = 0) -> Tensor:
     """Return patches (p, c, n, n, n) of a grid (c, m, m, m), where n = `cells` + `more`.
 
-    `corners` (p, 3) are their indices along each axis; patches start every `cells` cells and overlap by
-    `more`.
+    `corners` (p, 3) are the patches' indices along each axis. Patches start every `cells` cells; neighbours
+    overlap by `more` cells.
     """
     n = cells + more
     places = (corners * cells).tolist()
@@ -220,8 +222,8 @@ def _cut(grid: Tensor, corners: Tensor, cells: int = PATCH_CELLS, more: int = 0)
 def _undecided(probability: Tensor) -> Tensor:
     """Return which of the 8^3 patches a coarse grid (32, 32, 32) leaves undecided: bool, (8, 8, 8).
 
-    A patch is decided if its 4 x 4 x 4 coarse cells, and those one cell around it, are all at most `DECIDED`,
-    or all at least 1 - `DECIDED`.
+    A patch is decided if its 4 x 4 x 4 coarse cells, and the coarse cells that border it, are all at most
+    `DECIDED` or all at least 1 - `DECIDED`.
     """
     cells = GLOBAL_CELLS // PATCHES
     highest = functional.max_pool3d(probability[None, None], cells + 2, cells, 1)[0, 0]
@@ -230,9 +232,9 @@ def _undecided(probability: Tensor) -> Tensor:
 
 
 def _drawn(target: Tensor, generator: Generator) -> Tensor:
-    """Draw patches that the surface of a coarse truth (32, 32, 32) passes through or near: indices (p, 3).
+    """Draw up to eight patches that the surface of a coarse truth (32, 32, 32) crosses or nears: (p, 3).
 
-    If there are none, draw from all patches.
+    The result has the patches' indices. If there are no such patches, draw from all patches.
     """
     corners = torch.nonzero(_undecided(target))
     if not len(corners):

@@ -1,4 +1,4 @@
-"""Layers that several networks share: convolutions padded as by TensorFlow's "SAME", and initial values.
+"""Layers that several networks share: convolutions padded like TensorFlow's "SAME", and initial values.
 
 Tensors have torch's layout: (batch, channels, x, y, z).
 """
@@ -13,16 +13,16 @@ KERNEL = 4
 
 
 def _same_padding(cells: int, stride: int) -> tuple[int, int]:
-    """Return the padding before and after an axis for a kernel of 4 and `ceil(cells / stride)` outputs.
+    """Return the padding (before, after) along an axis, for a kernel of 4 and `ceil(cells / stride)` outputs.
 
-    Source: TensorFlow's "SAME", which puts the odd cell behind.
+    Source: TensorFlow's "SAME", which adds an odd cell after the data.
     """
     total = max((-(-cells // stride) - 1) * stride + KERNEL - cells, 0)
     return total // 2, total - total // 2
 
 
 class SameConv(nn.Conv3d):
-    """A convolution 4^3, padded like "SAME": (b, in, x, y, z) to (b, out, x / stride, …), rounded up."""
+    """A convolution 4^3, padded like "SAME": (b, in, x, y, z) to (b, out, ceil(x / stride), …)."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
         """Make the layer: channels in and out, and the stride along each axis."""
@@ -44,7 +44,7 @@ class Doubling(nn.ConvTranspose3d):
 
 
 def xavier(network: nn.Module) -> None:
-    """Draw Glorot-uniform weights; set biases to zero except an LSTM's. Source: the 3D-RecGAN++ code."""
+    """Draw Glorot-uniform weights; zero the biases, except an LSTM's. Source: the 3D-RecGAN++ code."""
     with torch.no_grad():
         for name, values in network.named_parameters():
             if name.endswith("bias"):
@@ -57,8 +57,8 @@ def he(network: nn.Module) -> None:
     """Draw He-normal weights, which keep the variance between layers. Biases are unchanged.
 
     Source: He et al., Delving Deep into Rectifiers, ICCV 2015. In a transposed convolution, only 1 / stride^3
-    of the kernel reaches an output cell. Glorot's rule ignores that: six such layers in a row weaken the
-    signal some hundred times.
+    of the kernel reaches each output cell. Glorot's rule ignores this, so six such layers in a row weaken the
+    signal by a factor of some hundred.
     """
     with torch.no_grad():
         for layer in network.modules():

@@ -1,4 +1,4 @@
-"""Base class of networks, and the grids of a batch at the resolutions of its input and output."""
+"""The base class of networks, and a batch's grids at the resolutions of a network's input and output."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from torch.nn import functional
 def reduced_partial(partial: Tensor, cells: int) -> Tensor:
     """Reduce partial views (b, 1, 64, 64, 64) to `cells`^3: a cell is set if it overlaps a set cell.
 
-    The paper does not say how its views were reduced to 32^3 and 40^3; this is its rule for 64^3.
+    The paper does not say how it reduced its views to 32^3 and 40^3; this is its rule for 64^3.
     """
     return partial if partial.shape[-1] == cells else functional.adaptive_max_pool3d(partial, cells)
 
@@ -22,7 +22,7 @@ class TruthBatch:
 
     Attributes:
         full: (b, 1, 256, 256, 256) bool, the full shapes; after `tile`, (1, 1, n, n, n) with n below 256.
-        known: bool of the same shape, where the truth is known; None: every voxel counts.
+        known: bool of the same shape, where the truth is known; None if every voxel counts.
     """
 
     full: Tensor
@@ -31,8 +31,8 @@ class TruthBatch:
     def at(self, cells: int) -> tuple[Tensor, Tensor]:
         """Return targets and weights, each (b, 1, cells, cells, cells) float32.
 
-        A target is the occupied share of a cell's known part, 0 if nothing of it is known; its weight is the
-        known share of the cell. At the grids' own resolution these are the grids themselves.
+        A cell's target is the occupied share of its known part, or 0 if it has no known part. Its weight is
+        its known share. At the grids' own resolution, targets and weights are the grids themselves.
         """
         if self.known is None:
             return _shares(self.full, cells), self._ones(cells)
@@ -40,7 +40,7 @@ class TruthBatch:
         return _shares(self.full & self.known, cells) / weight.clamp(min=1e-6), weight
 
     def tile(self, index: int, place: tuple[int, ...], count: int) -> "TruthBatch":
-        """Return one tile (1, 1, n, n, n) of the grids of pair `index`, which are cut into `count`^3 tiles.
+        """Return one of the `count`^3 tiles into which the grids of pair `index` are cut: (1, 1, n, n, n).
 
         `place` (3,) is the tile's index along each axis, 0 to `count` - 1.
         """
@@ -60,10 +60,10 @@ def _shares(grid: Tensor, cells: int) -> Tensor:
 
 
 class Network(nn.Module):
-    """A network that completes shapes; its forward pass gives logits.
+    """A network that completes shapes; its forward pass returns logits.
 
     Attributes:
-        input_cells: number of cells along a side of its input, to which partial views are reduced.
+        input_cells: number of cells along a side of its input grid, to which partial views are reduced.
         output_cells: number of cells along a side of its output grid.
     """
 

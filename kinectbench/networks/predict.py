@@ -1,4 +1,4 @@
-"""Write a trained network's predictions for the pairs of a release, with method.json."""
+"""Predict the pairs of a release with a trained network, and write the predictions with method.json."""
 
 import ast
 import inspect
@@ -48,9 +48,9 @@ PRECISIONS: tuple[Precision, ...] = ("packed", "float16")
 # Levels of deflate. float16 at 256^3 take 26 MB; compressing them further takes longer than predicting them.
 # Packed ones take 6.7 MB at level 1, 6.1 MB at 4 and 5.8 MB at 6, in 0.15, 0.25 and 0.85 s a view.
 LEVEL, PACKED_LEVEL = 1, 4
-# Errors of one pair: the others can be predicted.
+# Errors that concern one pair only, so that the others can still be predicted.
 OF_ONE_PAIR = (PairError, PredictionError)
-# Folders of installed packages; one's own code may lie above such a one.
+# Folders of installed packages; the folder of the user's code may contain one.
 INSTALLED = {"site-packages", "dist-packages"}
 
 
@@ -69,30 +69,32 @@ def predict(
 ) -> Path:
     """Write `out/<name>/<recording>/<view>.npz` for every pair of some splits, and method.json.
 
-    A stopped run resumes and keeps complete files if everything that determines their bytes is the same
-    (`UnfinishedFile`); else existing files are removed first.
+    A stopped run resumes, and keeps its complete files, if everything that determines their bytes is the same
+    (`UnfinishedFile`). Otherwise existing predictions are removed first.
 
     Args:
         trained: the network, on its device.
         release: the release that is predicted.
         out: a folder of methods.
-        threshold: write packed bits, set above this probability; None: write probabilities.
-        precision: precision of probabilities at 256^3: "packed" or "float16"; coarser grids are float16.
-        splits: some of "validation" and "test".
+        threshold: write packed bits, which are set above this probability; None writes probabilities.
+        precision: how probabilities at 256^3 are written: "packed" (8 bits) or "float16"; coarser grids are
+            always float16.
+        splits: "validation", "test" or both.
         device: the network's device.
         progress: called with (pairs done, pairs in all).
-        say: called with a line if another run's predictions are removed, or before waiting for another run.
-        failed: called with a line for each pair that has no prediction, because it cannot be read or an
-            output of the network is no probability; None: the first such error is raised. If no pair has a
-            prediction, the first error is raised, too.
+        say: called with a line if predictions of another run are removed, or before waiting for another run
+            to end.
+        failed: called with a line for each pair that cannot be read, or for which an output of the network is
+            no probability. With None, the first such error is raised; it is also raised if no pair has a
+            prediction in the end.
 
     Returns:
         The method's folder.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read, or a file of the release has changed.
-        SettingsError: these splits have no pair, or the folder holds predictions for another release, or
-            files that `predict` did not write.
+        SettingsError: the splits have no pair, or the folder holds predictions for another release or files
+            that `predict` did not write.
         PredictionError: method.json or unfinished.json of an earlier run cannot be read, or an output of the
             network is no probability.
         StorageError: the disk is full or read-only.
@@ -117,8 +119,8 @@ def predict(
 def run_of(
     trained: Trained, release: Release, threshold: float | None, precision: Precision, device: str
 ) -> UnfinishedFile:
-    """Return all that determines the bytes of a run's prediction files; arguments as in `predict`."""
-    # Values written unchanged have no key, so that folders of earlier versions stay current.
+    """Return everything that determines the bytes of a run's prediction files; arguments as in `predict`."""
+    # There is no key for values that are written unchanged, so that folders of earlier versions stay valid.
     is_fine = threshold is None and trained.network.output_cells == FULL_CELLS
     coded = {"precision": precision} if is_fine and precision == "packed" else {}
     own = {"code_sha256": _code_sha256(trained)} if trained.config.network.kind == OWN else {}
@@ -136,10 +138,10 @@ def run_of(
 
 
 def _code_sha256(trained: Trained) -> str:
-    """Return the hash of the file with the network's class, and of its imports from the same folder.
+    """Return one hash of the file with the network's class and of the files that it imports from its folder.
 
-    That folder is the one of the class's outermost package, or of its module if it is in no package;
-    subfolders are included.
+    The folder is that of the outermost package with the class or, without a package, that of its module.
+    Subfolders, and imports of imports, are included; installed packages are not.
     """
     module = sys.modules[type(trained.network).__module__]
     root, packages = Path(inspect.getfile(module)).resolve().parent, module.__name__.count(".")
@@ -151,7 +153,7 @@ def _code_sha256(trained: Trained) -> str:
         one = left.pop()
         path = Path(getattr(one, "__file__", None) or "").resolve()
         is_own = path.is_relative_to(root) and not INSTALLED & set(path.relative_to(root).parts)
-        if path not in paths and is_own and path.is_file():  # packages need no file, torch names some in vain
+        if path not in paths and is_own and path.is_file():  # torch names files that do not exist
             paths.add(path)
             left += _imported(one, path) if path.suffix == ".py" else ()
     with storage_errors(root):
@@ -185,7 +187,7 @@ def _write_all(
     progress: Progress,
     failed: Callable[[str], None] | None,
 ) -> list[float]:
-    """Predict and write the missing files; return the seconds that the network took for each view."""
+    """Predict and write the missing files; return the seconds that the network took for each such view."""
     waiting = [target for target in targets if not kept.holds(target)]
     seconds, first = [], None
     # A file is compressed and written while the network predicts the next view.
@@ -218,13 +220,13 @@ def completed_target(
     """Complete the partial shape of a pair.
 
     Args:
-        trained: the network and its settings.
+        trained: the network and its settings; the network is on the device.
         release: the pair's release.
         target: the pair.
         device: torch's device, such as "cpu".
 
     Returns:
-        (n, n, n) float16 probabilities that a cell is occupied, and the seconds that the network took.
+        The probabilities that cells are occupied, (n, n, n) float16, and the seconds that the network took.
 
     Raises:
         PairError, ReleaseError: the pair cannot be read.
@@ -244,7 +246,7 @@ def _write(
 
 
 def _prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> bytes:
-    """Return a prediction's file content: probabilities, packed or float16, or thresholded bits at 256^3."""
+    """Return the content of a prediction's file: bits at 256^3, or packed or float16 probabilities."""
     if run.threshold is not None:
         planes = upsampled_planes(probability)
         return packed_npz_bytes({"prediction": np.stack([pack(p > run.threshold) for p in planes])})
@@ -254,9 +256,9 @@ def _prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> 
 
 
 def notes(trained: Trained, release: Release) -> list[str]:
-    """Return caveats of the scores, a line each.
+    """Return caveats about the scores, one line each.
 
-    They name test objects that the network was trained on, and test categories or a framing that it was not
+    They name test objects that the network was trained on, and test categories and a framing that it was not
     trained on.
     """
     training = trained.training
@@ -278,7 +280,7 @@ def notes(trained: Trained, release: Release) -> list[str]:
 def method_of(
     trained: Trained, release: Release, run: UnfinishedFile, seconds: Sequence[float], device: str
 ) -> MethodFile:
-    """Return method.json of a run; `seconds` are the network's times, one for each predicted view."""
+    """Return the method.json of a run; `seconds` has the network's time for each predicted view."""
     config, training = trained.config, trained.training
     return MethodFile(
         name=config.name,
@@ -299,7 +301,7 @@ def method_of(
             mode="json", exclude={"rows", "format_version", "name", "config_sha256", "objects"}
         )
         | {"notes": notes(trained, release)},
-        # Bits are already decided, whatever threshold they are compared with.
+        # Bits are the same at every threshold, so no threshold is stated.
         threshold=training.threshold if run.threshold is None else None,
         hardware=run.hardware,
         seconds_per_view=round(float(np.mean(seconds)), 4) if seconds else None,

@@ -1,8 +1,9 @@
-"""The folder of a network's predictions: all files in it are from one run of `predict`.
+"""The folder of a network's predictions. All prediction files in it are from one run of `predict`.
 
-A run's fingerprint covers everything that determines the bytes of a prediction. The folder stores it with the
-digest of every file: in `.predicted.jsonl` until the run is complete, then in method.json. A run keeps only
-files of its own fingerprint that are unchanged; it removes other files before it writes.
+The fingerprint of a run covers everything that determines the bytes of a prediction. The folder stores the
+fingerprint and the digest of every file: in `.predicted.jsonl` until the run is complete, then in
+method.json. A run keeps only unchanged files with its own fingerprint, and removes other predictions before
+it writes.
 """
 
 import contextlib
@@ -40,13 +41,13 @@ WORDS = {
 
 
 class PredictionFolder:
-    """The predictions of one run; only the holder of the folder's lock makes this object.
+    """The prediction files of one run; make this object only while holding the folder's lock.
 
     Args:
         folder: the method's existing folder.
         run: the run that starts or continues.
-        targets: all targets that may be predicted; files of others are ignored.
-        wanted: the targets to predict now; the same run's files of other targets are kept.
+        targets: all targets that may be predicted; files of other targets are ignored.
+        wanted: the targets to predict now; files of other targets are kept if they are from the same run.
         say: called with a line if predictions of another run are removed.
 
     Raises:
@@ -74,7 +75,7 @@ class PredictionFolder:
             if name in {_name(target) for target in targets} and self._digest(name) == digest
         }
         is_same = done is not None and done.run_sha256 == run.sha256
-        # A file that changed since, wanted or not, is removed, and the run starts from the beginning.
+        # If any file has changed, wanted or not, it is removed, and the run counts as unfinished.
         is_whole = is_same and all(map(self.holds, wanted)) and self._kept.keys() == written.keys()
         self._complete = done if is_whole else None
         if self._complete is None:
@@ -97,11 +98,11 @@ class PredictionFolder:
         self._note([name])
 
     def finish(self, method: MethodFile) -> None:
-        """Write method.json with the run's hash and the digests of its files; remove the records of the run.
+        """Write method.json with the run's hash and the digests of its files; remove the run's records.
 
         Args:
-            method: method.json of this run; without new predictions, time and memory of the earlier run are
-                kept.
+            method: method.json of this run. If this run predicted nothing, time and memory of the earlier run
+                are kept.
         """
         sealed = {"run_sha256": self._run.sha256, "files": dict(sorted(self._kept.items()))}
         cost = {}
@@ -127,7 +128,7 @@ class PredictionFolder:
                     "choose another folder by --out",
                     what="other-content",
                 )
-        # Names with a dot are the system's, or half a file of a run that was killed at its start.
+        # Hidden files are the system's, or incomplete files of a run that was killed at its start.
         ours = unfinished or (done and (done.run_sha256 or "weights_sha256" in (done.settings or {})))
         if not ours and any(not path.name.startswith(".") for path in folder.iterdir()):
             raise SettingsError(
@@ -142,7 +143,7 @@ class PredictionFolder:
                 )
 
     def _written_before(self, done: MethodFile | None) -> dict[str, str]:
-        """Return {file: digest} that this run wrote before; empty if another run wrote the folder."""
+        """Return {file: digest} for files that this run wrote earlier; {} if another run wrote the folder."""
         if done is not None:
             return dict(done.files or {}) if done.run_sha256 == self._run.sha256 else {}
         written = {}
@@ -161,7 +162,7 @@ class PredictionFolder:
         targets: Sequence[Target],
         say: Callable[[str], None] | None,
     ) -> None:
-        """Record this run and remove the files of others; safe to repeat if the process was killed within."""
+        """Record this run, and remove the files of others; safe to repeat after the process was killed."""
         listed = {name for name in (done and done.files) or {} if name.endswith(SUFFIX)}
         before = {*listed, *map(_name, targets)} - self._kept.keys()
         with storage_errors(self._folder):
@@ -176,7 +177,7 @@ class PredictionFolder:
             say(_removed_line(self._folder, len(removed), _difference(done, unfinished, self._run)))
 
     def _remove(self, name: str) -> bool:
-        """Remove a file that this run has not written; return whether it existed."""
+        """Remove the file `name` of another run; return whether there was such a file."""
         path = self._folder / name
         if path.is_dir() or not (path.is_symlink() or path.exists()):
             return False
@@ -193,7 +194,7 @@ class PredictionFolder:
         append_plain(self._folder / PREDICTED, "".join(lines))
 
     def _digest(self, name: str) -> str | None:
-        """Return the digest of an existing file; None if unreadable."""
+        """Return the digest of the file `name`; None if it is missing or cannot be read."""
         try:
             with open_plain(self._folder / name) as file:
                 return blake3_of(file)
@@ -206,9 +207,10 @@ def _name(target: Target) -> str:
 
 
 def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run: UnfinishedFile) -> str:
-    """Return, in words, the settings in which `run` differs from the earlier run that left the files; or "".
+    """Return in words how the settings of `run` differ from those of the earlier run in the folder; else "".
 
-    The earlier run is known from its unfinished.json, or else its method.json (`done`).
+    The settings of the earlier run are from its unfinished.json or, if there is none, from its method.json
+    (`done`).
     """
     if unfinished is not None:
         before = unfinished.json_value()

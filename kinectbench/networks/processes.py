@@ -1,4 +1,4 @@
-"""Train one network in several processes, started by torchrun: each takes its part of every batch."""
+"""Train one network in several processes, started by torchrun; each process takes a part of every batch."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -11,7 +11,7 @@ from kinectbench.core import SettingsError, printable
 
 
 def chosen_device(asked: str | None) -> str:
-    """Return the network's device: as requested, else the GPU, else the CPU.
+    """Return the requested device or, by default, the GPU if there is one, else the CPU.
 
     "cuda" becomes this process's GPU, "cuda:<LOCAL_RANK>".
 
@@ -38,7 +38,7 @@ def chosen_device(asked: str | None) -> str:
 
 @contextmanager
 def joined_processes(device: str) -> Iterator[tuple[int, int]]:
-    """Connect the processes of torchrun within the block; yields rank and size, (0, 1) without it."""
+    """Connect torchrun's processes within the block; yield (rank, their number), (0, 1) without torchrun."""
     rank, size = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     if size == 1:
         yield 0, 1
@@ -53,7 +53,7 @@ def joined_processes(device: str) -> Iterator[tuple[int, int]]:
 
 
 def wait_for_all(size: int) -> None:
-    """Wait until every process has arrived."""
+    """Wait until all `size` processes have called this function."""
     if size > 1:
         distributed.barrier()
 
@@ -61,7 +61,8 @@ def wait_for_all(size: int) -> None:
 def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
     """Average the gradients over all processes.
 
-    It is called after `backward`: DistributedDataParallel does not support a penalty on gradients.
+    Call it after `backward`. DistributedDataParallel is not used, because it does not support a gradient
+    penalty.
     """
     if size == 1:
         return
@@ -72,7 +73,7 @@ def average_gradients(parameters: Iterable[nn.Parameter], size: int) -> None:
 
 
 def average_buffers(network: nn.Module, size: int) -> None:
-    """Average the buffers of a network, such as those of batch normalisation, over processes."""
+    """Average a network's floating-point buffers, such as batch normalisation's, over processes."""
     if size == 1:
         return
     for values in network.buffers():
@@ -91,7 +92,7 @@ def mean_of_all(values: dict[str, float], size: int, device: str) -> dict[str, f
 
 
 def agreed(value: bool, size: int, device: str) -> bool:
-    """Return the first process's value in every process."""
+    """Return the value of the first process, in every process."""
     if size == 1:
         return value
     tensor: Tensor = torch.tensor(int(value), device=device)

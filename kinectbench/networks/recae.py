@@ -1,4 +1,4 @@
-"""3D-RecAE: the generator of 3D-RecGAN++ alone, from a partial view at 64^3 to occupancy at 256^3.
+"""3D-RecAE: the generator of 3D-RecGAN++ alone. It maps a partial view at 64^3 to occupancy at 256^3.
 
 Source: Yang et al., Dense 3D Object Reconstruction from a Single Depth View, TPAMI 2018; layers as in the
 authors' code, Yang7879/3D-RecGAN-extended, `aeu` in main_3D-RecGAN++.py (MIT), reimplemented.
@@ -27,17 +27,17 @@ FIRST_LOGIT = -2.5
 class RecAE(Network):
     """3D-RecAE, 164,282,729 parameters.
 
-    Four convolutions, two fully connected layers, six transposed convolutions. Each of the first five
-    transposed convolutions also takes the encoder's output of the same resolution (the fifth takes the
-    partial view itself).
+    It has four convolutions, two fully connected layers and six transposed convolutions. Each of the first
+    four transposed convolutions also takes the encoder's output of its input resolution; the fifth takes the
+    partial view itself.
     """
 
     def __init__(self, divisor: int = 1, output_cells: int = 256) -> None:
         """Make the network.
 
         Args:
-            divisor: hidden channels are divided by it; the decoder keeps at least 4.
-            output_cells: 64, 128 or 256 cells a side; with fewer, the last transposed convolutions are left
+            divisor: hidden channels are divided by it; each convolution keeps at least 4.
+            output_cells: 64, 128 or 256 cells a side; below 256, the last transposed convolutions are left
                 out.
         """
         super().__init__(input_cells=64, output_cells=output_cells)
@@ -58,7 +58,7 @@ class RecAE(Network):
         xavier(self)
 
     def start_by_he(self) -> None:
-        """Initialise weights after He, and the output's bias to the logit of 0.074, a usual occupancy."""
+        """Initialise weights by `he`, and the output's bias by the logit of 0.074, a usual occupied share."""
         he(nn.ModuleList([self.down, self.to_vector, self.from_vector, self.up]))
         last = self.up[-1]
         assert isinstance(last, Doubling) and last.bias is not None
@@ -77,17 +77,17 @@ class RecAE(Network):
     def taught_tiles(
         self, partial: Tensor, truth: TruthBatch, generator: Generator, cells: int
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Yield once logits, targets and weights (b, 1, cells, cells, cells): a random tile of each shape.
+        """Yield, once, the logits, targets and weights of a random tile of each shape.
 
-        Layers beyond 64^3 compute only the tile.
+        All are (b, 1, cells, cells, cells). Layers beyond 64^3 compute only the tile.
 
-        All tiles are equally likely, so without a mask the expected loss is that of the whole grid. A step of
-        `recae-small` takes 0.29 s of CPU a pair with tiles of 128^3, and 1.36 s without tiles.
+        All tiles are equally likely, so the expected loss is that of the whole grid if no voxels are masked.
+        A step of `recae-small` takes 0.29 s of CPU per pair with tiles of 128^3, and 1.36 s without tiles.
 
         Args:
             partial: (b, 1, 64, 64, 64) float32.
             truth: the truth of the same pairs.
-            generator: draws the tiles.
+            generator: source of the random numbers that choose the tiles.
             cells: number of cells along a side of a tile.
         """
         base = torch.cat([functional.relu(self._until_64(partial)), partial], dim=1)
@@ -113,18 +113,18 @@ class RecAE(Network):
 
     @property
     def _finer(self) -> list[nn.Module]:
-        """Return the layers beyond 64^3; the first also takes the partial view."""
+        """Return the layers beyond 64^3; the first of them also takes the partial view."""
         return list(self.up)[UNTIL_64:]
 
 
 def _tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], cells: int) -> Tensor:
-    """Return a tile of the output of doubling layers with ReLU between them, without computing the rest.
+    """Return one tile of the output of doubling layers with ReLU between them, without computing the rest.
 
-    An output cell of a layer depends on the input cell that it lies in and on that cell's neighbours. So one
-    more cell around the tile is enough at every layer.
+    An output cell of a layer depends on the input cell that contains it, and on the neighbours of this input
+    cell. So at every layer, a margin of one cell around the tile is enough.
 
     `layers` are transposed convolutions 4^3 of stride 2; `base` (1, c, n, n, n) is the input of the first.
-    The tile (1, 1, cells, cells, cells) is at index `place` along each axis.
+    The tile (1, 1, cells, cells, cells) has the indices `place` (3,) along the axes.
     """
     lows = [index * cells >> len(layers) for index in place]
     width, side, margin = cells >> len(layers), base.shape[-1], 1
@@ -144,7 +144,7 @@ def _tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], 
 def _cut(x: Tensor, begins: Sequence[int], lows: Sequence[int], highs: Sequence[int]) -> Tensor:
     """Return the cells from `lows` to before `highs` along each axis of x (1, c, …).
 
-    All indices are in the whole grid, of which x is the part that starts at `begins`.
+    All indices refer to the whole grid; x is the part of it that starts at `begins`.
     """
     box = (slice(low - first, high - first) for first, low, high in zip(begins, lows, highs, strict=True))
     return x[(slice(None), slice(None), *box)]

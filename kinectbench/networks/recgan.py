@@ -1,4 +1,4 @@
-"""3D-RecGAN++: the generator of `recae.py`, taught by a conditional discriminator with a gradient penalty.
+"""3D-RecGAN++: the generator of `recae.py`, trained with a conditional discriminator and gradient penalty.
 
 Source: Yang et al., TPAMI 2018, section 3; layers and losses as in the authors' code,
 Yang7879/3D-RecGAN-extended, `dis` and `build_graph` in main_3D-RecGAN++.py (MIT), reimplemented. Where paper
@@ -19,8 +19,8 @@ CHANNELS = (8, 16, 32, 64, 128, 256)
 class Discriminator(nn.Module):
     """The discriminator, 2,794,488 parameters: six convolutions of stride 2 and a sigmoid.
 
-    The partial view (64^3) is reshaped, not resampled, to layers of n x n cells and placed before the shape
-    along z: at 256^3 the grid is 256 x 256 x 260.
+    The partial view (64^3) is reshaped, not resampled, to layers of n x n cells, and these are placed before
+    the shape along z. So for shapes at 256^3, the discriminator's input is 256 x 256 x 260.
     """
 
     def __init__(self, divisor: int = 1) -> None:
@@ -48,7 +48,7 @@ class RecGAN(RecAE):
     """The generator and its discriminator: 167,077,217 parameters in all, the paper's 167.1 M."""
 
     def __init__(self, divisor: int = 1, output_cells: int = 256) -> None:
-        """Make both networks; `divisor` narrows the discriminator, too. Arguments as in `RecAE`."""
+        """Make both networks; arguments as in `RecAE`, but `divisor` also narrows the discriminator."""
         super().__init__(divisor, output_cells)
         self.discriminator = Discriminator(divisor)
 
@@ -73,7 +73,7 @@ def discriminator_loss(
         fake: (b, 1, n, n, n) predicted probabilities, without gradients.
         real: (b, 1, n, n, n) the truth.
         settings: choices where the paper and its code differ.
-        generator: the source of random numbers, which mix `fake` and `real` for the gradient penalty.
+        generator: source of the random numbers that mix `fake` and `real` for the gradient penalty.
     """
     count = len(fake) if settings.epsilon == "sample" else fake.shape
     epsilon = torch.rand(count, generator=generator, device=fake.device)
@@ -83,7 +83,8 @@ def discriminator_loss(
     features = discriminator(partial, mixed)
     value = features.sum() if settings.penalty_on == "sum" else features.mean(dim=1).sum()
     (slopes,) = torch.autograd.grad(value, mixed, create_graph=True)
-    # The root has no gradient at 0, and a saturated discriminator would turn all weights into NaN.
+    # The added constant is needed because the root has no gradient at 0: if the discriminator saturates, all
+    # weights would become NaN.
     norms = (slopes.float().flatten(1).square().sum(dim=1) + 1e-12).sqrt()
     penalty = (norms - 1).square().mean()
     critic = discriminator(partial, fake).mean() - discriminator(partial, real).mean()

@@ -1,6 +1,6 @@
-"""The networks by name, imported when needed. To add one, write a file and a line in `NETWORKS`.
+"""The networks by name; they are imported when needed. To add one, write a file and a line in `NETWORKS`.
 
-A user's own network needs no change here: a configuration gives the path of its class.
+A user's own network needs no change here: its configuration states the path of its class.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ NETWORKS: Mapping[NetworkName, tuple[str, str]] = {
 
 
 def require_torch() -> None:
-    """Raise an error without torch.
+    """Raise an error if torch is not installed.
 
     Raises:
         KinectBenchError: torch is not installed; the message says how to install it.
@@ -38,15 +38,15 @@ def require_torch() -> None:
 
 
 def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") -> "Network":
-    """Make a network with its initial values, which depend only on the seed.
+    """Make a network with its initial values, which depend only on the settings and the seed.
 
     Args:
         settings: kind and size of the network.
-        seed: seed of the values.
-        device: device for the values; "meta" gives shapes without values.
+        seed: seed of the initial values.
+        device: device of the values; "meta" makes shapes without values.
 
     Raises:
-        SettingsError: the user's own class is not found, or is no network.
+        SettingsError: the user's own class is not found, or is no `Network`.
     """
     import torch
 
@@ -61,7 +61,8 @@ def make_network(settings: NetworkSettings, seed: int = 0, device: str = "cpu") 
             network.start_by_he()
     if device == "meta":
         return network
-    # With channels adjacent in memory a step on the CPU takes two thirds of the time, a view three quarters.
+    # With channels adjacent in memory, a training step on the CPU takes two thirds of the time, and a
+    # prediction three quarters.
     for values in network.parameters():
         if values.dim() == 5:
             values.data = values.data.contiguous(memory_format=torch.channels_last_3d)
@@ -78,7 +79,7 @@ def _class_of(settings: NetworkSettings) -> "Callable[..., Network]":
 
 
 def _own_class(path: str) -> "Callable[..., Network]":
-    """Return a class by its path, which is untrusted: only subclasses of `Network` are called."""
+    """Return a class by its path `package.module:Class`; it must be a subclass of `Network`."""
     from kinectbench.networks.network import Network
 
     module, _, name = path.partition(":")

@@ -25,7 +25,7 @@ from kinectbench.networks.steps import Learner, Losses
 from kinectbench.networks.weights import FILE as WEIGHTS
 from kinectbench.networks.weights import arrays_of_network, write_weights
 
-# Most differing keys that are named.
+# Maximum number of differing keys that are named.
 SHOWN = 3
 CPU_INFO = Path("/proc/cpuinfo")
 CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
@@ -33,14 +33,16 @@ CONFIG, CHECKPOINT, CURVES = "config.yaml", "checkpoint.pt", "curves.png"
 
 @dataclass
 class State:
-    """Progress of a training; with the learner's values, it determines all later steps.
+    """The progress of a training. Together with the learner's values, it determines all later steps.
 
     Attributes:
         step: number of finished steps.
         rows: rows of the log so far.
-        sums: each loss summed over the steps since the last row, and as `steps` the number of these steps.
-        best_iou: the best validation IoU so far, -1 before the first; `best_step`: its step, 0 before.
-        seconds: time of the steps so far, without validation and saving.
+        sums: {name of a loss: its sum over the steps since the last row}, and under `steps` the number of
+            these steps.
+        best_iou: the best validation IoU so far, -1 before the first; `best_step` is its step, 0 before the
+            first.
+        seconds: time that the steps took so far, without validation and saving.
     """
 
     step: int = 0
@@ -73,7 +75,7 @@ def make_folder(folder: Path) -> None:
 
 
 def _differences(before: MethodSettings, now: MethodSettings) -> str:
-    """Return the first keys whose values differ, with both values."""
+    """Return a text with the first keys whose values differ, and both values of each."""
     old, new = (dict(_flat(config.model_dump(mode="json"))) for config in (before, now))
     keys = [key for key in (old | new) if old.get(key) != new.get(key)]
     changes = [f"{key} {quoted(old.get(key))} there, {quoted(new.get(key))} here" for key in keys[:SHOWN]]
@@ -81,7 +83,7 @@ def _differences(before: MethodSettings, now: MethodSettings) -> str:
 
 
 def _flat(values: dict[str, object], before: str = "") -> Iterator[tuple[str, object]]:
-    """Yield dotted keys and their values."""
+    """Yield (dotted key, value) of nested values; `before` is the prefix of the keys."""
     for key, value in values.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{before}{key}.")
@@ -90,10 +92,11 @@ def _flat(values: dict[str, object], before: str = "") -> Iterator[tuple[str, ob
 
 
 def prepare_folder(folder: Path, config: MethodSettings) -> None:
-    """Create the folder and write the configuration, or check that the folder has the same one.
+    """Create the folder and write the configuration; if it has one already, check that it is the same.
 
     Raises:
-        SettingsError: the folder holds a training with another configuration, or one that cannot be read.
+        SettingsError: the folder holds a training with another configuration, or its configuration cannot be
+            read.
         StorageError: the disk is full or read-only.
     """
     make_folder(folder)
@@ -113,13 +116,13 @@ def prepare_folder(folder: Path, config: MethodSettings) -> None:
 
 
 def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
-    """Write checkpoint, log, curves, and the weights unless the best ones are kept and already written.
+    """Write checkpoint, log and curves; also the weights, unless the best ones are kept and already written.
 
     Args:
         folder: the training's folder.
         learner: the network and its optimisers.
         state: progress of the training.
-        facts: constant entries of training.json; a training continues only with the same releases.
+        facts: the entries of training.json that do not change; they include the hashes of the releases.
         config: the method's configuration.
     """
     latest = config.training.keep == "last" or state.best_step == 0  # validation writes the best
@@ -156,20 +159,20 @@ def benchmarks(facts: dict[str, Any]) -> list[str]:
 
 
 def check_weights_are_there(folder: Path, config: MethodSettings, state: State) -> None:
-    """Refuse to continue without the best weights, which later steps cannot recover.
+    """Refuse to continue if the best weights are missing, because later steps cannot restore them.
 
     Raises:
-        StorageError: the best weights are missing.
+        StorageError: the weights of the best step are missing.
     """
     if config.training.keep == "best" and state.best_step and not (folder / WEIGHTS).is_file():
         raise StorageError(f"{folder / WEIGHTS}: gone; remove {CHECKPOINT} beside it to train from the start")
 
 
 def restore(folder: Path, learner: Learner, facts: dict[str, Any], device: str) -> State:
-    """Restore the learner from a folder; return its progress, or a new state if there is no checkpoint.
+    """Restore the learner from a folder; return the progress, or a new `State` if there is no checkpoint.
 
     Raises:
-        SettingsError: the folder's training has another release or other settings.
+        SettingsError: the training in the folder is of another release, or has other settings.
         StorageError: the checkpoint is damaged.
     """
     path = folder / CHECKPOINT
@@ -203,7 +206,7 @@ def _damaged(path: Path) -> StorageError:
 
 
 def hardware(device: str) -> str:
-    """Return the GPU's name, or the processor's with torch's number of threads."""
+    """Return the GPU's name; for a CPU, the processor's name and torch's number of threads."""
     if device.startswith("cuda"):
         return str(torch.cuda.get_device_name(device))
     threads = torch.get_num_threads()
@@ -225,7 +228,7 @@ LOSSES = (("loss", INK), ("reconstruction", BLUE), ("discriminator", ORANGE))
 
 
 def _curves_png(name: str, rows: Sequence[TrainingRow]) -> bytes:
-    """Return a PNG of a method's losses and validation IoU by step; the same rows give the same bytes."""
+    """Plot a method's losses and validation IoU over steps, as a PNG; the same rows give the same bytes."""
     figure = new_figure(7.0, 5.0)
     above, below = figure.subplots(2, 1, sharex=True)
     steps = [row.step for row in rows]

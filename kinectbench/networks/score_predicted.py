@@ -1,4 +1,4 @@
-"""Score a trained network without files: each view is counted as soon as it is predicted."""
+"""Score a trained network without writing predictions: each view is counted as soon as it is predicted."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -32,24 +32,24 @@ def score_predicted(
     device: str = "cpu",
     progress: Progress = no_progress,
 ) -> ScoreTable:
-    """Return the table that `score` would make from `predict`'s files, without hashes; write nothing.
+    """Return the table that `score` would make from the files of `predict`, but without hashes.
 
-    A stopped run leaves nothing, so it cannot be resumed. A pair that cannot be read, or for which an output
-    of the network is no probability, is a failure of the table.
+    Nothing is written, so a stopped run cannot be resumed. A pair that cannot be read, or for which an output
+    of the network is no probability, is listed as a failure in the table.
 
     Args:
         trained: the network, on its device.
         release: the release that is predicted and scored.
-        run: result of `run_of`: how predictions would be written.
-        splits: some of "validation" and "test"; without "validation" the threshold is the network's own, or
-            0.5; without "test" the table has no averages.
+        run: how predictions would be written, as `run_of` returns it.
+        splits: "validation", "test" or both. Without "validation", the threshold is the network's own, or
+            else 0.5. Without "test", the table has no averages.
         surface: whether surface metrics are computed; they take most of the time.
         device: the network's device.
         progress: called with (pairs done, pairs in all).
 
     Raises:
         ReleaseError: a file of the release has changed, or its truth is held back.
-        PairError, PredictionError: the first pair's error, if all pairs fail.
+        PairError, PredictionError: all pairs fail; the error is that of the first pair.
     """
     method = method_of(trained, release, run, (), device)
     scorer = Scorer(
@@ -84,7 +84,7 @@ def score_predicted(
 
 
 def _with_reason(failure: Failure, errors: Mapping[str, KinectBenchError]) -> Failure:
-    """Return a failure with its pair's error instead of the line about a missing file."""
+    """Return a failure with the error of its pair, if any, in place of the line about a missing file."""
     name = f"{failure.recording}/{failure.view}"
     return failure.model_copy(update={"reason": f"{name}: {errors[name]}"}) if name in errors else failure
 
@@ -92,7 +92,7 @@ def _with_reason(failure: Failure, errors: Mapping[str, KinectBenchError]) -> Fa
 def as_written(
     trained: Trained, release: Release, run: UnfinishedFile, target: Target, device: str
 ) -> Prediction:
-    """Return a prediction as it would be read from its file; errors as in `completed_target`."""
+    """Predict a pair; return it as it would be read from its file. Errors as in `completed_target`."""
     probability, _ = completed_target(trained, release, target, device)
     return _read_again(probability, run)
 

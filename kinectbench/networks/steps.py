@@ -1,4 +1,4 @@
-"""One optimisation step, of the generator or of both networks in turn, and its reconstruction losses."""
+"""One optimisation step of a network (and its discriminator, if any), and the reconstruction losses."""
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,7 +28,7 @@ class StepError(KinectBenchError):
 
 
 class Learner:
-    """A network with its optimisers; a step's random numbers depend only on seed, step and process.
+    """A network with its optimisers. The random numbers of a step depend only on seed, step and process.
 
     Attributes:
         network: the network that is trained.
@@ -36,7 +36,7 @@ class Learner:
     """
 
     def __init__(self, network: Network, config: MethodSettings, device: str, part: tuple[int, int]) -> None:
-        """Start before the first step; `part` is rank and number of processes."""
+        """Make the optimisers, before the first step; `part` is (rank, number of processes)."""
         self.network, self._config, self._device = network, config, device
         self._rank, self._size = part
         rate = config.training.learning_rate
@@ -50,14 +50,14 @@ class Learner:
         self._rates = [optimiser.param_groups[0]["lr"] for optimiser in self.optimisers]
 
     def step(self, batch: Batch, number: int, epoch: int, share: float = 0.0) -> Losses:
-        """Learn from a batch; return the losses before the update: `loss`, and more in 3d-recgan++.
+        """Learn from a batch; return the losses, each before its update: `loss`, and more in 3d-recgan++.
 
         Args:
             batch: the part of the batch for this process.
             number: number of the step, from 0.
-            epoch: determines the learning rate if it is halved every few epochs.
-            share: finished share of the training, in [0, 1); determines the learning rate if it follows a
-                cosine.
+            epoch: the current epoch; it determines the learning rate if this is halved every few epochs.
+            share: finished share of the training, in [0, 1); it determines the learning rate if this follows
+                a cosine.
 
         Raises:
             StepError: a loss or a weight is not finite.
@@ -76,7 +76,7 @@ class Learner:
         return {"loss": loss.item()}
 
     def _rate_factor(self, epoch: int, share: float) -> float:
-        """Return the factor on all learning rates at this point of the training."""
+        """Return the factor for all learning rates at this point of the training."""
         training = self._config.training
         halved = 0.5 ** (epoch // training.halve_every_epochs) if training.halve_every_epochs else 1.0
         return halved * ((1 + math.cos(math.pi * share)) / 2 if training.schedule == "cosine" else 1.0)
@@ -89,13 +89,13 @@ class Learner:
         return self.network.taught(batch.partial, batch.truth, generator)
 
     def _adversarial(self, network: RecGAN, batch: Batch, generator: Generator) -> Losses:
-        """Update the discriminator, then the generator; both use one prediction, made before."""
+        """Update the discriminator, then the generator; both use one prediction, made before the updates."""
         settings = self._config.adversarial
         assert settings is not None
         with self._autocast():
             (logits, target, weight) = next(network.taught(batch.partial, batch.truth, generator))
-        # Unknown voxels are empty in both, and a cell that is known in part is as full as that part: nothing
-        # is learnt there.
+        # Unknown voxels are empty in both, and only the known part of a cell counts: nothing is learnt from
+        # unknown ones.
         fake, real = logits.float().sigmoid() * weight, target * weight
         with self._autocast():
             critic_loss = discriminator_loss(
@@ -143,10 +143,10 @@ TINY = 1e-8
 
 
 def reconstruction_loss(parts: Iterable[tuple[Tensor, Tensor, Tensor]], settings: LossSettings) -> Tensor:
-    """Return the sum, over the supervised outputs, of the mean loss per voxel, in nats: ().
+    """Return the mean loss per voxel, in nats, summed over the outputs in `parts`: a scalar tensor.
 
     Args:
-        parts: (logits, targets in [0, 1], weights) of each output, three tensors of one shape.
+        parts: (logits, targets in [0, 1], weights) of each output; the three tensors have the same shape.
         settings: the chosen loss.
     """
     losses = [
@@ -159,8 +159,8 @@ def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tens
     """Return the loss of each voxel, in nats: cross-entropy, or the paper's weighted loss (its equation 3).
 
     The weighted loss is -alpha y log p - (1 - alpha) (1 - y) log(1 - p), with the target y and p =
-    sigmoid(logit). If `settings.probability_floor` is not 0, as in the authors' code, smaller p are raised to
-    it, so voxels with such a p have no gradient.
+    sigmoid(logit). If `settings.probability_floor` is not 0, smaller p are raised to this floor, as in the
+    authors' code; voxels with such a p have no gradient.
     """
     if settings.kind == "cross-entropy":
         return functional.binary_cross_entropy_with_logits(logits, target, reduction="none")
@@ -173,7 +173,7 @@ def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tens
 
 
 def _mean(losses: Tensor, weight: Tensor) -> Tensor:
-    """Return the weighted mean; a sum of weights below 1 is taken as 1, so weights of 0 give 0."""
+    """Return the weighted mean; the sum of weights is taken as at least 1, so that weights of 0 give 0."""
     if weight.stride() == (0,) * weight.dim() or not weight.numel():  # an expanded scalar 1
         return losses.mean()
     return (losses * weight).sum() / weight.sum().clamp(min=1.0)

@@ -1,4 +1,4 @@
-"""Read a TensorFlow checkpoint without TensorFlow: `<name>.index`, a table, and `<name>.data-…`, raw values.
+"""Read a TensorFlow checkpoint without TensorFlow: `<name>.index` (a table) and `<name>.data-…` (raw values).
 
 Source of the formats: TensorFlow's tensor_bundle.proto and LevelDB's table_format.md. Only uncompressed index
 blocks are supported, as TensorFlow writes them, and only little-endian float32 values.
@@ -31,7 +31,7 @@ class StoredTensor:
     """Where a tensor's values are stored.
 
     Attributes:
-        kind: 1 for float32.
+        kind: TensorFlow's number of the dtype; 1 for float32.
         shape: the tensor's shape.
         shard: number of the data file.
         offset: position of the first byte in the data file.
@@ -52,8 +52,8 @@ class TensorBundle:
     """An opened checkpoint.
 
     Attributes:
-        index: path of its index.
-        tensors: {name: tensor}, in the order of the index.
+        index: path of the checkpoint's index.
+        tensors: {name of a tensor: where its values are}, in the order of the index.
         shards: number of data files.
     """
 
@@ -133,7 +133,7 @@ def _opened(index: Path, content: bytes) -> TensorBundle:
 
 
 class _Reader:
-    """Reads the blocks of an index; refuses to read more bytes in all than the file has."""
+    """Reads the blocks of an index; refuses to read more bytes in total than the file has."""
 
     def __init__(self, content: bytes) -> None:
         self._content, self._bytes_left, self._entries_left = content, len(content), MOST_ENTRIES
@@ -141,7 +141,7 @@ class _Reader:
     def entries(self, block: tuple[int, int]) -> Iterator[tuple[bytes, bytes]]:
         """Yield the keys and values of the block at (offset, size).
 
-        Stored keys are shortened by the beginning that they share with the previous key.
+        A stored key lacks the prefix that it shares with the previous key; the yielded key has it.
         """
         whole, end = self._plain(*block)
         place, key = 0, b""
@@ -161,7 +161,7 @@ class _Reader:
             place += more + length
 
     def _plain(self, offset: int, size: int) -> tuple[bytes, int]:
-        """Return a verified block, and the end of its entries."""
+        """Check the checksum of a block; return the block, and the position where its entries end."""
         from kinectbench.networks.crc32c import masked_crc32c
 
         whole = self._content[offset : offset + size + TRAILER_BYTES]
@@ -178,7 +178,7 @@ class _Reader:
 
 
 def _handle(content: bytes, place: int) -> tuple[tuple[int, int], int]:
-    """Return offset and size of a block, and the position after them."""
+    """Read (offset, size) of a block at a position of `content`; return them and the position after them."""
     offset, place = _varint(content, place)
     size, place = _varint(content, place)
     return (offset, size), place
@@ -196,7 +196,7 @@ def _varint(content: bytes, place: int) -> tuple[int, int]:
 
 
 def _fields(content: bytes) -> dict[int, list[int | bytes]]:
-    """Return the fields of a protocol buffer by number."""
+    """Return {field number: its values} of a protocol buffer."""
     fields: dict[int, list[int | bytes]] = {}
     place = 0
     while place < len(content):

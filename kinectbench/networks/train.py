@@ -1,4 +1,4 @@
-"""Train a network on the pairs of releases; a stopped training resumes deterministically."""
+"""Train a network on the pairs of releases. A stopped training resumes deterministically."""
 
 import os
 import time
@@ -41,7 +41,7 @@ from kinectbench.networks.weights import FILE as WEIGHTS
 from kinectbench.networks.weights import arrays_of_network, check_values, write_weights
 from kinectbench.release.release import Release, Target
 
-# A killed run loses at most so much; writing 2 GB takes some seconds.
+# A killed run loses at most this time; writing 2 GB takes some seconds.
 SAVE_EVERY_S = 300.0
 
 
@@ -55,10 +55,10 @@ class Training:
         validation: the validation pairs.
         folder: the training's folder.
         device: the network's device.
-        part: rank and number of processes.
+        part: (rank, number of processes).
         learner: network and optimisers.
         state: progress of the training.
-        facts: constant entries of training.json.
+        facts: the entries of training.json that do not change.
     """
 
     config: MethodSettings
@@ -77,7 +77,7 @@ class Training:
         return steps_in_all(len(self.pairs), self.config)
 
     def save(self) -> None:
-        """Save the state; one process writes for all."""
+        """Save the training in its folder; only the process of rank 0 writes."""
         if self.part[0] == 0:
             save(self.folder, self.learner, self.state, self.facts, self.config)
 
@@ -95,16 +95,16 @@ def train(
 ) -> State:
     """Train a network, or resume a training in the same folder.
 
-    On one machine, with the same number of threads, a training gives the same weights however often it is
-    stopped. Several processes, started by torchrun, share each batch.
+    On one machine and with the same number of threads, a training gives the same weights, however often it is
+    stopped and resumed. If torchrun starts several processes, they share each batch.
 
     Args:
         config: the method's configuration.
         releases: their train splits are for training, their validation splits for validation.
         folder: the training's folder.
         minutes: stop after this time; default: after all epochs.
-        device: "cpu", "cuda" or another name of torch's; default: the GPU if there is one.
-        wait: whether to wait for another run in the folder, or to stop.
+        device: a device of torch, such as "cpu" or "cuda"; default: the GPU if there is one, else the CPU.
+        wait: whether to wait if another run uses the folder; if False, an error is raised.
         progress: called with (steps done, steps in all).
         watch: called with each new row of the log.
 
@@ -112,9 +112,9 @@ def train(
         The progress of the training.
 
     Raises:
-        ReleaseError, PredictionError: a pair is missing or changed, there is none, or an output is wrong.
+        ReleaseError, PredictionError: there is no pair, one is missing or changed, or an output is wrong.
         SettingsError: the folder belongs to another training, or `config` or `device` cannot be used.
-        StorageError: the disk cannot be written, the checkpoint is damaged, or another run has the folder.
+        StorageError: the disk cannot be written, the checkpoint is damaged, or another run uses the folder.
         StepError: memory is full, a loss or a weight is not finite, or another process has stopped.
     """
     asked = config.training
@@ -130,7 +130,7 @@ def train(
         with locked(folder, wait=wait) if part[0] == 0 else nullcontext():
             if part[0] == 0:
                 prepare_folder(folder, config)
-            wait_for_all(part[1])  # until then the folder is shared
+            wait_for_all(part[1])  # rank 0 prepares the folder first
             network = make_network(config.network, config.training.seed, where)
             check_values(network)
             learner = Learner(network, config, where, part)
@@ -165,7 +165,7 @@ def _check_shared(batch: int, processes: int) -> None:
 
 @contextmanager
 def _deterministic(device: str) -> Iterator[None]:
-    """Make torch deterministic within the block; on a GPU, torch warns of operations that cannot be."""
+    """Make torch deterministic within the block; on a GPU, warn of operations that are not deterministic."""
     kept = (
         torch.are_deterministic_algorithms_enabled(),
         torch.is_deterministic_algorithms_warn_only_enabled(),
@@ -191,9 +191,10 @@ def _run(
     progress: Progress,
     watch: Callable[[TrainingRow], None] | None,
 ) -> None:
-    """Train until the steps or the time are used up, and save the progress.
+    """Train until all steps are done or the time is over, and save the progress.
 
-    It is also saved after an interrupt or an error of ours, but not after an error of a step or of an output.
+    The progress is also saved after an interrupt or a KinectBenchError; but not after a StepError or a
+    PredictionError, which leave an incomplete step or useless weights.
     """
     config, state, device = training.config, training.state, training.device
     started = saved = time.monotonic()
@@ -206,7 +207,7 @@ def _run(
     ):
         return
     try:
-        _look_if_due(training, watch)  # an earlier run may have stopped before
+        _look_if_due(training, watch)  # an earlier run may have stopped before validating
         for batch in batches(training.pairs, config, steps, device, training.part):
             with interrupts_held():  # a step is done completely or not at all
                 before = time.monotonic()
@@ -252,7 +253,7 @@ def _stepped(training: Training, batch: Batch, epoch: int) -> Losses:
 
 @contextmanager
 def _memory_errors_reported() -> Iterator[None]:
-    """Turn an out-of-memory error of the block, on a GPU or the machine, into one line."""
+    """Turn an out-of-memory error in the block, on the GPU or the CPU, into a StepError of one line."""
     try:
         yield
     except (torch.OutOfMemoryError, MemoryError) as error:
@@ -268,7 +269,7 @@ def _memory_errors_reported() -> Iterator[None]:
 
 
 def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:
-    """Validate and add a row to the log, if that is due after this step and not yet done.
+    """Validate and add a row to the log, if this is due after the current step and not yet done.
 
     In the first process, `watch` is called with the row.
     """
@@ -281,9 +282,9 @@ def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None
 
 
 def _look(training: Training) -> TrainingRow:
-    """Validate and add a row to the log; if the IoU is the best so far, keep the weights if configured.
+    """Validate and add a row to the log; with `keep` = best, write the weights if their IoU is the best.
 
-    If it is interrupted, nothing has changed, and the validation is repeated.
+    If it is interrupted, nothing has changed, and the validation is repeated when the training resumes.
     """
     config, state = training.config, training.state
     figures: dict[str, float] = {}

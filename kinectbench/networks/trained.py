@@ -1,4 +1,4 @@
-"""Read a trained network: from a training's folder, or by name from the package."""
+"""Read a trained network from the folder of a training, or from the package by its name."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,7 +31,7 @@ class Trained:
         config: the method's configuration.
         network: the network, on its device.
         weights_sha256: hash of weights.npz.
-        training: training.json, how the weights were trained.
+        training: content of training.json, which states how the weights were trained.
     """
 
     config: MethodSettings
@@ -41,7 +41,7 @@ class Trained:
 
     @property
     def running_parameters(self) -> int:
-        """Number of parameters used in a prediction; a discriminator's are not."""
+        """Number of parameters that predictions use, that is, without those of a discriminator."""
         if isinstance(self.network, RecGAN):
             return sum(values.numel() for values in self.network.generator_parameters())
         return self.network.parameter_count

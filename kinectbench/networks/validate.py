@@ -21,7 +21,7 @@ PROTOCOL = "known"
 def completed(
     network: Network, partial: NDArray[np.bool_], config: MethodSettings, device: str
 ) -> NDArray[np.float16]:
-    """Complete a partial view (64, 64, 64): probabilities (n, n, n) float16; both in the pair's axes.
+    """Complete a partial view (64, 64, 64) to probabilities (n, n, n) float16, both in the pair's axes.
 
     Raises:
         PredictionError: an output of the network is no probability.
@@ -41,14 +41,14 @@ def completed(
 def validation_iou(
     network: Network, pairs: Sequence[PairFile], config: MethodSettings, device: str
 ) -> tuple[float, float]:
-    """Return the mean IoU over known voxels, at the best of 17 probability thresholds; and that threshold.
+    """Return the mean IoU over known voxels at the best of 17 probability thresholds, and this threshold.
 
-    Pairs of which nothing is known are left out, unless all are.
+    Pairs without known truth are left out, unless all pairs are such pairs.
 
     Args:
         network: the network to validate.
         pairs: validation pairs, at least one.
-        config: gives axes and precision.
+        config: determines axes and precision.
         device: the network's device.
 
     Raises:
@@ -60,7 +60,7 @@ def validation_iou(
         (partial,) = read_parts(path, sha256, ("partial",))
         prediction = completed(network, unpack(partial), config, device)
         counted = tally(prediction, read_packed_truth(path, sha256))
-        # As in scores, a pair of which nothing is known says nothing.
+        # As in scores, a pair without known truth is left out.
         of = unknown if is_all_unknown(counted, PROTOCOL) else curves
         of.append(ious(protocol_counts(counted, PROTOCOL)))
     mean = np.mean(curves or unknown, axis=0)

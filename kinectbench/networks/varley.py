@@ -13,7 +13,7 @@ from kinectbench.networks.network import Network
 
 CELLS = 40
 CHANNELS, VECTOR = 64, 5000
-# Sides from 40 cells: 37, 34, pooled to 17, 14, pooled to 7.
+# Sides after each layer, from 40 cells: 37, 34, pooled to 17, 14, pooled to 7.
 BOTTOM_CELLS = 7
 
 
@@ -31,7 +31,7 @@ class Varley(Network):
         self._initialise()
 
     def _initialise(self) -> None:
-        """Draw He-normal weights, Glorot-normal ones in the last layer, and zero biases, as in the source."""
+        """Draw He-normal weights, but Glorot-normal ones in the last layer; zero biases; as in the source."""
         with torch.no_grad():
             for layer in (*self.convolutions, self.to_vector):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")

@@ -1,4 +1,4 @@
-"""weights.npz: a network's values by name, float32 or float16; numpy can open it."""
+"""weights.npz: a network's values by name, float16, float32, float64 or int64; numpy can open it."""
 
 import math
 import zipfile
@@ -32,7 +32,7 @@ Shapes = Mapping[str, tuple[int, ...]]
 
 
 def write_weights(arrays: Arrays, path: Path) -> None:
-    """Write arrays by name, uncompressed and in order; the same values give the same bytes."""
+    """Write arrays by name, uncompressed and in the given order; the same values give the same bytes."""
     with replaced_file(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, array in arrays.items():
             entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
@@ -57,9 +57,9 @@ def read_weights(path: Path) -> Arrays:
 
 
 def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[np.generic]]]:
-    """Yield a file's values in flat slabs: name of the array, index of the first value, values (n,).
+    """Yield the values of a file in flat parts: (name of the array, index of the first value, values (n,)).
 
-    So an array as large as the memory can be read in parts. Errors as in `read_weights`.
+    So the file is never in memory as a whole. Errors as in `read_weights`.
     """
     with _opened(path, most_bytes) as archive:
         for entry in archive.infolist():
@@ -107,7 +107,7 @@ def _refuse(path: Path, name: str, problem: str) -> None:
 
 @contextmanager
 def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
-    """Open an npz of at most this many unpacked bytes; turn errors within the block into one line."""
+    """Open an npz of at most `most_bytes` unpacked; turn errors in the block into a one-line StorageError."""
     try:
         with open_plain(path) as file, open_npz(file, most_bytes) as archive:
             yield archive
@@ -118,7 +118,7 @@ def _opened(path: Path, most_bytes: int) -> Iterator[zipfile.ZipFile]:
 
 
 def _problem(name: str, array: FileArray) -> str:
-    """Return why a network cannot have these values, in a few words; "" if it can."""
+    """Return, in a few words, why a network cannot have these values; "" if it can."""
     # A float64 may exceed float32. The comparison is also false for NaN.
     most = np.finfo(np.float32).max
     if not -most <= array.min() <= array.max() <= most:
@@ -127,17 +127,17 @@ def _problem(name: str, array: FileArray) -> str:
 
 
 def shapes_of_network(network: "Module") -> dict[str, tuple[int, ...]]:
-    """Return {name: shape} of a torch module's values, which may be on "meta"."""
+    """Return {name: shape} of a torch module's values, which may be on the device "meta"."""
     return {name: tuple(values.shape) for name, values in network.state_dict().items()}
 
 
 def arrays_of_network(network: "Module") -> Arrays:
-    """Return {name: value} of a torch module, on the CPU."""
+    """Return {name: values} of a torch module as numpy arrays."""
     return {name: values.detach().cpu().numpy() for name, values in network.state_dict().items()}
 
 
 def check_values(network: "Module") -> None:
-    """Refuse a network with a value that no file of weights can hold.
+    """Refuse a network with values that a weights file cannot hold, such as NaN or another dtype.
 
     Raises:
         SettingsError: there is such a value; the message names it and says what is wrong.
@@ -156,7 +156,7 @@ def check_values(network: "Module") -> None:
 
 
 def set_weights(network: "Module", path: Path) -> None:
-    """Load a file's values, with checked headers, into a torch module, part by part.
+    """Load the values of a file whose headers are checked (`check_fit`) into a torch module, part by part.
 
     Raises:
         StorageError: as in `read_weights`.

@@ -36,8 +36,8 @@ from kinectbench.scoring.truth import read_packed_truth
 class Scorer:
     """Scores predictions as they are made: call `update` for each pair, then `result`.
 
-    Give validation pairs first, if there are any: thresholds are chosen on them, and the first test pair
-    fixes the thresholds.
+    If there are validation pairs, call `update` for them first: the thresholds are chosen on them. The first
+    test pair fixes the thresholds.
     """
 
     def __init__(
@@ -57,19 +57,20 @@ class Scorer:
         Args:
             dataset: the dataset of the release, or the release's path.
             method: the method's name, for the result.
-            protocols: some of "paper", "known", "occluded", "measured", "known-unsaid", "shell"; default: all
-                that the pairs allow, without "shell".
-            thresholds_file: a file with the thresholds; see docs/scoring.md.
-            missing: how a pair without a prediction counts: "error": as a failure; "empty": as an empty grid.
+            protocols: a subset of "paper", "known", "occluded", "measured", "known-unsaid", "shell"; default:
+                all that the pairs allow, except "shell".
+            thresholds_file: a file with the thresholds (see docs/scoring.md); then none are chosen on
+                validation pairs.
+            missing: "error" counts a pair without a prediction as a failure, "empty" as an empty grid.
             upsampling: "half-pixel" or "corner-aligned".
-            surface: whether surface metrics are computed. They take most of the time: leave them out where a
+            surface: whether surface metrics are computed. They take most of the time, so use False if a
                 network is scored after every epoch.
             own_threshold: the method's own threshold for categories without validation pairs, one of 0.1,
-                0.15, ... 0.9; same as `threshold` in a method.json.
+                0.15, ... 0.9, like `threshold` in method.json.
 
         Raises:
-            ReleaseError: the path holds no release, it has no test pair, an object is in two splits, or the
-                truth is held back.
+            ReleaseError: the path holds no release, the release has no test pair, an object is in two splits,
+                or the truth is held back.
             SettingsError: an option has an unknown value, the pairs do not allow a protocol, or the threshold
                 file is unusable.
             PredictionError: `method` cannot be a method's name.
@@ -94,15 +95,15 @@ class Scorer:
             self._thresholds = thresholds_for(thresholds_file, test)
 
     def update(self, pair_id: str, prediction: NDArray[np.generic]) -> None:
-        """Count one prediction; a second one for the pair replaces the first.
+        """Count one prediction; a second prediction for the same pair replaces the first.
 
         Args:
             pair_id: `<recording>/<view>` of the test or validation split.
             prediction: (n, n, n) bool, float16 or float32 in [0, 1], 1 <= n <= 512.
 
         Raises:
-            PredictionError: the prediction is unacceptable, the pair is unknown, or a validation pair comes
-                after the thresholds were fixed: by the first test pair, by `result` or by a threshold file.
+            PredictionError: the prediction is invalid, the pair is unknown, or it is a validation pair and
+                the thresholds are already fixed (by the first test pair, by `result` or by a threshold file).
             ReleaseError: the truth is missing or changed.
         """
         target = self._targets.get(pair_id)
@@ -124,8 +125,8 @@ class Scorer:
     def result(self) -> ScoreTable:
         """Return the table of scores; `kinectbench score` gives the same table for the same predictions.
 
-        Unless missing pairs count as empty grids, the table has no averages while a test pair is missing, or
-        while only some validation pairs were counted.
+        With `missing="error"`, the table has no averages if a test pair is missing, or if only some of the
+        validation pairs were counted.
         """
         thresholds = self._fixed()
         empty = self._empty | self._as_empty("test", thresholds)
@@ -142,10 +143,10 @@ class Scorer:
         )
 
     def _left(self, split: str) -> list[Target]:
-        """Return the pairs of a split without a prediction.
+        """Return the pairs of a split that have no prediction yet.
 
-        The list is empty for the validation split if the thresholds are from a file or if no validation pair
-        was predicted.
+        For the validation split, the list is empty if the thresholds are from a file, or if no validation
+        pair was predicted at all.
         """
         if split == "validation" and not (
             self._searched and any(target.split == split for target in self._results)
@@ -154,7 +155,7 @@ class Scorer:
         return [t for t in self._targets.values() if t.split == split and t not in self._results]
 
     def _as_empty(self, split: str, thresholds: Thresholds | None) -> dict[Target, PairResult]:
-        """Score an empty grid for each missing pair of a split; {} unless missing pairs count as empty."""
+        """If `missing` is "empty", score an empty grid for each missing pair of a split; else return {}."""
         grids = {}
         for target in self._left(split) if self._missing == "empty" else ():
             threshold = None if thresholds is None else thresholds.of[target.category]
@@ -165,7 +166,7 @@ class Scorer:
         return grids
 
     def _fixed(self) -> Thresholds:
-        """Return the thresholds; unless fixed before, choose them on the validation pairs counted so far."""
+        """Return the thresholds; if not yet fixed, choose them on the validation pairs counted so far."""
         if self._thresholds is None:
             self._empty = self._as_empty("validation", None)
             tallies = {target: result.tally for target, result in (self._results | self._empty).items()}

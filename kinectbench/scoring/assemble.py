@@ -42,16 +42,16 @@ def make_table(
     settings: ScoreSettings,
     empty: Collection[Target] = (),
 ) -> ScoreTable:
-    """Make a method's table; if a pair failed, without averages, as a mean over the rest could be too high.
+    """Make a method's table; it has no averages if a pair failed: a mean over the rest could be too high.
 
     Args:
         release: the release that was predicted.
         method: the method's name.
-        results: result of every counted pair, also of the validation split.
+        results: result of every counted pair, including those of the validation split.
         thresholds: threshold of every category of the test split.
         rates: base rate (share of occupied voxels in the truth) of every category.
         failures: {pair: why its prediction could not be scored}.
-        settings: the settings that the scores depend on (`describe`).
+        settings: the settings that the scores depend on, as `describe` returns them.
         empty: pairs without a prediction that were counted as empty grids.
     """
     rows = rows_of(results, settings.protocols, thresholds, rates)
@@ -90,10 +90,10 @@ def make_table(
 def _validation(
     release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
 ) -> ValidationUse | None:
-    """Return how many validation pairs were predicted; None if thresholds are not chosen on them."""
+    """Return the numbers of validation pairs and of predicted ones; None if no threshold is from them."""
     if thresholds.source not in SEARCHED:
         return None
-    without = frozenset(empty)  # they may be half of ten thousands
+    without = frozenset(empty)  # a set, as there may be thousands of them
     predicted = sum(target.split == "validation" and target not in without for target in results)
     return ValidationUse(pairs=len(release.split("validation")), predicted=predicted)
 
@@ -130,7 +130,7 @@ def rows_of(
 
 
 def _row(target: Target, result: PairResult, protocol: str, threshold: float, rate: float) -> ScoreRow:
-    """Return a pair's row of the table under one protocol; threshold and base rate are its category's."""
+    """Return the row of a pair under one protocol; `threshold` and base rate `rate` are its category's."""
     tally = result.tally_under(protocol)
     counts, everything = (protocol_counts(tally, name) for name in (protocol, "paper"))
     figures, surface, base_rate_ce, curve = VoxelMetrics(), SurfaceMetrics(), None, None
@@ -159,14 +159,14 @@ def _row(target: Target, result: PairResult, protocol: str, threshold: float, ra
 
 
 def quality_of(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityFile]:
-    """Return {recording: quality of its truth in the release}."""
+    """Return {recording: quality of its truth, as the release states it}."""
     recordings = release.metadata.recordings
     names = sorted({row.recording for row in rows})
     return {name: recordings[name].quality for name in names if name in recordings}
 
 
 def describe(counting: Counting, missing: str) -> ScoreSettings:
-    """Return the settings that the scores depend on, as the table states them."""
+    """Return the settings that the scores depend on; `missing` ("error" or "empty") as in `score`."""
     way = "cell centres to cell centres" if counting.upsampling == HALF_PIXEL else "outermost centres aligned"
     return ScoreSettings(
         score_version=VERSIONS["score"],

@@ -1,4 +1,7 @@
-"""From rows to averages: pair -> object -> category -> macro; `paper` takes the plain mean of the pairs."""
+"""Average the rows of a table: pairs -> object -> category -> mean over the categories (macro).
+
+Under the protocols `paper` and `shell`, a category's mean is the plain mean over its pairs.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,16 +27,18 @@ EXTREMES = 3
 
 @dataclass(frozen=True)
 class ObjectQuality:
-    """The quality of an object's truth, as averages over its recordings.
+    """The quality of the truth of an object, averaged over its recordings.
 
     Attributes:
         category: the object's category.
-        estimated_iou: mean estimate of the IoU of truth and real shape; None if unknown for one recording.
-        estimated_iou_low: mean lower end of the estimate's interval; None like `estimated_iou`.
-        estimated_iou_high: mean upper end of that interval.
-        repeatability_iou: mean IoU of solids of odd and of even frames; None if unknown for one recording.
-        unknown_share: share of the object's true shape that is not known: mean over all its pairs; None if
-            the rows are of an older version without this share.
+        estimated_iou: mean of the estimated IoU between the truth and the real shape; None if a recording has
+            no estimate.
+        estimated_iou_low: mean lower end of the estimate's interval; None if a recording has no estimate.
+        estimated_iou_high: mean upper end of that interval; None if a recording has no estimate.
+        repeatability_iou: mean IoU between a solid made from the odd frames and one made from the even
+            frames; None if unknown for a recording.
+        unknown_share: share of the true shape that is not known, averaged over all pairs of the object; None
+            if the rows are from an older version that lacks this share.
     """
 
     category: str
@@ -50,9 +55,9 @@ class ObjectMeans:
 
     Attributes:
         names: names of the objects, sorted.
-        values: (k, m) mean over each object's pairs of every metric in `AVERAGED`; NaN where not computed.
+        values: (k, m), mean of each metric in `AVERAGED` over each object's pairs; NaN where not computed.
         weights: (k,) weight of each object in the category's mean.
-        pairs: number of pairs of these objects.
+        pairs: number of pairs of all these objects.
     """
 
     names: tuple[str, ...]
@@ -62,14 +67,16 @@ class ObjectMeans:
 
 
 def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
-    """Return {heading: {category: means of its objects}}; a heading is such as `known`, `aligned-t-visible`.
+    """Return {heading: {category: means of its objects}}.
 
-    Categories are sorted; one without a counted pair is left out. Views of one object are not independent:
-    each object counts once, however many views it has. The protocols `paper` and `shell` weigh every pair
-    equally, as the paper does.
+    A heading is a protocol, with kind of registration and part if any: `known`, `aligned-t-visible`.
+
+    Categories are sorted; a category without a counted pair is left out. Each object has weight 1, however
+    many views it has, because views of one object are not independent. Under the protocols `paper` and
+    `shell`, every pair has the same weight, as in the paper.
 
     Args:
-        rows: the rows of a table; a row without metrics is of an all-unknown pair, and is skipped.
+        rows: the rows of a table. Rows without metrics are skipped: the truth of their pair is all unknown.
     """
     groups: dict[str, dict[str, dict[str, list[ScoreRow]]]] = {}
     for row in rows:
@@ -86,14 +93,14 @@ def object_means(rows: Sequence[ScoreRow]) -> dict[str, dict[str, ObjectMeans]]:
 
 
 def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | None]) -> float | None:
-    """Return the mean of a figure that is no metric: over pairs, then objects, then categories.
+    """Return the mean of a value that is no metric: over each object's pairs, then objects, then categories.
 
     Args:
         rows: rows under one heading; rows without metrics are skipped.
-        value: returns the figure of a row.
+        value: function that returns the value of a row.
 
     Returns:
-        The mean; None if a counted row lacks the figure, or no row counts.
+        The mean; None if a counted row has no value, or if no row counts.
     """
     groups: dict[str, dict[str, list[float | None]]] = {}
     for row in rows:
@@ -105,7 +112,7 @@ def plain_mean(rows: Sequence[ScoreRow], value: Callable[[ScoreRow], float | Non
 
 
 def _means(by_object: Mapping[str, Sequence[ScoreRow]], plain: bool) -> ObjectMeans:
-    """Return the means of a category's objects; an object weighs 1 or, with `plain`, its number of pairs."""
+    """Return the means of a category's objects; an object weighs 1 or, if `plain`, its number of pairs."""
     names = tuple(sorted(by_object))
     values = [[_known_mean([getattr(row, m) for row in by_object[name]]) for m in AVERAGED] for name in names]
     counts = np.array([len(by_object[name]) for name in names], np.float64)
@@ -124,7 +131,7 @@ def category_averages(
     Args:
         means: see `object_means`.
         rates: base rate by category; a category may be missing.
-        quality: quality of each object's truth, also of objects that are left out of the means.
+        quality: {object: quality of its truth}, including objects that are left out of the means.
     """
     names: dict[str, list[str]] = {}
     for name, of in quality.items():
@@ -143,7 +150,7 @@ def category_averages(
 def _category(
     here: ObjectMeans | None, rate: BaseRate | None, quality: Sequence[ObjectQuality]
 ) -> CategoryAverages:
-    """Return a category's averages; without counted pairs, only the quality figures of its truth."""
+    """Return a category's averages; if it has no counted pair, only those of the quality of its truth."""
     of_truth: dict[str, Any] = {
         "truth_estimated_iou": _known_mean([of.estimated_iou for of in quality]),
         "truth_estimated_iou_low": _known_mean([of.estimated_iou_low for of in quality]),
@@ -168,9 +175,9 @@ def overall_averages(
     by_category: Mapping[str, Mapping[str, CategoryAverages]],
     means: Mapping[str, Mapping[str, ObjectMeans]],
 ) -> dict[str, OverallAverages]:
-    """Return {heading: macro mean over the counted categories, its intervals, sums of pairs and objects}.
+    """Return {heading: mean over the counted categories, its intervals, numbers of pairs and objects}.
 
-    Means of the truth's quality also include categories without a counted pair.
+    The means of the truth's quality also include the categories without a counted pair.
     """
     estimated = ("truth_estimated_iou", "truth_estimated_iou_low", "truth_estimated_iou_high")
     of_truth = (*estimated, "truth_repeatability_iou", "truth_unknown_share")
@@ -191,7 +198,7 @@ def overall_averages(
 
 
 def extremes(rows: Sequence[ScoreRow]) -> dict[str, Extremes]:
-    """Return {heading: pairs of the highest and of the lowest IoU}, at most three each, the extreme first."""
+    """Return {heading: up to three pairs of the highest IoU, and of the lowest; the most extreme first}."""
     by_protocol = {}
     for protocol in dict.fromkeys(row.heading for row in rows):
         rising = [
@@ -232,15 +239,15 @@ def _intervals(ends: Float64 | None) -> dict[str, list[float] | None]:
 def curves(rows: Sequence[ScoreRow], protocols: Sequence[str]) -> dict[str, dict[str, list[float]]] | None:
     """Return {protocol: {category: mean IoU at each of the thresholds k / 20, k = 2 to 18}}.
 
-    The IoU is averaged like scores (`object_means`): over the pairs of each object, then over objects;
-    `paper` and `shell` weigh every pair equally. All-unknown pairs are left out.
+    The IoU is averaged as in `object_means`: over the pairs of each object, then over objects. Under `paper`
+    and `shell`, every pair has the same weight. Pairs whose truth is all unknown are left out.
 
     Args:
         rows: the rows of a table.
         protocols: the scored protocols.
 
     Returns:
-        The curves; None if a counted row has no curve (older tables).
+        The curves; None if a counted row has no curve, as in older tables.
     """
     by_protocol: dict[str, dict[str, list[float]]] = {name: {} for name in protocols}
     groups: dict[tuple[str, str], dict[str, list[tuple[float, ...]]]] = {}

@@ -1,4 +1,4 @@
-"""A folder of predictions in the camera frame: the files of each view, and their fit to its depth."""
+"""A folder of predictions in the camera frame: find each view's files, and compare them with its depth."""
 
 import contextlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -39,7 +39,8 @@ class CameraPredictionFile:
 
     Attributes:
         target: the predicted view.
-        name: `<recording>/<view>` without suffix; hypothesis k of several is `<recording>/<view>.<k>`.
+        name: `<recording>/<view>`, without the file's suffix; of several hypotheses, number k is
+            `<recording>/<view>.<k>`.
         path: the file.
     """
 
@@ -56,9 +57,9 @@ def _names_of(target: Target, hypotheses: int) -> list[str]:
 def find_files(
     folder: Path, targets: Iterable[Target], method: MethodFile
 ) -> Iterator[tuple[Target, str, CameraPredictionFile | str | None]]:
-    """Yield the view, the name and the file of each expected prediction.
+    """Yield (view, name, file) of each expected prediction.
 
-    The third value is the reason if the file cannot be used, and None if there is no file.
+    If the file cannot be used, the reason is yielded in its place; if there is no file, None.
     """
     root = folder.resolve()
     for target in targets:
@@ -83,10 +84,10 @@ def find_files(
 
 
 def load_camera_shape(file: CameraPredictionFile, method: MethodFile) -> CameraShape:
-    """Read a prediction in its view's camera frame, metres; with scale "free" in method.json, in any unit.
+    """Read a prediction in its view's camera frame, metres; any unit if `scale` in method.json is "free".
 
     Raises:
-        PredictionError: the file is unacceptable, or not of the declared form; one line.
+        PredictionError: the file is invalid, or not of the declared form; the message is one line.
     """
     where = f"{file.name}{file.path.suffix}"
     shape = read_shape(file.path, where)
@@ -99,10 +100,10 @@ def load_camera_shape(file: CameraPredictionFile, method: MethodFile) -> CameraS
 
 
 def view_agreement(release: Release, file: CameraPredictionFile, method: MethodFile) -> Agreement | None:
-    """Compare a prediction with its view's depth; None if the depth has no point of the object.
+    """Compare a prediction with its view's depth; return None if no point of the object was measured.
 
     Raises:
-        PredictionError: the file is unacceptable.
+        PredictionError: the file is invalid.
         ReleaseError: the release has no depth images, or one is damaged.
     """
     shape = load_camera_shape(file, method)
@@ -129,7 +130,7 @@ def _shape_content(shape: CameraShape) -> Held:
 
 
 def _refused(shape: CameraShape, T_grid_camera: Float64, voxel_size_m: float) -> str:
-    """Return why a closed mesh cannot be made solid; "" if it can, or if the shape is no closed mesh."""
+    """Return why a closed mesh cannot be made solid in the grid; "" if it can, or if it is no closed mesh."""
     if (mesh := closed_mesh(shape)) is None:
         return ""
     try:
@@ -151,7 +152,8 @@ def check_camera(
         progress: called with (predictions done, predictions in all).
 
     Returns:
-        A line for each problem; and notes on how well usable predictions fit their views' depth.
+        The problems, one line each; and notes on the usable predictions, such as how well they fit their
+        views' depth.
 
     Raises:
         ReleaseError: a depth image or a pair is missing or damaged.
@@ -191,7 +193,7 @@ def check_camera(
 
 
 def _open_lines(compared: Mapping[str, Agreement]) -> list[str]:
-    """Return a line on predicted meshes that are open, and why; none if all are closed."""
+    """Return a line on how many predicted meshes are open, and why one of them is; [] if none is open."""
     why = {name: one.open_because for name, one in compared.items() if one.open_because}
     return [
         f"{len(why)} of {len(compared)} predictions are open meshes, such as {name} ({reason}): they have no "
@@ -201,9 +203,9 @@ def _open_lines(compared: Mapping[str, Agreement]) -> list[str]:
 
 
 def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], method: MethodFile) -> list[str]:
-    """Return a line if a prediction seems to be in another unit or other axes, or far off; else none.
+    """Return a line if predictions seem to have a wrong unit or wrong axes, or to be far off; else [].
 
-    Only five predictions are compared (0.1 s each): all of a method usually have the same error.
+    Only five predictions are compared (0.1 s each): a method's predictions usually all have the same error.
     """
     if method.scale == "free" or _without_depth(release):
         return []
@@ -217,10 +219,11 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
 
 
 def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
-    """Return lines on predictions in wrong units or axes or that cannot be made solid, and notes on others.
+    """Return (problems, notes) about predictions that were compared with their views' depth, one line each.
 
-    The notes are on those that seem to hold the whole scene, or that are far from their view's depth for no
-    known reason. `check` reports the lines as errors, `score` as warnings.
+    Problems are wrong units or axes, and meshes that cannot be made solid; `check` reports them as errors,
+    `score` as warnings. Notes are on predictions that seem to contain the whole scene, or that are far from
+    their view's depth for an unknown reason.
     """
     slips = dict(zip(compared, likeliest(list(compared.values())), strict=True))
     problems = [f"{name}: {compared[name].line(slip, method)}" for name, slip in slips.items() if slip]
@@ -245,12 +248,12 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
 
 
 def missing_in_camera(name: str) -> str:
-    """Return a line: a prediction is missing, and which file is expected."""
+    """Return the line that a prediction is missing, with the accepted file names."""
     return f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}"
 
 
 def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list[str]:
-    """Return a line for each file in a folder that belongs to no view."""
+    """Return a line for each of the first 20 files in a folder that belong to no view, and on the rest."""
     names = [name for target in release.targets for name in _names_of(target, method.hypotheses)]
     expected = {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)}
     return stray_lines(stray_files(folder, expected), ())

@@ -1,4 +1,4 @@
-"""A predicted shape in the camera frame: a mesh, a cloud of points, cells or distances; and its files.
+"""A predicted shape in the camera frame (mesh, point cloud, occupied cells or distances), and its files.
 
 The files are untrusted: sizes in their headers are checked before anything is allocated.
 """
@@ -28,12 +28,12 @@ METRES = {"m": 1.0, "mm": 0.001, "free": 1.0}
 # Factors from the axes named in `method.json` to the camera (x right, y down, z forward). PyTorch3D: x left,
 # y up, z forward; OpenGL: x right, y up, z backward.
 CAMERA_AXES = {"cv": (1.0, 1.0, 1.0), "pytorch3d": (-1.0, -1.0, 1.0), "opengl": (1.0, -1.0, -1.0)}
-# No point of a room is farther away, in any supported unit.
+# No point of a room is farther away than this, in any supported unit.
 FARTHEST_M = 1e6
-# No object is smaller.
+# No cell is smaller than this.
 NEAREST_M = 1e-6
-# Most cells at a surface: a solid of 512 a side that fills its grid has 1.6 M, its distances twice that; a
-# grid of noise would exceed the memory.
+# Maximum number of cells at a surface. A solid that fills a grid of 512 a side has 1.6 M, and its distances
+# have twice as many; a grid of noise would exceed the memory.
 MOST_SHOWN = 4 << 20
 
 
@@ -42,9 +42,9 @@ class CameraShape:
     """A predicted shape in a view's camera frame (x right, y down, z forward), metres.
 
     Attributes:
-        form: mesh, points, voxels or sdf.
-        points_m: (n, 3) float64: vertices of a mesh, points of a cloud, centres of occupied cells with a free
-            neighbour, or centres of cells less than a cell from the surface (sdf).
+        form: "mesh", "points", "voxels" or "sdf".
+        points_m: (n, 3) float64: vertices of a mesh, points of a cloud, centres of occupied cells that have a
+            free neighbour (voxels), or centres of cells less than a cell from the surface (sdf).
         faces: (m, 3) faces of a mesh, else (0, 3).
         normals: (n, 3) normals of a cloud's points; None if there are none.
         cells: (i, j, k) bool occupancy, or float32 signed distances in metres; None for meshes and points.
@@ -71,10 +71,10 @@ class CameraShape:
 
 
 def similarity_to_camera(method: MethodFile, name: str, view: str) -> Float64:
-    """Return the (4, 4) similarity from a prediction file to the camera frame, as method.json declares it.
+    """Return the (4, 4) similarity from a prediction file's coordinates to the camera frame, metres.
 
     Args:
-        method: the content of method.json.
+        method: the content of method.json, which declares unit, axes and matrices.
         name: the file's name without its suffix, `<recording>/<view>.<k>` for example.
         view: `<recording>/<view>`.
     """
@@ -88,10 +88,10 @@ def read_shape(path: Path, name: str) -> CameraShape:
 
     Args:
         path: a .ply (mesh or cloud), .obj, .glb or .npz.
-        name: the file's name in error messages.
+        name: how error messages call the file.
 
     Raises:
-        PredictionError: the file is unacceptable; one line.
+        PredictionError: the file is invalid; the message is one line.
     """
     try:
         with open_plain(path) as file:
@@ -127,7 +127,7 @@ def _shape(file: IO[bytes], suffix: str) -> CameraShape:
 
 
 def _of_arrays(arrays: Arrays) -> CameraShape:
-    """Return the shape in an .npz file; its form follows from the keys."""
+    """Return the shape that the arrays of an .npz file hold; its form follows from their keys."""
     no_faces = np.zeros((0, 3), np.int64)
     several = [key for key in ("points_m", "occupancy", "sdf_m") if key in arrays]
     if len(several) > 1:
@@ -176,7 +176,7 @@ def _checked_points(points: NDArray[np.generic]) -> Float64:
 
 
 def _checked_cells(cells: FileArray, key: str) -> FileArray:
-    """Return occupancy as bool, or distances as finite float32."""
+    """Check cells by their key; return occupancy as bool, or distances as float32."""
     if key == "occupancy":
         if cells.dtype == np.bool_ or (cells.dtype == np.uint8 and cells.max() <= 1):
             return cells.astype(bool)
@@ -191,10 +191,10 @@ def _checked_cells(cells: FileArray, key: str) -> FileArray:
 
 
 def occupancy_shape(cells: Bools, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
-    """Return cells as a solid; its points are the centres of occupied cells that have a free neighbour.
+    """Return occupied cells as a shape; its points are the centres of those with a free 6-neighbour.
 
     Raises:
-        PredictionError: no cell is occupied, or too many cells are at the surface.
+        PredictionError: no cell is occupied, or too many occupied cells have a free neighbour.
     """
     padded = np.pad(cells, 1)
     inner = cells.copy()
@@ -205,10 +205,12 @@ def occupancy_shape(cells: Bools, T_camera_grid: Float64, voxel_size_m: float) -
 
 
 def distance_shape(cells: Float32, T_camera_grid: Float64, voxel_size_m: float) -> CameraShape:
-    """Return signed distances (negative inside) as a shape; its points lie within a cell of the surface.
+    """Return signed distances (metres, negative inside) as a shape.
+
+    Its points are the centres of cells that are less than one cell from the surface.
 
     Raises:
-        PredictionError: no cell, or too many, are so near.
+        PredictionError: no cell, or too many cells, are this near to the surface.
     """
     near = np.abs(cells) < voxel_size_m * similarity_scale(T_camera_grid)
     return _of_cells("sdf", cells, near, T_camera_grid, voxel_size_m)
@@ -229,9 +231,9 @@ def _of_cells(
 
 
 def write_shape(shape: CameraShape, stem: Path) -> Path:
-    """Write a shape as a prediction and return the file: `<stem>.ply` (mesh, points) or `<stem>.npz`.
+    """Write a shape as a prediction; return the file, `<stem>.ply` (mesh, points) or `<stem>.npz` (grids).
 
-    Coordinates are metres in the camera frame, float32 in a .ply file.
+    Coordinates are in the camera frame, metres; in a .ply file they are float32.
     """
     stem.parent.mkdir(parents=True, exist_ok=True)
     if shape.cells is not None:

@@ -1,4 +1,4 @@
-"""Closed meshes among predicted shapes, and the refusal of meshes that cannot be made solid."""
+"""Find whether a predicted mesh is closed, and refuse meshes that cannot be made solid."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,7 +29,7 @@ class ClosedMesh:
 
 
 def closed_mesh(shape: CameraShape) -> ClosedMesh | None:
-    """Return a shape's mesh with duplicate vertices merged; None if it is open, or the shape is no mesh."""
+    """Return a shape's mesh, duplicate vertices merged; None if the mesh is open, or the shape is no mesh."""
     if shape.form != "mesh":
         return None
     vertices, faces = joined_vertices(shape.points_m, shape.faces.astype(np.int32))
@@ -47,7 +47,7 @@ def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
     """Refuse a mesh that cannot be made solid in the cells of the truth.
 
     Args:
-        vertices_m: (n, 3) in the truth's grid, metres.
+        vertices_m: (n, 3) in the frame of the truth's grid, metres.
         faces: (m, 3).
         voxel_size_m: edge of a cell.
 
@@ -62,10 +62,10 @@ def refuse_mesh(vertices_m: Float64, faces: Int32, voxel_size_m: float) -> None:
 
 
 def in_cells(voxel_size_m: float, vertices_m: Float64) -> Float64:
-    """Convert vertices (n, 3) from metres to cells of the truth.
+    """Convert vertices (n, 3) from metres to units of the truth's cells.
 
     Raises:
-        PredictionError: a coordinate is beyond 16 sides of the grid.
+        PredictionError: a coordinate is more than 16 times the grid's side.
     """
     vertices = vertices_m / voxel_size_m
     if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:

@@ -1,4 +1,4 @@
-"""Checks that score tables can be compared by a metric under a protocol; errors state the remedy."""
+"""Check that score tables can be compared by a metric under a protocol; errors state the remedy."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,7 +15,7 @@ Means = Mapping[str, Mapping[str, ObjectMeans]]
 
 
 def complete_ones(tables: Tables) -> dict[str, ScoreTable]:
-    """Return the tables in which every pair is scored; a mean over some pairs could be too high.
+    """Return the tables in which every pair is scored; in others, a mean over some pairs could be too high.
 
     Raises:
         SettingsError: fewer than two tables are complete.
@@ -37,7 +37,7 @@ def left_out_lines(tables: Tables) -> list[str]:
 def _left_out_line(name: str, table: ScoreTable) -> str:
     reasons = {failure.reason for failure in table.failures}
     if not table.rows and len(reasons) == 1:
-        # As of a method that the protocols do not fit: empty predictions would not mend it.
+        # Such as a method that the protocols do not fit, for which `--missing empty` would not help.
         return f"{name}: left out, none of its pairs is scored: {reasons.pop()}"
     return (
         f"{name}: left out, some of its pairs are not scored ({len(table.failures)} failed): complete it, or "
@@ -46,16 +46,16 @@ def _left_out_line(name: str, table: ScoreTable) -> str:
 
 
 def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[str, ObjectMeans]]:
-    """Return {category: means of its objects} of each table, in the order of `tables`.
+    """Return {category: means of its objects} for each table, in the order of `tables`.
 
     Args:
-        tables: complete tables by the methods' names.
+        tables: {method's name: its complete table}.
         metric: one of `METRICS`.
-        protocol: the protocol, with part and kind of registration if any, such as `aligned-t+s-visible`.
+        protocol: the protocol, with kind of registration and part if any, such as `aligned-t+s-visible`.
 
     Raises:
-        SettingsError: the tables are of different truth, or one lacks the protocol, a counted pair or the
-            metric; the message lists the protocols or metrics that all tables have.
+        SettingsError: the tables are of different releases, or one lacks the protocol, a counted pair or the
+            metric. The message lists the protocols or metrics that all tables have.
     """
     _check_truth(tables)
     of = {name: object_means(table.rows) for name, table in tables.items()}
@@ -78,14 +78,14 @@ def comparable_means(tables: Tables, metric: str, protocol: str) -> list[dict[st
 
 
 def _scored_metrics(means: Mapping[str, ObjectMeans]) -> list[str]:
-    """Return the metrics that are known for every object."""
+    """Return the metrics that are known for every object of every category."""
     columns = [np.isnan(of.values).any(axis=0) for of in means.values()]
     without = dict(zip(AVERAGED, np.any(columns, axis=0).tolist(), strict=True))
     return [name for name in METRICS if not without[name]]
 
 
 def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[str], protocol: str) -> str:
-    """Return the message that methods were not scored under a protocol, with the protocols that all have."""
+    """Return the message that the methods `lacking` were not scored under a protocol, and how to proceed."""
     line = f"{', '.join(lacking)}: not scored under '{protocol}'"
     if shared := [name for name in next(iter(of.values())) if all(name in means for means in of.values())]:
         return f"{line}; all are under {', '.join(shared)}: compare with `--protocol {shared[0]}`"
@@ -115,10 +115,10 @@ def _check_truth(tables: Tables) -> None:
 
 
 def check_same(tables: Tables, protocol: str) -> None:
-    """Refuse tables that were counted differently, cover different pairs, or disagree about the same truth.
+    """Refuse tables that were counted differently, are of different pairs, or disagree about the truth.
 
     Args:
-        tables: by the methods' names.
+        tables: {method's name: its table}.
         protocol: a protocol under which all tables were scored.
 
     Raises:
@@ -140,14 +140,14 @@ def check_same(tables: Tables, protocol: str) -> None:
             problem = f"other pairs than {first}; score both against one benchmark"
         elif differs := next((pair for pair, of in pairs.items() if of != truth[pair]), None):
             problem = f"states other truth of {differs} than {first}; score both again"
-        elif set(table.all_unknown_pairs.get(protocol, ())) != left_out:  # only the truth decides
+        elif set(table.all_unknown_pairs.get(protocol, ())) != left_out:  # this depends only on the truth
             problem = f"leaves out other pairs than {first}; score both again"
         if problem:
             raise SettingsError(f"{name}: {problem}", what="other-scores")
 
 
 def _truths(table: ScoreTable, protocol: str) -> dict[str, tuple[object, ...]]:
-    """Return {pair: values of its row that depend only on the truth}."""
+    """Return {pair: the values of its row that depend only on the truth} under a protocol."""
     return {row.pair: _of_truth(row) for row in table.pairs(protocol)}
 
 

@@ -1,4 +1,4 @@
-"""Is one method better than another? Paired differences per object, sign-flip tests, Holm, ranks."""
+"""Compare methods: paired differences per object, sign-flip tests, Holm's correction, ranks."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from kinectbench.scoring.uncertainty import (
 
 ALPHA = 0.05
 ALL = "all"
-# Most folders in an error message.
+# Maximum number of folders named in an error message.
 MOST_NAMED = 6
 GROUPS_NOTE = (
     "group: methods that share a letter cannot be distinguished; of methods that share none a difference is "
@@ -37,20 +37,21 @@ GROUPS_NOTE = (
 
 @dataclass(frozen=True)
 class Difference:
-    """Two methods on the same objects.
+    """The difference between two methods on the same objects.
 
     Attributes:
-        first: name of a method.
-        second: name of another.
-        scope: a category, or "all": the mean over the categories.
+        first: name of one method.
+        second: name of the other method.
+        scope: a category, or "all" for the mean over the categories.
         mean: mean of first minus second.
-        interval: lower and upper end of the mean's 95 % interval over objects. Unlike `p_holm`, it is not
-            corrected for the number of pairs of methods. None with fewer than three objects (for "all": in
-            any category).
-        by_object: first minus second of each object, by name.
+        interval: lower and upper end of the 95 % confidence interval of the mean, over objects. Unlike
+            `p_holm`, it is not corrected for the number of pairs of methods. None if there are fewer than
+            three objects (for "all": in any category).
+        by_object: {object: first minus second}.
         p: p value of the two-sided sign-flip test.
         p_holm: p, corrected for all pairs of methods compared in this scope.
-        smallest_p: the smallest p that the test allows with as many objects, times the number of pairs.
+        smallest_p: the smallest p that the test can give with this number of objects, times the number of
+            pairs of methods, at most 1.
         verdict: one sentence.
     """
 
@@ -76,16 +77,18 @@ class Comparison:
         methods: names of the methods.
         means: {scope: {method: mean}}.
         ranks: {scope: {method: 1 + the number of methods that are significantly better}}.
-        groups: {scope: {method: letters}}: methods that share a letter do not differ significantly.
+        groups: {scope: {method: its letters}}; methods that share a letter do not differ significantly.
         differences: one for every pair of methods in every scope.
-        notes: one line each: which methods are left out, where the test set is too small to tell, how many
-            pairs are left out, and what qualifies the figures of a method.
-        too_small: {scope: a sentence} of scopes where no pair of methods could be distinguished.
+        notes: one line each: which methods are left out, which scopes are too small to distinguish methods,
+            how many pairs are left out, and the caveats of each method's scores.
+        too_small: {scope: a sentence that says so} for scopes with too few objects to distinguish any two
+            methods.
         standings: {method: "reported", or "verified" with date and version}.
         left_out: names of methods that are not compared because some of their pairs are not scored.
-        truth_unknown_share: {scope: share of the true shapes that is not known}; None for older tables.
-        unknown_by_object: {object: share of its true shape that is not known}, also for objects that are left
-            out.
+        truth_unknown_share: {scope: share of the true shapes that is not known}; the share is None for older
+            tables.
+        unknown_by_object: {object: share of its true shape that is not known}, including objects that are
+            left out.
     """
 
     metric: str
@@ -107,13 +110,13 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     """Compare methods that were scored on the same truth.
 
     Args:
-        tables: at least two complete tables; incomplete ones are left out, with a note.
+        tables: at least two complete tables; incomplete tables are left out, with a note.
         metric: one of `METRICS`, such as "iou".
         protocol: one under which all tables were scored.
 
     Raises:
-        SettingsError: there are fewer than two complete tables; truth, version, upsampling or pairs differ;
-            or the metric or protocol was not scored.
+        SettingsError: fewer than two tables are complete; their truth, version, upsampling or pairs differ;
+            or the metric or the protocol was not scored.
     """
     if metric not in METRICS:
         raise SettingsError(f"no metric '{metric}': choose among {', '.join(METRICS)}")
@@ -166,13 +169,13 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
 
 
 def _qualified(tables: Mapping[str, ScoreTable]) -> list[str]:
-    """Return a line for each method with caveats, which are the marks of its table except "baseline"."""
+    """Return a line for each method that has caveats: the marks of its table, except "baseline"."""
     marks = {name: [m.words for m in table.marks if m.kind != BASELINE] for name, table in tables.items()}
     return [f"{name}: {'; '.join(words)}" for name, words in marks.items() if words]
 
 
 def find_scores(paths: Sequence[Path]) -> list[Path]:
-    """Return the scores.json files of paths: each a file, one method's folder, or a folder of methods.
+    """Return the scores.json files at paths; a path is a file, a method's folder, or a folder of methods.
 
     Raises:
         SettingsError: a path does not exist, or has no scores.json.
@@ -195,11 +198,11 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
 
 
 def find_methods(paths: Sequence[Path]) -> list[Path]:
-    """Return the scores.json files of paths, as `find_scores` does, for a comparison.
+    """Return the scores.json files for a comparison, as `find_scores` does.
 
     Raises:
-        SettingsError: as `find_scores`; or a folder has one method's scores.json and further methods' below
-            it, as after one method was scored into the folder of all, so that there is nothing to compare.
+        SettingsError: as in `find_scores`; or the only file found is in a folder that also has subfolders
+            with a scores.json. This happens if one method was scored into the folder of all methods.
     """
     files = find_scores(paths)
     below = [file.parent for path in paths if path.is_dir() for file in sorted(path.glob(f"*/{SCORES_JSON}"))]
@@ -213,7 +216,7 @@ def find_methods(paths: Sequence[Path]) -> list[Path]:
 
 
 def method_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
-    """Return the methods' names; the second of the same name is called `net #2`."""
+    """Return the methods' names, made unique: the second method named `net` becomes `net #2`."""
     given = [table.method for table in tables]
     again = [given[:index].count(name) for index, name in enumerate(given)]
     return tuple(f"{name} #{n + 1}" if n else name for name, n in zip(given, again, strict=True))
@@ -227,7 +230,7 @@ def _mean(values: Weighted) -> float:
 
 
 def _values(means: Mapping[str, ObjectMeans], metric: str, scope: str) -> dict[str, tuple[float, float]]:
-    """Return {object: (its value, its weight in the mean of the scope)}; the weights sum to 1."""
+    """Return {object: (its value of the metric, its weight in the mean of the scope)}; weights sum to 1."""
     column = AVERAGED.index(metric)
     categories = means if scope == ALL else {scope: means[scope]}
     return {
@@ -281,7 +284,7 @@ def _intervals(
 ) -> list[tuple[float, float] | None]:
     """Return the confidence interval of the mean difference of every pair of methods.
 
-    Both methods were scored on the same objects, so it is computed from each object's difference.
+    It is computed from the difference of each object, because both methods were scored on the same objects.
     """
     column, pairs = AVERAGED.index(metric), list(combinations(range(len(means)), 2))
     groups = []
@@ -303,14 +306,14 @@ def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str)
 
 
 def _groups(means: Mapping[str, float], differences: Sequence[Difference], metric: str) -> dict[str, str]:
-    """Return the letters of each method (see `letters`), in the order of `means`."""
+    """Return {method: its letters (see `letters`)}, in the order of `means`."""
     best_first = sorted(means, key=lambda name: means[name], reverse=metric in SHARES)
     by_name = letters(best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA})
     return {name: by_name[name] for name in means}
 
 
 def too_small(count: int, pairs: int) -> str:
-    """Return the sentence that the objects are too few to distinguish any two methods.
+    """Return the sentence that the test set is too small to distinguish any two methods.
 
     Args:
         count: number of objects, or of other compared units.

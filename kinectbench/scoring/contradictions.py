@@ -1,7 +1,7 @@
-"""Contradictions in a score table, whatever was predicted, and values outside the bounds of its schema.
+"""Find contradictions in a score table, and values outside the bounds of its schema.
 
-`read_table` refuses a table and reports the first contradiction. These checks need only the table. Checks
-against the release are in `of_release`, checks against the predictions in `recheck`.
+`read_table` refuses such a table, and reports the first contradiction. These checks need only the table.
+Checks against the release are in `of_release`, and checks against the predictions in `recheck`.
 """
 
 import math
@@ -32,19 +32,20 @@ from kinectbench.scoring.thresholds import (
     VALIDATION_SOURCE,
 )
 
-# Keys that a table has from the version on that accounts for thresholds and missing predictions; from then on
-# each row has its IoU at every threshold, too.
+# Keys that every table has since the version (ACCOUNTED) that states thresholds and missing predictions.
+# Since that version, each row also has its IoU at every threshold.
 ACCOUNTS = (
     *("complete", "benchmark_sha256", "thresholds", "threshold_source", "threshold_source_by_category"),
     *("threshold_objects", "validation", "missing_as_empty", "base_rate", "failures", "hashes"),
 )
-# From this version of `score` on, a category without validation pairs has a pooled or its own threshold.
+# Since this version of `score`, a category without validation pairs gets a pooled threshold or the method's
+# own.
 POOLED_FROM = 5
-MOST_CE = -math.log(CE_CLIP)  # nats a voxel, for a prediction that is wrong everywhere
+MOST_CE = -math.log(CE_CLIP)  # nats per voxel, of a prediction that is wrong everywhere
 
 
 def contradictions(table: ScoreTable) -> Iterator[str]:
-    """Yield the contradictions of a table, a sentence each, the gravest first."""
+    """Yield the contradictions in a table, one sentence each, the most serious first."""
     yield from _out_of_bounds(table)
     yield from _of_version(table)
     yield from _of_names(table)
@@ -60,7 +61,7 @@ def contradictions(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_version(table: ScoreTable) -> Iterator[str]:
-    """Report an unknown version, keys that its tables must have or cannot have, and a bad method name."""
+    """Report an unknown version, keys that this version must have or cannot have, and a bad method name."""
     version, known = table.score_version, VERSIONS["score"]
     if version > known:
         yield f"counted by score version {version}, and this kinectbench knows none after {known}"
@@ -80,7 +81,7 @@ def _of_version(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_names(table: ScoreTable) -> Iterator[str]:
-    """Report conflicting names in the rows, and categories with a name reserved for a mean."""
+    """Report conflicting names in the rows, and category names that are reserved, such as for a mean."""
     rows = [Named(*row) for row in dict.fromkeys((r.recording, r.object, r.category) for r in table.rows)]
     if clash := first_clash(rows):
         yield clash.problem
@@ -88,7 +89,7 @@ def _of_names(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_rows(table: ScoreTable) -> Iterator[str]:
-    """Report rows that are impossible, or contradict other rows of the pair, recording or protocol."""
+    """Report rows that are impossible, or contradict another row of their pair, recording or protocol."""
     thing: dict[str, tuple[str, str]] = {}
     whole: dict[str, tuple[int, float | None]] = {}
     pairs: dict[str, set[str]] = {}
@@ -117,14 +118,14 @@ def _of_rows(table: ScoreTable) -> Iterator[str]:
 
 
 def _counts_more(row: ScoreRow, known: ScoreRow) -> bool:
-    """Return whether a row covers more voxels, or more of the shape, than its pair's row under `known`."""
+    """Return whether a row counts more voxels, or more of the shape, than its pair's row under `known`."""
     return (row.coverage_voxels or 0.0) > (known.coverage_voxels or 0.0) + ROUNDING or (
         (row.coverage_shape or 0.0) > (known.coverage_shape or 0.0) + ROUNDING
     )
 
 
 def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
-    """Report values of one row that are impossible or contradict each other: threshold, coverage, CE, IoU."""
+    """Report impossible or contradictory values of one row: threshold, coverage, CE, IoU."""
     figures = [getattr(row, name) for name in VOXEL_METRICS]
     if row.threshold not in THRESHOLDS:
         yield f"has a threshold of {row.threshold:g}, which is not one of the {len(THRESHOLDS)}"
@@ -149,7 +150,7 @@ def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
 
 
 def _ratios(row: ScoreRow) -> Iterator[str]:
-    """Report precision, recall and F1 that contradict the row's IoU: all four come from three counts."""
+    """Report precision, recall and F1 that contradict the IoU: the same three counts determine all four."""
     iou, precision, recall = row.iou or 0.0, row.precision, row.recall
     if row.f1 is not None and not _near(row.f1, 2 * iou / (1 + iou)):
         yield f"states an F1 of {row.f1:g}, which no IoU of {iou:g} has"
@@ -161,7 +162,7 @@ def _ratios(row: ScoreRow) -> Iterator[str]:
 
 
 def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
-    """Report a row whose IoU differs from its IoU curve at the row's threshold."""
+    """Report a row whose IoU differs from the value of its IoU curve at the row's threshold."""
     if len(curve) != len(THRESHOLDS) or row.threshold not in THRESHOLDS:
         yield f"has no IoU at each of the {len(THRESHOLDS)} thresholds"
     elif not _near(of := curve[THRESHOLDS.index(row.threshold)], row.iou or 0.0):
@@ -169,7 +170,7 @@ def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
 
 
 def _of_thresholds(table: ScoreTable) -> Iterator[str]:
-    """Report rows with another threshold than their category's, and thresholds chosen on scored objects."""
+    """Report rows whose threshold is not that of their category, and thresholds chosen on scored objects."""
     used: dict[str, float] = dict(table.thresholds)
     for row in table.rows:
         if used.setdefault(row.category, row.threshold) != row.threshold:
@@ -183,10 +184,10 @@ def _of_thresholds(table: ScoreTable) -> Iterator[str]:
 
 
 def _of_sources(table: ScoreTable) -> Iterator[str]:
-    """Report contradictions in the sources that a table states for its thresholds.
+    """Report contradictions in what a table states as sources of its thresholds.
 
-    The table's source must fit the sources of its categories, the values of the thresholds, and whether and
-    how many validation pairs were counted.
+    The source of the whole table must fit the sources of its categories, the values of the thresholds, and
+    the number of validation pairs that were counted, if any.
     """
     source, sources, use = table.threshold_source, table.threshold_source_by_category, table.validation
     categories = {row.category for row in table.rows} | table.thresholds.keys()
@@ -215,7 +216,7 @@ def _of_sources(table: ScoreTable) -> Iterator[str]:
 
 
 def _fit(source: str, by_category: set[str], version: int) -> bool:
-    """Return whether a table's source of thresholds agrees with the sources of its categories."""
+    """Return whether a table's source of thresholds fits the sources of its categories."""
     if source.startswith(FROM_FILE):
         return by_category == {source}
     others = by_category - {VALIDATION_SOURCE}
@@ -228,7 +229,7 @@ def _fit(source: str, by_category: set[str], version: int) -> bool:
 
 
 def _of_missing(table: ScoreTable) -> Iterator[str]:
-    """Report contradictions of `missing_as_empty`, settings, `hashes` and rows on pairs scored as empty."""
+    """Report that `missing_as_empty`, settings, `hashes` and rows disagree about pairs scored as empty."""
     test = {row.pair: row.cells for row in table.rows}
     empty = set(table.missing_as_empty)
     if {name for name, cells in test.items() if not cells} != empty & test.keys():
@@ -256,9 +257,9 @@ ROUNDING = 1e-9  # a sum of shares may be above 1 by 1e-15
 
 
 def _out_of_bounds(table: ScoreTable) -> Iterator[str]:
-    """Yield a sentence for each value outside the schema's minimum, maximum, pattern or list of words.
+    """Yield a sentence for each value outside its schema's minimum, maximum, pattern or list of words.
 
-    Values that follow from the rows are not checked: the reader computes them again.
+    Values that follow from the rows are not checked, because the reader computes them again.
     """
     for name in ScoreTable.model_fields:
         if name not in DERIVED:
@@ -266,7 +267,7 @@ def _out_of_bounds(table: ScoreTable) -> Iterator[str]:
 
 
 def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[str]:
-    """Yield a sentence for each value out of bounds in a field and its parts; `extra`: the field's bounds."""
+    """Yield a sentence for each value out of bounds in a field and its parts; `extra` has its bounds."""
     if extra and value not in (None, "") and (why := _outside(value, extra)):
         yield f"'{key}' is {printable(repr(value), 60)}, but {why}"
     elif isinstance(value, StoredPart) or (is_dataclass(value) and not isinstance(value, type)):
@@ -281,7 +282,7 @@ def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[
 
 
 def _outside(value: object, extra: Mapping[str, Any]) -> str:
-    """Return why a value breaks the bounds `extra`, such as {"minimum": 0}, in a few words; else ""."""
+    """Return, in a few words, why a value breaks the bounds `extra`, such as {"minimum": 0}; else ""."""
     if isinstance(value, list | tuple):
         if "minItems" in extra and not extra["minItems"] <= len(value) <= extra["maxItems"]:
             return f"must have {extra['minItems']} values"
@@ -311,6 +312,6 @@ def _bounded(kind: type) -> tuple[tuple[str, Mapping[str, object]], ...]:
 
 
 def _extra(kind: type, name: str) -> Mapping[str, object]:
-    """Return the bounds of a class's field, such as {"minimum": 0}, from its schema; {} if it has none."""
+    """Return the bounds that the schema of a class gives a field, such as {"minimum": 0}; {} if none."""
     info: FieldInfo = (kind.model_fields if issubclass(kind, StoredPart) else fields_of(kind))[name]
     return info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}

@@ -1,8 +1,8 @@
-"""Count a prediction against its truth in one pass, for every metric, threshold and protocol.
+"""Count a prediction against its truth in one pass, for all metrics, thresholds and protocols.
 
-Binarised predictions, the truth at a coarser resolution, and the paper's metrics are computed here, too.
-Ratios have no unit; cross-entropy is in nats a voxel. The paper does not define its metrics for empty
-predictions and empty truths; each function states its value for them.
+Also binarise predictions, reduce the truth to a coarser grid, and compute the paper's metrics. Ratios have no
+unit; cross-entropy is in nats per voxel. The paper does not define its metrics if a prediction or a truth is
+empty; each function states its value for these cases.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,9 +35,10 @@ class ProtocolCounts:
     Attributes:
         voxels: number of counted voxels.
         occupied: number of counted voxels that are occupied in the truth.
-        predicted: (17,) int64, number of counted voxels predicted occupied at thresholds k / 20, k = 2 to 18.
-        hit: (17,) int64, number of voxels both predicted occupied and occupied in the truth.
-        ce_sum: sum of the cross-entropy in nats.
+        predicted: (17,) int64, number of counted voxels that are predicted occupied at thresholds k / 20, k =
+            2 to 18.
+        hit: (17,) int64, number of those that are also occupied in the truth.
+        ce_sum: sum of the cross-entropy over the counted voxels, in nats.
     """
 
     voxels: int
@@ -48,10 +49,10 @@ class ProtocolCounts:
 
 
 def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIXEL) -> Tally:
-    """Return the counts of a prediction against the truth, made in one pass.
+    """Count a prediction against the truth in one pass.
 
     Args:
-        prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
+        prediction: (n, n, n), C order, values in [0, 1]; it is upsampled if n is not 256.
         truth: the packed grids of the truth.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
     """
@@ -74,14 +75,14 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 def tallies(
     prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """Return a prediction's tally against `truth`, and {protocol: tally} where a protocol's truth differs."""
+    """Return a prediction's tally against `truth`, and {protocol: tally} for protocols with another truth."""
     truths = {name: truth.under(PROTOCOLS[name]) for name in protocols}
     others = {name: tally(prediction, of, upsampling) for name, of in truths.items() if of is not truth}
     return tally(prediction, truth, upsampling), others
 
 
 def _from_histogram(values: Float64, counts: Int64) -> Tally:
-    """Return a histogram's tally: `counts` (m, 8) of voxels by value (`values`, ascending) and by code."""
+    """Return the tally of a histogram: `counts` (m, 8) are voxels by value (`values`, ascending) and code."""
     not_above = np.searchsorted(values, THRESHOLDS, side="right")
     tail = np.vstack([counts[::-1].cumsum(axis=0)[::-1], np.zeros((1, 8), np.int64)])
     clipped = np.clip(values, CE_CLIP, 1 - CE_CLIP)
@@ -90,7 +91,7 @@ def _from_histogram(values: Float64, counts: Int64) -> Tally:
 
 
 def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable[Packed]]) -> Tally:
-    """Tally a prediction in float64, part by part; `grids`: full, known and seen, cut into the same parts."""
+    """Tally a prediction in float64, part by part; `grids`: full, known, seen, cut into the same parts."""
     from kinectbench.scoring.kernels import count_reals
 
     bins, ce_sum = np.zeros((STEPS + 1, 8), np.int64), np.zeros(8)
@@ -121,11 +122,11 @@ def tally_unknown_share(tally: Tally) -> float:
 
 
 def is_all_unknown(tally: Tally, protocol: str) -> bool:
-    """Return whether a pair has no information on a prediction under a protocol; means leave such pairs out.
+    """Return whether a pair says nothing about a prediction under a protocol; means leave such pairs out.
 
-    There are two cases. The protocol counts no voxel: every prediction has an IoU of 1. Or the part of the
-    shape in the protocol's region is all unknown: a prediction has an IoU of 1 if it is empty among the known
-    voxels, else 0, whatever the shape. Neither happens under `paper`, which counts every voxel.
+    There are two cases. First, the protocol counts no voxel: then every prediction has an IoU of 1. Second,
+    the part of the shape in the protocol's region is all unknown: then the IoU is 1 if the prediction is
+    empty in the known voxels, else 0. Neither case occurs under `paper`, which counts every voxel.
     """
     voxels: list[int] = tally.voxels.tolist()
     of = PROTOCOLS[protocol]
@@ -134,10 +135,10 @@ def is_all_unknown(tally: Tally, protocol: str) -> bool:
 
 
 def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PIXEL) -> Packed:
-    """Return cells with value > threshold, packed: (256, 256, 32) uint8, most significant bit first.
+    """Return the cells with a value > threshold, packed: (256, 256, 32) uint8, most significant bit first.
 
     Args:
-        prediction: (n, n, n), C order, values in [0, 1]; a cube that is not 256 a side is upsampled.
+        prediction: (n, n, n), C order, values in [0, 1]; it is upsampled if n is not 256.
         threshold: in [0, 1).
         upsampling: see `upsampled_planes`.
     """
@@ -146,8 +147,8 @@ def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PI
         return np.stack([np.packbits(plane > threshold, axis=-1) for plane in planes])
     if prediction.dtype == np.bool_:
         return np.packbits(prediction.view(np.bool_), axis=-1)
-    # The largest number of the prediction's type up to the threshold: compares like float64 without
-    # conversion.
+    # The largest value of the prediction's dtype that is not above the threshold. Comparing with it gives the
+    # same result as a comparison in float64, without conversion.
     cut = prediction.dtype.type(threshold)
     if float(cut) > threshold:
         cut = np.nextafter(cut, prediction.dtype.type(0))
@@ -159,19 +160,19 @@ def occupied(prediction: Prediction, threshold: float, upsampling: str = HALF_PI
 def ceiling_tallies(
     truth: PackedTruth, side: int, protocols: Sequence[str], upsampling: str
 ) -> tuple[Tally, Mapping[str, Tally]]:
-    """Return the tallies of the truth itself, taken as a prediction with `side`^3 cells.
+    """Return the tallies of the truth itself, reduced to `side`^3 cells and taken as a prediction.
 
-    Each cell has its occupied share as its value. The best IoU of these tallies is about the most that a
-    method of that resolution can reach. Values chosen with the upsampling in mind may reach a little more.
+    The value of a cell is its occupied share. The best IoU of these tallies is about the highest that a
+    method of this resolution can reach; values optimised for the upsampling may reach a little more.
 
     Args:
         truth: the packed truth.
-        side: below 256.
+        side: number of cells along each axis, below 256.
         protocols: names of `PROTOCOLS`.
         upsampling: "half-pixel" or "corner-aligned".
 
     Returns:
-        The tally against the solid truth, and {protocol: tally} for protocols that compare with another
+        The tally against the solid truth, and {protocol: tally} for the protocols that compare with another
         truth.
     """
     others = {}
@@ -196,7 +197,7 @@ def reduced(full: NDArray[np.bool_], side: int) -> Float32:
 
 
 def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
-    """Return the same as `reduced`, but faster, if a coarse cell is made of whole fine cells."""
+    """Do the same as `reduced`, but faster; each coarse cell must consist of whole fine cells."""
     step = len(full) // side
     counts: NDArray[np.generic] = np.ascontiguousarray(full).view(np.uint8)
     for axes_done, axis in enumerate((2, 1, 0), start=1):
@@ -207,7 +208,7 @@ def _block_shares(full: NDArray[np.bool_], side: int) -> Float32:
 
 
 def _overlaps(cells: int, side: int) -> Float32:
-    """Return the fraction of each coarse cell that each fine cell covers along one axis: (side, cells)."""
+    """Return which fraction of each coarse cell each fine cell covers, along one axis: (side, cells)."""
     fine, coarse = np.arange(cells), np.arange(side)[:, None] * (cells / side)
     covered = np.minimum(fine + 1, coarse + cells / side) - np.maximum(fine, coarse)
     return np.asarray(np.clip(covered, 0, None) * (side / cells), dtype=np.float32)
@@ -226,7 +227,7 @@ def metrics(counts: ProtocolCounts, step: int) -> VoxelMetrics:
 
 
 def iou(predicted: int, occupied: int, hit: int) -> float:
-    """Return intersection over union, `hit / (predicted + occupied - hit)`; 1 if the union is empty."""
+    """Return intersection over union: `hit / (predicted + occupied - hit)`; 1 if the union is empty."""
     union = predicted + occupied - hit
     return hit / union if union else 1.0
 
@@ -239,20 +240,20 @@ def ious(counts: ProtocolCounts) -> Float64:
 
 
 def f1(predicted: int, occupied: int, hit: int) -> float:
-    """Return the harmonic mean of precision and recall, `2 hit / (predicted + occupied)`; 1 if both are 0."""
+    """Return F1 of precision and recall, `2 hit / (predicted + occupied)`; 1 if both counts are 0."""
     return 2 * hit / (predicted + occupied) if predicted + occupied else 1.0
 
 
 def cross_entropy(counts: ProtocolCounts) -> float:
-    """Return the mean binary cross-entropy of the clipped prediction, nats a voxel; 0 without voxels."""
+    """Return the mean binary cross-entropy of the clipped prediction, nats per voxel; 0 without voxels."""
     return counts.ce_sum / counts.voxels if counts.voxels else 0.0
 
 
 def constant_cross_entropy(occupied: int, voxels: int, constant: float) -> float:
-    """Return the mean cross-entropy, nats a voxel, of predicting `constant` everywhere; 0 without voxels.
+    """Return the mean cross-entropy of predicting `constant` everywhere, nats per voxel; 0 without voxels.
 
     Args:
-        occupied: number of voxels occupied in the truth.
+        occupied: number of counted voxels that are occupied in the truth.
         voxels: number of counted voxels.
         constant: in [0, 1]; clipped as a prediction is.
     """

@@ -1,4 +1,4 @@
-"""A release as a dataset for training, which loads only the requested parts of each pair."""
+"""A release as a dataset for training that loads only the requested parts of each pair."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -42,12 +42,12 @@ Item = dict[str, Any]
 
 
 class Dataset:
-    """The pairs of a release, or of one split; a map-style dataset as torch's DataLoader takes it.
+    """The pairs of a release, or of one split, as a map-style dataset for torch's DataLoader.
 
-    `dataset[i]` is a dict: `pair_id` (`<recording>/<view>`), `partial` (64, 64, 64) bool, `full` and `known`
-    (256, 256, 256) bool, and `meta`: recording, object, view, category, split, voxel_size_m, T_world_grid and
-    `unknown_share`, the share of cells of `full` that are not `known`. Where the truth is held back there is
-    no `full`, no `known` and no `unknown_share`. Other keys: see `load`.
+    `dataset[i]` is a dict with the keys `pair_id` (`<recording>/<view>`), `partial` (64, 64, 64) bool, `full`
+    and `known` (256, 256, 256) bool, and `meta`. `meta` has recording, object, view, category, split,
+    voxel_size_m, T_world_grid and `unknown_share`, the share of cells of `full` that are not `known`. Where
+    the truth is held back, there is no `full`, no `known` and no `unknown_share`. For other keys, see `load`.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Dataset:
         transform: Callable[[Item], object] | None = None,
         packed: bool = False,
     ) -> None:
-        """Make a dataset of some pairs of an opened release; arguments as in `load`.
+        """Make a dataset of the pairs `targets` of an opened release; other arguments as in `load`.
 
         Raises:
             SettingsError: unknown key.
@@ -70,7 +70,7 @@ class Dataset:
         self.packed = packed
 
     def split(self, name: str) -> "Dataset":
-        """Return the pairs of "train", "validation" or "test", with the same keys and transform.
+        """Return a dataset of the pairs of "train", "validation" or "test", with the same keys and transform.
 
         Raises:
             SettingsError: unknown split.
@@ -92,12 +92,12 @@ class Dataset:
         return (self[index] for index in range(len(self)))
 
     def __getitem__(self, index: int) -> Any:
-        """Read one pair and check its SHA-256, which takes a quarter of a millisecond.
+        """Read one pair, and check its SHA-256; the check takes a quarter of a millisecond.
 
         Raises:
-            IndexError: unknown pair.
-            TypeError: the index is no whole number: a slice, for example.
-            ReleaseError: the pair's file is missing, or not the published one.
+            IndexError: there is no pair with this index.
+            TypeError: the index is no whole number, but a slice for example.
+            ReleaseError: the pair's file is missing, or differs from the published one.
             PairError: the published file is no valid pair.
         """
         if isinstance(index, slice):
@@ -113,12 +113,12 @@ class Dataset:
 def item_of(
     target: Mapping[str, object], parts: Mapping[str, FileArray], keys: Sequence[str], packed: bool
 ) -> Item:
-    """Return the dataset's item of a pair.
+    """Return the item of a pair.
 
     Args:
         target: recording, object, view, category and split.
-        parts: by key, the parts that the pair has: arrays as they are stored, and images.
-        keys: the requested keys, in this order.
+        parts: {key: part of the pair}: arrays as they are stored, and images.
+        keys: the requested keys; the item has them in this order.
         packed: whether grids stay packed.
     """
     item: Item = {"pair_id": f"{target['recording']}/{target['view']}"}
@@ -131,14 +131,14 @@ def item_of(
 
 
 def _value(key: str, stored: FileArray, packed: bool) -> object:
-    """Return a value as items hold it: a number, a text, an array, or an unpacked grid."""
+    """Convert a stored value to what an item holds: a number, a text, an array or a grid."""
     if key in (*NUMBERS, *TEXTS):
         return stored.item()
     return stored if packed or key not in PACKED_SHAPES else unpack(stored)
 
 
 def wanted_parts(keys: Sequence[str], hidden: bool) -> list[str]:
-    """Return the arrays of a pair file that some keys need, without the truth's arrays if it is `hidden`."""
+    """Return the arrays of a pair file that the keys need; without the truth's arrays if it is `hidden`."""
     wanted = dict.fromkeys(key for key in keys if key in OF_PAIR)
     if META in keys:
         wanted |= dict.fromkeys((*META_PARTS, "full", "known"))
@@ -152,21 +152,23 @@ def load(
     transform: Callable[[Item], object] | None = None,
     packed: bool = False,
 ) -> Dataset:
-    """Open a release; with torch installed the result is also a `torch.utils.data.Dataset`.
+    """Open a release as a dataset; if torch is installed, it is also a `torch.utils.data.Dataset`.
 
     Args:
-        path: the release's folder, a .zip, .tar or .tar.gz of it, or its URL (docs/stores.md); read in place.
-        keys: what an item holds beside `pair_id`; nothing else is unpacked. Grids: `partial` (64, 64, 64),
-            `partial_256`, `full`, `shell`, `known`, `seen` (256, 256, 256), bool; and `interior` and `said`
-            where a pair has them. Matrices, float64, metres and pixels: `T_world_grid`, `T_world_camera` (4,
-            4), `K` (3, 3). Numbers: `voxel_size_m`, `surface_sigma_m`. Texts: `framing`, `partial_rule`,
-            `occupancy_rule`. Images of the view: `depth` (height, width) float32, metres, 0 = none; `mask`
-            (height, width) bool; `color` (height, width, 3) uint8 RGB. And `meta`. Default: `partial`,
-            `full`, `known`, `meta`. Keys of the truth are missing in items whose truth is held back.
-        transform: called with each item; its result replaces the item. It must be picklable where worker
+        path: the release's folder, a .zip, .tar or .tar.gz of it, or its URL (docs/stores.md); it is read in
+            place.
+        keys: what an item holds beside `pair_id`; nothing else is unpacked. Grids, bool: `partial` (64, 64,
+            64); `partial_256`, `full`, `shell`, `known`, `seen` (256, 256, 256); and `interior` and `said`
+            where a pair has them. Matrices, float64: `T_world_grid`, `T_world_camera` (4, 4), metres; `K` (3,
+            3), pixels. Numbers: `voxel_size_m`, `surface_sigma_m`. Texts: `framing`, `partial_rule`,
+            `occupancy_rule`. Images of the view: `depth` (height, width) float32, metres, 0 = no measurement;
+            `mask` (height, width) bool; `color` (height, width, 3) uint8 RGB. Also `meta`. Default:
+            `partial`, `full`, `known`, `meta`. Keys of the truth are missing in items whose truth is held
+            back.
+        transform: called with each item; its result replaces the item. It must be picklable if worker
             processes are spawned.
-        packed: leave the grids as they are stored, uint8 with 8 cells a byte along the last axis:
-            `numpy.unpackbits(grid, axis=-1)` unpacks them, later or on another processor.
+        packed: leave the grids as they are stored: uint8, 8 cells per byte along the last axis.
+            `numpy.unpackbits(grid, axis=-1)` unpacks them.
 
     Raises:
         ReleaseError: there is no release, or it was changed.
@@ -194,7 +196,7 @@ def checked_keys(keys: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def _read(release: Release, target: Target, names: Sequence[str]) -> Arrays:
-    """Read some arrays of a pair file by key, checked."""
+    """Read and check the arrays `names` of a pair file; return them by key."""
     content, where = release.pair_content(target), release.pair_path(target)
     try:
         present = keys_there(names, content)
@@ -204,7 +206,7 @@ def _read(release: Release, target: Target, names: Sequence[str]) -> Arrays:
 
 
 def _meta(target: Mapping[str, object], parts: Mapping[str, FileArray]) -> dict[str, object]:
-    """Return the metadata of a pair."""
+    """Return the item's `meta` of a pair; `target` and `parts` as in `item_of`."""
     meta: dict[str, object] = {name: target[name] for name in TARGET_KEYS}
     meta |= {"voxel_size_m": parts["voxel_size_m"].item(), "T_world_grid": parts["T_world_grid"]}
     if "full" in parts:
@@ -222,7 +224,7 @@ def _dataset_class() -> type[Dataset]:
     except ImportError:
         return Dataset
 
-    def reduce(self: Dataset) -> tuple[object, ...]:  # workers make the class again, too
+    def reduce(self: Dataset) -> tuple[object, ...]:  # so that worker processes make the class again
         return _dataset, (self.release, self.targets, self.keys, self.transform, self.packed)
 
     return type("TorchDataset", (Dataset, TorchDataset), {"__reduce__": reduce})

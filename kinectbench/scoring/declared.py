@@ -1,4 +1,4 @@
-"""method.json of a folder of predictions, and the check that its predictions can be scored."""
+"""Read method.json of a folder of predictions, and check what it declares."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -22,27 +22,27 @@ SUPPORTED: Mapping[str, tuple[Any, ...]] = {
     "T_camera_prediction": (None,),
 }
 SUFFIXES_OF = {"voxels": (".npy", ".npz"), "mesh": MESHES}
-# Most notes, keys and files that are named; most characters of a note that are shown.
+# Maximum numbers of notes, keys and files that are named, and of characters of a note that are shown.
 NAMED = 20
 LONGEST_NOTE = 200
 
 
 def read_in_camera(folder: Path) -> MethodFile | None:
-    """Read method.json of predictions in the camera frame; None for other predictions or without the file.
+    """Read method.json; return None if its predictions are not in the camera frame, or if there is no file.
 
     Raises:
-        PredictionError: the file cannot be read, or contradicts itself. One line.
+        PredictionError: the file cannot be read, or contradicts itself; the message is one line.
     """
     method = MethodFile.read_if_there(folder)
     return method if method is not None and method.frame == "camera" else None
 
 
 def read_method(folder: Path) -> MethodFile | None:
-    """Read method.json of a folder of predictions and check that they can be scored; None without the file.
+    """Read method.json, and check that predictions in the pairs' grids can be scored; None without the file.
 
     Raises:
-        PredictionError: the file cannot be read, has a misspelt key, or declares what is not supported yet.
-            One line.
+        PredictionError: the file cannot be read, has a misspelt key, or declares what is not supported yet;
+            the message is one line.
     """
     method = MethodFile.read_if_there(folder)
     lines = [] if method is None else list(_not_supported(method))
@@ -65,25 +65,26 @@ def _not_supported(method: MethodFile) -> Iterator[str]:
 
 
 def form_problem(method: MethodFile | None, suffix: str) -> str | None:
-    """Return why a file with this suffix contradicts method.json; None if it does not."""
+    """Return why a file with this suffix contradicts the form in method.json; None if it does not."""
     if method is None or "form" not in method.model_fields_set or suffix in SUFFIXES_OF[method.form]:
         return None
     return f"{MethodFile.FILE} says 'form': '{method.form}', which no {suffix} is; correct one of them"
 
 
 def method_problems(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
-    """Return why a folder's predictions may not be from one run on this release, a line each.
+    """Return reasons, one line each, why a folder's predictions may be incomplete or of another release.
 
     Args:
         folder: the folder of predictions.
-        method: what `read_method` found there.
+        method: what `read_method` returned for it.
         release: the release that is scored.
     """
     if method is None:
         if (folder / UnfinishedFile.FILE).is_file():
             return [f"{UnfinishedFile.FILE}: `predict` has not completed these predictions; run it again"]
         return []
-    # The public and the private half have the same inputs: predictions for one serve the other.
+    # The public and the private half have the same inputs, so predictions for one are also valid for the
+    # other.
     halves = (release.metadata.public_benchmark_sha256, release.metadata.private_benchmark_sha256)
     if method.benchmark_sha256 in (None, release.benchmark_sha256, *halves):
         return []
@@ -95,7 +96,7 @@ def method_problems(folder: Path, method: MethodFile | None, release: Release) -
 
 
 def method_lines(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
-    """Return caveats of a method's scores, a line each: `method_problems`, unknown keys, `training.notes`."""
+    """Return the caveats of a method, one line each: `method_problems`, unknown keys, `training.notes`."""
     if method is None:
         return method_problems(folder, method, release)
     lines = list(_unknown_keys(method))
@@ -106,7 +107,7 @@ def method_lines(folder: Path, method: MethodFile | None, release: Release) -> l
 
 
 def _unknown_keys(method: MethodFile) -> Iterator[str]:
-    """Yield a line about unknown keys, with the known keys that they resemble."""
+    """Yield a line about the unknown keys, if any, with the known keys that they resemble."""
     keys = [
         printable(key, 60) + (f" (did you mean {meant}?)" if (meant := method.meant(key)) else "")
         for key in method.model_extra or {}
@@ -116,10 +117,10 @@ def _unknown_keys(method: MethodFile) -> Iterator[str]:
 
 
 def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list[str]:
-    """Return files whose digests differ from those in method.json, sorted; none if it lists no files.
+    """Return files whose digests differ from those in method.json, sorted; [] if it lists no files.
 
     Args:
-        method: what `read_method` returned.
+        method: method.json, as `read_method` returns it.
         digests: {file, relative to the method's folder: digest of its bytes}.
     """
     if method is None or method.files is None:
@@ -128,7 +129,7 @@ def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list
 
 
 def changed_line(names: list[str], count: int) -> str:
-    """Return a line with the number of changed files, of `count` files, and the name of the first."""
+    """Return a line that states how many of `count` files have changed (`names`), and names the first."""
     verb = "is" if len(names) == 1 else "are"
     return (
         f"{MethodFile.FILE}: {len(names)} of {count} files {verb} not what its run of `predict` wrote, such "

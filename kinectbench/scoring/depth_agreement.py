@@ -1,7 +1,7 @@
-"""Distance of a predicted shape from its view's depth, and the unit or axis error that explains it.
+"""Measure how far a predicted shape is from its view's depth, and find a unit or axis error that explains it.
 
-A complete shape passes through the points that its view measured. A shape in another unit or frame does not.
-For each usual error of unit or axes, the distance of the corrected shape is computed.
+A complete shape passes through the points that its view measured; a shape in a wrong unit or frame does not.
+For each usual error of unit or axes, the distance after its correction is computed.
 """
 
 import math
@@ -26,21 +26,21 @@ if TYPE_CHECKING:
 # cent from the median of all, and testing all errors of a view takes 0.1 s (chosen here).
 DEPTH_POINTS, SHAPE_POINTS = 300, 20_000
 SEED = 0
-# Thresholds of the distance, as shares of the diagonal of the measured points. Below the first it is small:
-# points 1 cm apart on an object of 1 m leave as much. Above the second it is reported even if no error
-# explains it (chosen here; in the test of ten objects exact shapes have 0.3 % at most).
+# Thresholds of the distance, as shares of the diagonal of the measured points. Below the first, the distance
+# is small: it is what points 1 cm apart on an object of 1 m leave. Above the second, it is reported even if
+# no error explains it (chosen here; in the test of ten objects, exact shapes have at most 0.3 %).
 SMALL, LARGE = 0.01, 0.1
-# A shape is a scene if this share of its surface is farther from the middle of the pair's cube than the
-# cube's side: an object has nothing there, a room of 5 m around an object of 1 m has most there (chosen
-# here).
+# A shape is a scene if more than this share of its surface is farther from the middle of the pair's cube than
+# the cube's side. An object has no surface there; a room of 5 m around an object of 1 m has most of its
+# surface there (chosen here).
 SCENE = 0.2
 # An error explains a distance if correcting it brings the shape nearer by the first factor; and if the part
 # of the distance beyond the gaps between the shape's points shrinks by the second factor (chosen here).
 NEARER, NEARER_BEYOND_GAPS = 1.5, 3.0
-# Errors whose distances differ by less than this factor explain it equally well: a round shape hides an axis
-# (chosen here).
+# Errors whose distances differ by less than this factor explain a distance equally well: for a round shape,
+# axes can hardly be distinguished (chosen here).
 ABOUT = 1.3
-# 10 m in 65535 steps are 6553.5 steps a metre; millimetres have 1000.
+# 10 m in 65535 steps are 6553.5 steps per metre; millimetres are 1000 per metre.
 STEPS_OF_10_M = 6.5535
 
 # Message about a prediction -> the factor that corrects it.
@@ -66,16 +66,17 @@ AXES: Mapping[tuple[int, int, int], str] = {
 
 @dataclass(frozen=True)
 class Agreement:
-    """The fit of a predicted shape to its view's depth image.
+    """How well a predicted shape fits its view's depth image.
 
     Attributes:
-        distance_m: median distance of the object's measured points from the shape, metres.
+        distance_m: median distance of the measured points of the object from the shape, metres.
         diagonal_m: diagonal of the bounding box of these points.
-        slips: wrong units or axes that would explain the distance, in words, each with the distance after its
-            correction, the simplest first; () if the distance is small or unexplained. A shape with a mirror
-            plane has several.
-        beyond_share: share of the shape's surface more than a cube's side from the middle of the pair's cube.
-        refused: why `score` refuses the shape because it cannot be made solid; "" if it can.
+        slips: (error in words, distance after its correction, metres) for each wrong unit or axes that would
+            explain the distance, the simplest first; () if the distance is small or unexplained. A shape with
+            a mirror plane has several.
+        beyond_share: share of the shape's surface that is more than a cube's side from the middle of the
+            pair's cube.
+        refused: why the shape cannot be made solid, so that `score` refuses it; "" if it can.
         open_because: why a mesh is not closed, in words; "" if it is closed, or no mesh.
         content: digest of the shape; None if it is not needed.
     """
@@ -95,11 +96,11 @@ class Agreement:
 
     @property
     def is_large(self) -> bool:
-        """Whether the distance is large for the object: reported even if no wrong unit or axes explain it."""
+        """Whether the distance is so large for the object that it is reported even if unexplained."""
         return self.distance_m > LARGE * self.diagonal_m
 
     def line(self, slip: str, method: MethodFile) -> str:
-        """Return a line with one explaining error, and the key of method.json that corrects it."""
+        """Return a line: the distance, the error `slip` that explains it, what method.json must declare."""
         words = f"{self.distance_m:.3g} m from its view's depth (median)"
         without = f"Without that it is {dict(self.slips)[slip]:.3g} m"
         return f"{words}; {slip} {without}: declare {remedy(slip, method)} in {MethodFile.FILE}"
@@ -115,11 +116,11 @@ def agreement(
     """Compare a shape with its view's depth, and search for errors of unit or axes.
 
     Args:
-        shape: in the camera frame, placed as method.json declares it.
+        shape: the shape in the camera frame, placed as method.json declares.
         depth_points_m: (n, 3), n > 0: the object's measured points, camera frame, metres.
-        T_camera_prediction: (4, 4), the similarity that mapped the file's coordinates to the camera.
-        T_world_camera: (4, 4) of the view.
-        T_world_grid: (4, 4) of the pair's cube.
+        T_camera_prediction: (4, 4), the similarity that was used to map the file's coordinates to the camera.
+        T_world_camera: (4, 4), the camera pose of the view.
+        T_world_grid: (4, 4), the pose of the pair's cube.
     """
     from scipy.spatial import cKDTree
 
@@ -129,14 +130,14 @@ def agreement(
     diagonal = float(np.linalg.norm(np.ptp(depth_points_m, axis=0)))
 
     def distance(T: Float64) -> float:
-        """Return the distance of the transformed shape; the points move instead, so the tree is reused."""
+        """Return the distance after mapping the shape by T; the points are mapped back instead."""
         back = (seen - T[:3, 3]) @ np.linalg.inv(T[:3, :3]).T
         return float(np.median(tree.query(back)[0])) * _scale(T)
 
     gap = _gap(tree, rng)
 
     def beyond(distance_m: float, scale: float) -> float:
-        """Return a distance without the part that is due to gaps between a cloud's points, times `scale`."""
+        """Return sqrt(distance^2 - (gap scale)^2): the distance beyond what the cloud's gaps cause."""
         return float(np.sqrt(max(distance_m**2 - (gap * scale) ** 2, 0)))
 
     own = distance(np.eye(4))
@@ -155,11 +156,11 @@ def agreement(
 
 
 def remedy(slip: str, method: MethodFile) -> str:
-    """Return the keys and values of method.json that correct an error: unit and axes, or T_camera_prediction.
+    """Return what to declare in method.json to correct an error: `unit` and `axes`, or `T_camera_prediction`.
 
     Args:
-        slip: the error, in words that `mends` yields.
-        method: the present method.json.
+        slip: the error, in the words that `mends` yields.
+        method: the current method.json.
     """
     for (words, factor), (signs, axes) in product(UNITS.items(), AXES.items()):
         if slip != _both(words, axes):
@@ -175,11 +176,11 @@ def remedy(slip: str, method: MethodFile) -> str:
 
 
 def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> float:
-    """Return the share of a shape's surface more than `side_m` from the middle of the cube, along any axis.
+    """Return the share of a shape's surface that is more than `side_m` from the cube's middle along an axis.
 
     Args:
         shape: the shape, camera frame.
-        T_grid_camera: (4, 4).
+        T_grid_camera: (4, 4), from the camera to the cube, whose corner is the origin.
         side_m: side of the cube, metres.
     """
     away = transform_points(T_grid_camera, shape_points(shape)) - side_m / 2
@@ -187,10 +188,10 @@ def beyond_share(shape: CameraShape, T_grid_camera: Float64, side_m: float) -> f
 
 
 def likeliest(agreements: Sequence[Agreement]) -> list[str]:
-    """Return the likeliest error of each prediction of a method, in words; "" for a prediction without.
+    """Return the most likely error of each prediction of a method, in words; "" if a prediction has none.
 
-    Several errors may explain one prediction, for example if the object is symmetric. The error that explains
-    most of the method's predictions is taken: they usually share one error.
+    Several errors may explain one prediction, for example if the object is symmetric. Of these, the one that
+    explains most of the method's predictions is taken, because they usually share one error.
 
     Args:
         agreements: one for each prediction of the method.
@@ -205,9 +206,10 @@ def _scale(T: Float64) -> float:
 
 
 def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
-    """Return the median distance between nearest neighbours in a cloud.
+    """Return the median distance between nearest neighbours in a point cloud; 0 for a single point.
 
-    If the points are random on a surface, the surface has the same median distance from them.
+    If the points are random samples of a surface, their median distance from points of the surface is the
+    same.
     """
     if tree.n < 2:
         return 0.0
@@ -218,9 +220,9 @@ def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
 def mends(
     T_camera_prediction: Float64, T_world_camera: Float64, T_world_grid: Float64
 ) -> Iterator[tuple[str, Float64]]:
-    """Yield each typical error in words, the simplest first, and the transform (4, 4) that corrects it.
+    """Yield (typical error in words, transform (4, 4) that corrects it), the simplest errors first.
 
-    The transform maps the camera frame to itself.
+    The transform is applied to the shape in the camera frame.
     """
     both = sorted(product(UNITS.items(), AXES.items()), key=lambda one: (one[0][0] != "") + (one[1][1] != ""))
     for (unit, factor), (signs, axes) in both:
@@ -244,7 +246,7 @@ def _both(unit: str, axes: str) -> str:
 def shape_points(shape: CameraShape) -> Float64:
     """Return at most `SHAPE_POINTS` points (m, 3) of a shape's surface.
 
-    A mesh is sampled at random, uniformly by area; of a mesh without area, all vertices are returned.
+    A mesh is sampled at random, uniformly by area. If a mesh has no area, all its vertices are returned.
     """
     rng = np.random.default_rng(SEED)
     if len(shape.faces):

@@ -1,7 +1,7 @@
 """Compute the values that follow from the rows of a table: averages, curves, extremes and notes.
 
-`score` fills a table with these values. Readers compute them again from the rows, and refuse a file that
-states other values.
+`score` writes these values into a table. Readers compute them again from the rows, and refuse a file with
+other values.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,15 +30,18 @@ from kinectbench.scoring.uncertainty import MIN_OBJECTS
 
 @dataclass(frozen=True)
 class FromRows:
-    """The fields of a `ScoreTable` that follow from its rows; a heading is such as `aligned-t-visible`.
+    """The fields of a `ScoreTable` that follow from its rows.
+
+    A heading is a protocol, with kind of registration and part if any: `known`, `aligned-t-visible`.
 
     Attributes:
         by_category: {heading: {category: averages}}; None if a pair was not scored.
         overall: {heading: mean over the categories}; None if a pair was not scored.
         truth_unknown_share: {object: share of its true shape that is not known}.
-        all_unknown_pairs: {heading: pairs that have no metrics, as the truth there is all unknown}.
+        all_unknown_pairs: {heading: pairs without metrics, because all truth that would be compared is
+            unknown}.
         notes: one line each.
-        extremes: {heading: pairs of the highest and of the lowest IoU}.
+        extremes: {heading: pairs with the highest and with the lowest IoU}.
         iou_by_threshold: {protocol: {category: mean IoU at each threshold}}; None if a pair was not scored,
             or if rows have no curves (older tables).
     """
@@ -61,13 +64,13 @@ def from_rows(
 ) -> FromRows:
     """Compute the values that follow from the rows.
 
-    There are no averages if a pair was not scored, as a mean over the others could be too high.
+    There are no averages if a pair was not scored, because a mean over the others could be too high.
 
     Args:
         rows: the rows of a table.
         protocols: the scored protocols.
-        rates: base rate by category.
-        quality: quality of each recording's truth.
+        rates: {category: base rate}.
+        quality: {recording: quality of its truth}.
         complete: whether every pair was scored.
     """
     left_out: dict[str, list[str]] = {name: [] for name in protocols}
@@ -92,7 +95,7 @@ def from_rows(
 
 
 def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> dict[str, ObjectQuality]:
-    """Return {object: quality of its truth}: mean over recordings; of the unknown share, over its pairs."""
+    """Return {object: quality of its truth}: means over recordings; for the unknown share, over pairs."""
     of_object: dict[str, list[ScoreRow]] = {}
     for row in rows:
         of_object.setdefault(row.object, []).append(row)
@@ -113,13 +116,13 @@ def _by_object(rows: Sequence[ScoreRow], quality: Mapping[str, QualityFile]) -> 
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    """Return the mean of a figure; None if one of the values is not known."""
+    """Return the mean of some values; None if one of them is None."""
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if len(known) == len(values) else None
 
 
 def _few_objects(rows: Sequence[ScoreRow], means: Mapping[str, Mapping[str, ObjectMeans]]) -> list[str]:
-    """Return a line with the categories that have too few objects for an interval under some protocol."""
+    """Return a line with the categories that have too few objects for an interval under a protocol, or []."""
     few = []
     for name in sorted({row.category for row in rows}):
         least = min(len(of[name].names) if name in of else 0 for of in means.values())

@@ -1,4 +1,4 @@
-"""Find swapped or flipped axes of predicted grids by comparing the grids with the views' measured cells."""
+"""Find swapped or flipped axes of predicted grids, by comparing grids with the cells that views measured."""
 
 from collections.abc import Iterable
 from itertools import permutations, product
@@ -8,7 +8,8 @@ import numpy as np
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.scoring.counts import Prediction
 
-# Which axis of the pair each axis of a prediction is, and for each axis of the pair whether it is flipped.
+# (for each axis of a prediction, which axis of the pair it is; for each axis of the pair, whether it is
+# flipped).
 Axes = tuple[tuple[int, ...], tuple[bool, ...]]
 
 
@@ -21,7 +22,7 @@ def _changes(axes: Axes) -> int:
 ALL_AXES: tuple[Axes, ...] = tuple(
     sorted(product(permutations(range(3)), product((False, True), repeat=3)), key=_changes)
 )
-# At most and at least so many predictions are compared: all predictions of a method have the same axes.
+# Maximum and minimum number of predictions that are compared; all predictions of a method have the same axes.
 MOST_LOOKED_AT, LEAST_LOOKED_AT = 20, 10
 # Number of measured cells that are compared, and distances in cells of 256 to the compared cells in front of
 # each: beyond a Kinect's noise, before most other parts of an object.
@@ -32,18 +33,19 @@ MEASURED, BEFORE = 4000, (6, 9, 12, 15, 18)
 # and coarse grids of 16 and 32 cells): right axes reach .07 to 1, wrong ones at most .55 of that; shapes
 # moved by 10 or 24 of 256 cells reach .11 with the best axes.
 LEAST_BETTER, MOST_RATIO, LEAST_FIT = 0.9, 0.75, 0.12
-# Axes whose fit is at least this share of the best fit as well (symmetric objects): the simplest are named.
+# Axes that reach at least this share of the best fit count as equally good (symmetric objects); the simplest
+# of them are named.
 AS_WELL = 0.95
 
 
 def axes_problem(looked_at: Iterable[tuple[Prediction, Bools]]) -> str | None:
-    """Return a line if a method's grids fit the measured cells far better with other axes; else None.
+    """Return a line if a method's grids fit the measured cells far better with other axes; None if not.
 
     A prediction of a whole object contains the surface that its view measured, and nothing in front of it.
-    Fewer than ten predictions are not judged.
+    With fewer than ten predictions, the result is None.
 
     Args:
-        looked_at: predictions (n, n, n), each with its view's `partial_256`, bool (256, 256, 256), in the
+        looked_at: (prediction (n, n, n), its view's `partial_256`, bool (256, 256, 256)) pairs, both in the
             same cube; the camera looks along the last axis of `partial_256`.
     """
     fits = np.array([_fits(prediction, partial) for prediction, partial in looked_at])
@@ -64,16 +66,16 @@ def axes_problem(looked_at: Iterable[tuple[Prediction, Bools]]) -> str | None:
 
 
 def _remedy(order: tuple[int, ...], turned: tuple[bool, ...]) -> str:
-    """Return the numpy expression that undoes swapped (`order`) and flipped (`turned`) axes of a grid."""
+    """Return the numpy expression that corrects swapped (`order`) and flipped (`turned`) axes of a grid."""
     swapped = f".transpose({', '.join(map(str, np.argsort(order)))})" if order != (0, 1, 2) else ""
     return f"grid{swapped}" + f"[{', '.join('::-1' if one else ':' for one in turned)}]" * any(turned)
 
 
 def _fits(prediction: Prediction, partial: Bools) -> Float64:
-    """Return the fit of a prediction to a view, -1 to 1, under 48 swaps and flips of its axes: (48,).
+    """Return how well a prediction fits a view, -1 to 1, for 48 swaps and flips of its axes: (48,).
 
-    The fit is the mean prediction in measured cells, minus the mean in the empty cells in front of them,
-    divided by the largest predicted value.
+    The fit is the mean prediction in measured cells, minus that in empty cells in front of them, divided by
+    the largest predicted value.
     """
     side, largest = len(partial), float(prediction.max())
     found = np.flatnonzero(partial)
@@ -90,13 +92,14 @@ def _fits(prediction: Prediction, partial: Bools) -> Float64:
 
 
 def _mean(prediction: Prediction, cells: Int64, side: int, axes: Axes) -> float:
-    """Return the mean of a prediction over some cells if its axes are `axes`; 0 without cells.
+    """Return the mean of a prediction over some cells, assuming that its axes are `axes`; 0 without cells.
 
     Args:
         prediction: (n, n, n).
         cells: (k, 3) indices, in the pair's axes, into a grid of the same cube.
         side: number of cells along an edge of that grid.
-        axes: the pair's axis along each axis of the prediction; whether each of the pair's axes is flipped.
+        axes: for each axis of the prediction, which axis of the pair it is; for each axis of the pair,
+            whether it is flipped.
     """
     order, turned = axes
     there = np.where(turned, side - 1 - cells, cells)[:, list(order)]

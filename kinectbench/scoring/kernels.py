@@ -17,7 +17,7 @@ CODES = 8
 HALF_PATTERNS = 0x3C01  # bit patterns of the float16 values 0 to 1
 
 _BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)
-# Spreads bit i of a byte to byte i of a word: two shifts and two ors then make eight codes.
+# Spreads bit i of a byte to byte i of a word, so that two shifts and two ors make eight codes.
 _SPREAD = (_BITS.astype(np.uint64) << (np.arange(8, dtype=np.uint64) * np.uint64(8))).sum(
     axis=1, dtype=np.uint64
 )
@@ -28,18 +28,18 @@ _CELLS = np.uint32(21 * CODES)
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Packed) -> Int64:
-    """Histogram a float16 prediction.
+    """Count the voxels of a float16 prediction by value and code.
 
     Args:
-        bits: (v,) bit patterns of values in [0, 1], -0 allowed.
+        bits: (v,) bit patterns of values in [0, 1]; -0 is allowed.
         full: (v / 8,) packed truth.
-        known: (v / 8,) packed: the truth is known.
-        seen: (v / 8,) packed: the input view saw the voxel.
+        known: (v / 8,) packed: where the truth is known.
+        seen: (v / 8,) packed: where the input view saw the voxel.
 
     Returns:
-        (0x3C01, 8) how many voxels have each pattern and code (1 occupied + 2 known + 4 seen).
+        (0x3C01, 8), the number of voxels with each bit pattern and code (1 occupied + 2 known + 4 seen).
     """
-    # Two tables in turn: increments of the same cell would wait for each other.
+    # Use two tables in turn, because successive increments of the same cell would wait for each other.
     even = np.zeros(HALF_PATTERNS * CODES, np.uint32)
     odd = np.zeros(HALF_PATTERNS * CODES, np.uint32)
     for byte in range(len(full)):
@@ -57,7 +57,7 @@ def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Pa
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _ones(word: np.uint64) -> np.uint64:
-    """Return the number of set bits (the usual sideways addition; LLVM vectorises it)."""
+    """Return the number of set bits, by sideways addition, which LLVM vectorises."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
     word = (word & np.uint64(0x3333333333333333)) + ((word >> np.uint64(2)) & np.uint64(0x3333333333333333))
     word = (word + (word >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -66,9 +66,9 @@ def _ones(word: np.uint64) -> np.uint64:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64:
-    """Histogram a packed boolean prediction: (2, 8), the number of voxels of each value and code.
+    """Count the voxels of a packed boolean prediction by value and code: (2, 8).
 
-    A code is 1 if the truth is occupied, + 2 if it is known, + 4 if the input view saw the voxel.
+    A code is 1 if the truth is occupied, + 2 if the truth is known, + 4 if the input view saw the voxel.
 
     Args:
         occupied: (v / 64,) uint64, packed prediction.
@@ -101,18 +101,19 @@ def count_reals(
     bins: Int64,
     ce_sum: Float64,
 ) -> None:
-    """Count a float32 or float64 prediction, or a part of one, adding to `bins` and `ce_sum`.
+    """Count a float32 or float64 prediction, or a part of one; the counts are added to `bins` and `ce_sum`.
 
     Args:
-        values: (v,) in [0, 1], v a multiple of 8; every one is used as float64.
+        values: (v,) in [0, 1], v a multiple of 8; each value is converted to float64.
         full: (v / 8,) packed truth.
-        known: (v / 8,) packed: the truth is known.
-        seen: (v / 8,) packed: the input view saw the voxel.
+        known: (v / 8,) packed: where the truth is known.
+        seen: (v / 8,) packed: where the input view saw the voxel.
         steps: 20; thresholds are k / steps.
         clip: cross-entropy clips values to [clip, 1 - clip].
-        bins: (21, 8) int64; row k counts values above k / 20 and up to (k + 1) / 20; row 0 counts values up
-            to 1 / 20, 0 included; a column is a code: 1 occupied + 2 known + 4 seen.
-        ce_sum: (8,) sum of -log(y), if occupied, or -log(1 - y) per code.
+        bins: (21, 8) int64; row k counts values above k / 20 and up to (k + 1) / 20; row 0 also counts the
+            value 0. A column is a code: 1 occupied + 2 known + 4 seen.
+        ce_sum: (8,) for each code, the sum of -log(y), if it is occupied, or else of -log(1 - y), over its
+            values y.
     """
     # A sum of logarithms is the logarithm of a product: one logarithm suffices for some thirty voxels. Eight
     # tables are used in turn, as above. Unsigned indices need no test for negative values.
@@ -158,7 +159,7 @@ def count_reals(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _bins_of(values: NDArray[np.floating], steps: int, rows: NDArray[np.uint8]) -> None:
-    """Write into `rows` (v,) 8 times the index of each value's row in `bins` of `count_reals`."""
+    """Write 8 times the index of each value's row in `bins` (see `count_reals`) into `rows` (v,)."""
     for i in range(len(values)):
         y = np.float64(values[i])
         k = np.int32(np.ceil(y * steps)) - np.int32(

@@ -1,8 +1,8 @@
 """Groups of methods that cannot be distinguished, as letters: a compact letter display.
 
-Indistinguishability is not transitive: of three methods, the first and the last may differ while the middle
-one differs from neither. Ranks cannot express that; letters can: two methods share a letter if, and only if,
-they do not differ significantly.
+Of three methods, the first and the last may differ significantly while the middle one differs from neither.
+Ranks cannot express that, but letters can: two methods share a letter if, and only if, they do not differ
+significantly.
 
 Source: Piepho, An algorithm for a letter-based representation of all-pairwise comparisons, J. Comput. Graph.
 Stat. 13 (2004); here the groups are all maximal cliques, so the display is correct by construction.
@@ -25,8 +25,8 @@ def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str
         apart: pairs of methods that differ significantly.
 
     Returns:
-        {name: its letters, such as "ab"}: a pair shares a letter if, and only if, it is not in `apart`. If
-        that takes more than `MOST_GROUPS` letters, no method has any.
+        {name: its letters, such as "ab"}; two methods share a letter if, and only if, the pair is not in
+        `apart`. If this takes more than `MOST_GROUPS` letters, all are "".
     """
     place = {name: index for index, name in enumerate(names)}
     indistinct = {
@@ -62,5 +62,5 @@ def _maximal_cliques(neighbours: dict[str, set[str]]) -> Iterator[set[str]]:
 
 
 def _letter(index: int) -> str:
-    """Return a, b, … z, then (27), (28), …: brackets keep the letters of a method apart."""
+    """Return a, b, … z, then (27), (28), …; the brackets separate the letters of a method."""
     return ascii_lowercase[index] if index < len(ascii_lowercase) else f"({index + 1})"

@@ -9,12 +9,12 @@ from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHOD_SOURCE, POOLED_SOURCE
 
-# Most names in a mark.
+# Maximum number of names in a mark.
 LISTED = 3
 
 
 def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
-    """Return a table's caveats as marks: a baseline, old version, thresholds, missing pairs, closed meshes.
+    """Return the caveats of a table: baseline, old version, thresholds, missing pairs, closed meshes.
 
     Args:
         table: a score table; its stored `marks` are ignored.
@@ -34,12 +34,12 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
 
 
 def _baseline(table: ScoreTable) -> str:
-    """Return a mark if the table is a baseline's, as it states or as the method's name shows."""
+    """Return a mark if the table says that it is a baseline's, or if its method is named like a baseline."""
     return "baseline" if table.baseline or table.method.lower() in BASELINE_NAMES else ""
 
 
 def _older(table: ScoreTable) -> str:
-    """Return a mark for tables of an old version, which lack part of the provenance."""
+    """Return a mark if the table is of an old version, whose tables lack a part of the provenance."""
     version = table.score_version
     return "" if version >= ACCOUNTED else f"score version {version}, now {VERSIONS['score']}"
 
@@ -60,7 +60,7 @@ def _validation(table: ScoreTable) -> str:
 
 
 def _from(table: ScoreTable, source: str, words: str) -> str:
-    """Return a mark with the categories whose threshold has a given source; `words` describe the source."""
+    """Return a mark with the categories whose threshold is from `source`, which `words` describe."""
     # Most methods in space have no thresholds. Thresholds of grid methods are searched or declared.
     has_none = any_in_space(table.settings.protocols) and table.threshold_source == FIXED_SOURCE
     sources = {} if has_none else table.threshold_source_by_category
@@ -72,14 +72,14 @@ def _from(table: ScoreTable, source: str, words: str) -> str:
 
 
 def _unchecked(table: ScoreTable) -> str:
-    """Return a mark if thresholds are from a file and may have been searched on the test split."""
+    """Return a mark if thresholds are from a file that does not name the objects they were chosen on."""
     if not table.threshold_source.startswith(FROM_FILE) or table.threshold_objects is not None:
         return ""
     return "thresholds from a file that names no objects"
 
 
 def _closed(table: ScoreTable) -> str:
-    """Return a mark with the number of open meshes or points that `--close` made solid."""
+    """Return a mark with the number of open meshes and point clouds that `--close` made solid."""
     closed = {row.pair for row in table.rows if row.closed is not None}
     views = len({row.pair for row in table.rows})
     return f"{len(closed)} of {views} open, closed by {table.settings.close}" if closed else ""

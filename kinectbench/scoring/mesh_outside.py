@@ -6,25 +6,26 @@ import numpy as np
 
 from kinectbench.core.types import Float64, Int32
 
-# Number of triangles processed at a time: some 30 MB with their pieces.
+# Number of triangles processed at a time; with their pieces they take some 30 MB.
 AT_ONCE = 1 << 16
 
 
 def outside_share(vertices: Float64, faces: Int32, side: float) -> float:
     """Return the exact share of a closed mesh's volume that lies outside the cube [0, side]^3.
 
-    The volume is the integral of height over the faces projected on the floor; its sign is that of the face's
-    normal. For the part inside, faces are cut at the cube's walls, and heights are clipped to [0, side].
+    The volume is the integral of the height z over the faces, projected along z; each face counts with the
+    sign of its normal's z. For the part inside, faces are cut at the cube's walls, and heights are clipped to
+    [0, side].
 
     Args:
         vertices: (n, 3) float64, in any unit.
-        faces: (m, 3) int32, with one orientation, all outwards or all inwards.
+        faces: (m, 3) int32, all oriented outwards or all inwards.
         side: the cube's side, in the same unit.
 
     Returns:
         A share from 0 to 1; 1 if the mesh has no volume.
 
-    Source: the divergence theorem; overlapping parts count once for each enclosing surface.
+    Source: the divergence theorem. A volume that several surfaces enclose counts once for each of them.
     """
     inside = whole = 0.0
     beyond = np.asarray(((vertices < 0) | (vertices > side)).any(axis=1))
@@ -40,7 +41,7 @@ def outside_share(vertices: Float64, faces: Int32, side: float) -> float:
 
 
 def _mean(heights: Float64) -> Float64:
-    """Return the means of rows: (k, 3) to (k,). numpy takes three times as long along so short an axis."""
+    """Return each row's mean: (k, 3) to (k,). `numpy.mean` takes three times as long on so short an axis."""
     mean: Float64 = (heights[:, 0] + heights[:, 1] + heights[:, 2]) / 3
     return mean
 
@@ -53,7 +54,7 @@ def _areas(triangles: Float64) -> Float64:
 
 
 def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
-    """Clip triangles to 0 <= x, y <= side; yield pieces that cross neither z = 0 nor z = side."""
+    """Clip triangles to 0 <= x, y <= side; yield them in pieces that cross neither z = 0 nor z = side."""
     for axis in (0, 1):
         triangles = _cut(_cut(triangles, axis, 0)[1], axis, side)[0]
     below, above = _cut(triangles, 2, 0)
@@ -62,7 +63,7 @@ def _within_walls(triangles: Float64, side: float) -> Iterator[Float64]:
 
 
 def _cut(triangles: Float64, axis: int, at: float) -> tuple[Float64, Float64]:
-    """Cut triangles (k, 3, 3) where coordinate `axis` is `at`; return the pieces below and above."""
+    """Cut triangles (k, 3, 3) where coordinate `axis` equals `at`; return the pieces below and above."""
     height = triangles[:, :, axis] - at
     up, down = height > 0, height < 0
     count = np.add(np.add(up[:, 0], up[:, 1], dtype=np.int8), up[:, 2])

@@ -22,21 +22,21 @@ IN_CAMERA = "or declare 'frame': 'camera' in method.json"
 
 
 def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArray[np.bool_], float]:
-    """Return the cells whose centre is inside a closed mesh, and the mesh's share outside the grid.
+    """Return the cells whose centre is inside a closed mesh, and the share of its volume outside the grid.
 
     Args:
-        file: at most `MAX_MESH_BYTES`; coordinates in metres from the grid's corner.
+        file: the mesh file, at most `MAX_MESH_BYTES`; coordinates are in metres from the grid's corner.
         suffix: .ply or .obj.
         voxel_size_m: edge of a voxel of the pair's 256-grid, metres.
 
     Returns:
-        (256, 256, 256) bool, without the parts beyond the grid, and empty if the mesh is too thin to hold a
-        cell's centre; and the share of the volume cut off.
+        The cells, (256, 256, 256) bool; they are empty if the mesh is too thin to contain a cell's centre.
+        And the share of the volume that lies outside the grid and is cut off.
 
     Raises:
         OSError: the file cannot be read.
         PredictionError: the mesh is unreadable, open, inconsistently oriented, too costly, too far away, or
-            lies outside the grid; the message lacks the file's name.
+            lies outside the grid; the message does not name the file.
     """
     from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 
@@ -56,7 +56,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
             what="open-mesh",
         )
     packed = voxelize_solid(vertices, faces, grid)
-    # A vertex less than half a cell beyond the grid cuts off no cell centre.
+    # If no vertex is more than half a cell beyond the grid, no cell centre is cut off.
     if np.abs(vertices / voxel_size_m - FULL_CELLS / 2).max() <= (FULL_CELLS + 1) / 2:
         return unpack(packed), 0.0
     if not packed.any():
@@ -65,7 +65,7 @@ def voxelised(file: IO[bytes], suffix: str, voxel_size_m: float) -> tuple[NDArra
 
 
 def _parsed(file: IO[bytes], kind: str) -> tuple[Float64, Int32]:
-    """Read the vertices that faces use (n, 3), and triangles (m, 3)."""
+    """Read the vertices (n, 3) that faces use, and the faces (m, 3), which are triangles."""
     try:
         vertices, triangles = READERS[kind](file.read(MAX_MESH_BYTES))
     except ValueError as error:
@@ -85,7 +85,7 @@ def _refuse_far(vertices: Float64, grid: Grid) -> None:
 
 
 def _outside(vertices: Float64, grid: Grid) -> PredictionError:
-    """Return the error for a mesh without any part inside the grid; it states where the mesh lies."""
+    """Return the error for a mesh that lies outside the grid; its message states where the mesh lies."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     box = ", ".join(f"{axis} {a:.3g} to {b:.3g}" for axis, a, b in zip("xyz", low, high, strict=True))
     return PredictionError(

@@ -1,4 +1,4 @@
-"""Check that a score table belongs to a release: pairs, objects, hashes of truth, and splits.
+"""Check that a score table belongs to a release, by its pairs, objects, hashes of truth, and splits.
 
 The caller has already compared the release's hash with the one in the table. No pair is read here: `recheck`
 checks base rates and coverage.
@@ -17,11 +17,11 @@ from kinectbench.scoring.thresholds import VALIDATION_SOURCE
 
 
 def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Yield a sentence for each statement of a table that contradicts the release.
+    """Yield a sentence for each value in a table that contradicts the release.
 
     Args:
-        table: read by `read_table`, scored against this release.
-        release: the release that the table states.
+        table: a table from `read_table` that was scored against this release.
+        release: the release whose hash the table states.
     """
     test = {target.name: target for target in release.split("test")}
     yield from _rows(table, test)
@@ -38,7 +38,7 @@ def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
-    """Report rows outside the test split, of another object or category, or with a wrong unknown share."""
+    """Report rows of no test pair, with a wrong object or category, or with a wrong unknown share."""
     for row in table.rows:
         target = test.get(row.pair)
         if target is None:
@@ -50,10 +50,10 @@ def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
 
 
 def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
-    """Report a row with another unknown share of the true shape than `share`, or wrongly without scores.
+    """Report a row whose unknown share of the true shape is not `share`, or which wrongly has no scores.
 
-    Missing scores are checked under `known` and protocols that count every voxel; others would need the pair
-    file.
+    Missing scores are checked under `known` and under the protocols that count every voxel; for other
+    protocols, the pair file would be needed.
     """
     if row.unknown_share is not None and abs(row.unknown_share - share) > 10**-SHARE_DECIMALS:
         yield f"has {row.unknown_share:g} of its true shape unknown; the release says {share:g}"
@@ -62,7 +62,7 @@ def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
 
 
 def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Report entries of `hashes` for pairs outside the test and validation split, or of another truth."""
+    """Report entries of `hashes` for unknown or training pairs, or with the hash of another truth."""
     known = {target.name: target for target in release.targets if target.split != "train"}
     for name, of in table.hashes.items():
         target = known.get(name)
@@ -73,7 +73,7 @@ def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _validation(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Report contradictions about the validation split: its number of pairs, and its categories."""
+    """Report a wrong number of validation pairs, and "validation" as source for categories without any."""
     validation = release.split("validation")
     if table.validation is not None and table.validation.pairs != len(validation):
         yield f"states {table.validation.pairs} validation pairs; the release has {len(validation)}"

@@ -1,7 +1,8 @@
-"""Probabilities in 8 bits: an npz of `codes`, indices into `levels`; no code's range spans a threshold.
+"""Store probabilities in 8 bits, as an npz of `levels` and of `codes`, which are indices into the levels.
 
-Packing moves no voxel across a searched threshold, so the IoU at each of them stays the same. That holds for
-predictions at 256^3, which are counted without interpolation; coarser predictions are not packed.
+The values that share a code are all on the same side of each threshold, so packing does not change the IoU at
+any threshold. This holds for predictions at 256^3, which are counted without interpolation; coarser
+predictions are not packed.
 """
 
 from functools import cache
@@ -15,16 +16,16 @@ from kinectbench.scoring.counts import CE_CLIP, STEPS, THRESHOLDS, Prediction
 
 # Arrays of these names mark a packed prediction.
 CODES, LEVELS = "codes", "levels"
-# A byte has so many values.
+# Number of values of a byte.
 MOST_LEVELS = 256
 HALF_ONE = 0x3C00
 # First number: levels between neighbouring thresholds. Second: beyond the outermost thresholds, the factor
-# from the logit of one level's bound to the next. The demo's 16 views by `recae-small` take 6.3 MB a view,
-# instead of 25.9 MB in float16; the cross-entropy changes by 0.05 %, 0.1 % at most. On six of the views, with
-# middles as levels, 4 and 1.04 took 1.4 times the space for 0.02 % at most, 3 and 1.15 three quarters of it
-# for 0.25 %.
+# between the logits of successive bounds of levels. The demo's 16 views by `recae-small` take 6.3 MB per
+# view, instead of 25.9 MB in float16; the cross-entropy changes by 0.05 %, at most by 0.1 %. On six of the
+# views, with middles as levels, (4, 1.04) took 1.4 times the space and changed it by at most 0.02 %; (3,
+# 1.15) took three quarters of the space and changed it by 0.25 %.
 PARTS, GROWTH = 2, 1.08
-# Weight of a value that does not occur: a level of only such values then lies among them, too.
+# Weight of a value that does not occur, so that a level of only such values also lies among them.
 UNUSED = 1e-9
 OUTERMOST_LOGIT = float(np.log(THRESHOLDS[-1] / (1 - THRESHOLDS[-1])))
 
@@ -33,8 +34,8 @@ def packed(probability: NDArray[np.float16]) -> Arrays | None:
     """Pack a prediction into the arrays of its npz.
 
     A level is the mean of the values that share its code. With the middle of their range instead, the
-    cross-entropy changed by 2 % for a network that was trained for two steps and predicted nearly the same
-    value everywhere.
+    cross-entropy of a network that was trained for two steps, and predicted nearly the same value everywhere,
+    changed by 2 %.
 
     Args:
         probability: (256, 256, 256), values in [0, 1].
@@ -57,19 +58,19 @@ def packed(probability: NDArray[np.float16]) -> Arrays | None:
 
 
 def unpacked(levels: NDArray[np.generic], codes: NDArray[np.uint8]) -> Prediction:
-    """Return the values of a packed prediction, (n, n, n) of the type of `levels`; codes must be valid."""
+    """Return the values of a packed prediction, (n, n, n), in the dtype of `levels`; codes must be valid."""
     values: Prediction = np.take(levels, codes)
     return values
 
 
 def _values() -> NDArray[np.float16]:
-    """Return all float16 values from 0 to 1, ascending: the index of a value is its bit pattern."""
+    """Return all float16 values from 0 to 1, ascending; so the index of a value is its bit pattern."""
     return np.arange(HALF_ONE + 1, dtype=np.uint16).view(np.float16)
 
 
 @cache
 def _codes() -> NDArray[np.uint8]:
-    """Return the code of each of `_values`; it rises by at most one from a value to the next."""
+    """Return the code of each of `_values`, ascending; each code is that of the previous value, or 1 more."""
     exact = _values().astype(np.float64)
     clipped = np.clip(exact, CE_CLIP, 1 - CE_CLIP)
     logits = np.abs(np.log(clipped / (1 - clipped)))

@@ -1,4 +1,4 @@
-"""Count one prediction against its truth; keep the counts of each pair so that a run can be resumed."""
+"""Count one prediction against its truth; keep the counts of each pair, so that a run can be resumed."""
 
 import contextlib
 from collections.abc import Iterable, Mapping
@@ -32,19 +32,20 @@ from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import PackedTruth, read_packed_truth, read_voxel_size
 
 EMPTY_CELLS = 16
-# A pair takes some kilobytes of the journal.
+# Maximum size of a journal; a pair takes some kilobytes.
 MOST_JOURNAL_BYTES = 1 << 30
-# At least so many kept results, and at least this share, are counted again before the rest is accepted. If
-# half of the results were made up, four drawn ones would all be genuine in one case of sixteen.
+# Minimum number and minimum share of kept results that are counted again before the rest is accepted. If half
+# of the results were invented, four drawn results would all be genuine in one case of sixteen.
 LEAST_CHECKED, CHECKED_SHARE = 4, 0.01
 
 
 def drawn(names: Iterable[str], of: str) -> frozenset[str]:
-    """Return a random sample of names of pairs, at least four and 1 %, which are counted again as a check.
+    """Return a random sample of pairs, at least four and 1 %, which are to be counted again as a check.
 
     Args:
         names: the names of all pairs.
-        of: a text or hash of the whole file, the seed of the sample: a changed row changes the sample.
+        of: the seed of the sample: a text or hash of the whole file, so that a changed row changes the
+            sample.
     """
     order = sorted(set(names), key=lambda name: sha256_text(f"{of} {name}"))
     return frozenset(order[: max(LEAST_CHECKED, int(CHECKED_SHARE * len(order)))])
@@ -52,7 +53,7 @@ def drawn(names: Iterable[str], of: str) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Counting:
-    """How pairs are counted; the same for all pairs of a run.
+    """How pairs are counted, which is the same for all pairs of a run.
 
     Attributes:
         protocols: names of `PROTOCOLS`.
@@ -66,7 +67,7 @@ class Counting:
 
     @property
     def further_grids(self) -> tuple[str, ...]:
-        """Grids of a pair file that these protocols read beside `full`, `known` and `seen`."""
+        """Names of the grids of a pair file that the protocols need beside `full`, `known` and `seen`."""
         return further_grids(self.protocols)
 
 
@@ -77,11 +78,13 @@ class PairJob:
     Attributes:
         target: the pair.
         truth: the pair file.
-        file: the prediction's file, None for an empty grid.
-        threshold: threshold of the surface metrics; None leaves these metrics out.
+        file: the prediction's file; None for an empty grid.
+        threshold: threshold for the surface metrics; None leaves out these metrics, and sets all ceilings to
+            1.
         counting: how the pair is counted.
-        earlier: the pair's result in the journal of an interrupted run, or None.
-        check: whether the pair is counted again in spite of `earlier`, and refused if the two differ.
+        earlier: the pair's result in the journal of an interrupted run; None if there is none.
+        check: whether the pair is counted in spite of `earlier`, and an error raised if the two results
+            differ.
     """
 
     target: Target
@@ -102,11 +105,11 @@ class PairJob:
 
 
 def count_job(job: PairJob) -> PairResult | str:
-    """Count one pair; return the reason if its prediction cannot be scored.
+    """Count one pair; if its prediction cannot be scored, return the reason instead.
 
     Raises:
-        ReleaseError: the truth is missing, or not the published one.
-        StorageError: the kept result differs from the pair's counts.
+        ReleaseError: the truth is missing, or differs from the published one.
+        StorageError: an earlier result was checked, and differs from the new one.
     """
     digest, outside = None, 0.0
     try:
@@ -142,7 +145,7 @@ def count_job(job: PairJob) -> PairResult | str:
 def count(
     prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
 ) -> PairResult:
-    """Count a prediction in memory; without `threshold`, no surface metrics, and `ceilings` of 1."""
+    """Count a prediction in memory; without `threshold`, leave out surface metrics and set ceilings to 1."""
     side = len(prediction)
     reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
     surface = surfaces(prediction, truth, counting, threshold)
@@ -153,7 +156,7 @@ def count(
 def surfaces(
     prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
 ) -> Mapping[str, SurfaceMetrics]:
-    """Return the surface metrics under each protocol; none without a threshold or `counting.surface`."""
+    """Return {protocol: surface metrics}; {} without a threshold, or if `counting.surface` is False."""
     if not counting.surface or threshold is None:
         return {}
     packed = occupied(prediction, threshold, counting.upsampling)
@@ -161,7 +164,7 @@ def surfaces(
 
 
 def ceilings(truth: PackedTruth, side: int, counting: Counting) -> Mapping[str, float]:
-    """Return {protocol: best IoU of the truth when averaged to side^3 cells}; 1 for sides from 256."""
+    """Return {protocol: best IoU of the truth when averaged to side^3 cells}; 1 if `side` is at least 256."""
     if side >= FULL_CELLS:
         return dict.fromkeys(counting.protocols, 1.0)
     best, others = ceiling_tallies(truth, side, counting.protocols, counting.upsampling)
@@ -170,11 +173,12 @@ def ceilings(truth: PackedTruth, side: int, counting: Counting) -> Mapping[str, 
 
 
 class Journal:
-    """Results by pair, written to disk as soon as they are known.
+    """The results of pairs, written to disk as soon as they are known.
 
     Args:
         folder: where the results are kept; None keeps nothing.
-        shard: the part that this run counts; each part has a file of its own, and all files are read.
+        shard: the part of the pairs that this run counts; None for all. Each part has a file of its own; all
+            files are read.
     """
 
     def __init__(self, folder: Path | None, shard: Shard | None = None) -> None:
@@ -193,11 +197,11 @@ class Journal:
         return self._earlier.get(pair)
 
     def is_checked(self, pair: str) -> bool:
-        """Return whether a pair must be counted again to check an earlier run's result."""
+        """Return whether a pair must be counted again, to check an earlier run's result."""
         return pair in self._checked
 
     def add(self, job: PairJob, result: PairResult) -> None:
-        """Write a pair's result to disk, unless an earlier run has.
+        """Write a pair's result to disk, unless an earlier run has written it.
 
         Raises:
             StorageError: the disk is full or read-only, or the journal's path is no plain file.
@@ -209,7 +213,7 @@ class Journal:
         append_plain(self._path, counted.line())
 
     def remove(self) -> None:
-        """Delete the journal; call it when the table is written."""
+        """Delete the journal's files; call it when the table is complete."""
         for path in () if self._path is None else self._path.parent.glob(JOURNALS):
             path.unlink(missing_ok=True)
 
@@ -223,7 +227,7 @@ def _text(path: Path) -> str:
 
 
 def _pairs(text: str) -> dict[str, CountedPair]:
-    """Return the results by pair; incomplete lines are skipped."""
+    """Return {pair: its result} from a journal's text; invalid (such as incomplete) lines are skipped."""
     by_name = {}
     for line in text.splitlines():
         with contextlib.suppress(ValidationError):

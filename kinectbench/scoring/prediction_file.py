@@ -1,4 +1,4 @@
-"""Load one submitted prediction. The file is untrusted: its header is checked before it is read."""
+"""Load one submitted prediction. The file is untrusted: its header is checked before its values are read."""
 
 import contextlib
 import os
@@ -45,15 +45,16 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
     Args:
         path: an .npy file, an .npz file with exactly one array or a packed prediction, or a .ply or .obj
             mesh.
-        name: the file's name in error messages (default: the path).
-        voxel_size_m: edge of a voxel of the pair; needed only for a mesh.
+        name: how error messages call the file; default: by its path.
+        voxel_size_m: edge of a voxel of the pair, metres; needed only for a mesh.
 
     Returns:
-        (n, n, n) bool, float16 or float32, 1 <= n <= 512, C order, native bytes, every value in [0, 1].
-        uint8 of 0 and 1, packed bits and meshes are returned as bool, packed probabilities as their levels.
+        (n, n, n) bool, float16 or float32, 1 <= n <= 512, C order, native byte order, all values in [0, 1].
+        uint8 values 0 and 1, packed bits and meshes are returned as bool, packed probabilities as their
+        levels.
 
     Raises:
-        PredictionError: the file is unacceptable; one line.
+        PredictionError: the file is invalid; the message is one line.
     """
     with _named_errors(str(name or path)), open_plain(path) as file:
         return _loaded(file, path.suffix, voxel_size_m)[0]
@@ -62,7 +63,7 @@ def load_prediction(path: Path, name: str | None = None, voxel_size_m: float | N
 def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loaded:
     """Load a prediction as `load_prediction` does, and return it with facts about its file.
 
-    Prediction and hash are read one after the other from one open file, which must not change meanwhile.
+    The file is opened once and read twice, for the prediction and for the hash. It must not change meanwhile.
 
     Raises:
         PredictionError: as in `load_prediction`, or the file changed.
@@ -79,7 +80,7 @@ def load_hashed(path: Path, name: str, voxel_size_m: float | None = None) -> Loa
 
 @contextlib.contextmanager
 def _named_errors(name: str) -> Iterator[None]:
-    """Turn errors of a prediction's file into one line that begins with its name."""
+    """Turn errors about a prediction's file into a PredictionError of one line that begins with `name`."""
     try:
         yield
     except PredictionError as error:
@@ -106,13 +107,13 @@ def _loaded(file: IO[bytes], suffix: str, voxel_size_m: float | None) -> tuple[P
 
 
 def _state(file: IO[bytes]) -> tuple[int, int, int]:
-    """Return a file's size and times, which change when it is written."""
+    """Return a file's size and times (modification, change); one of them changes if it is written."""
     state = os.fstat(file.fileno())
     return state.st_size, state.st_mtime_ns, state.st_ctime_ns
 
 
 def blake3_of(content: IO[bytes] | bytes) -> str:
-    """Return `blake3:` and the hash of bytes, or of a file from its position on."""
+    """Return `blake3:` and the hash of bytes, or of a file from its current position on."""
     # SHA-256 of a 33 MB prediction would take longer than the rest of its scoring.
     from blake3 import blake3
 
@@ -126,10 +127,10 @@ def blake3_of(content: IO[bytes] | bytes) -> str:
 
 
 def checked(array: NDArray[np.generic], name: str) -> Prediction:
-    """Check a prediction in memory, and return it as `load_prediction` would; the array is not changed.
+    """Check a prediction in memory; return it as `load_prediction` would. The array itself is not changed.
 
     Raises:
-        PredictionError: the array is unacceptable; one line that begins with `name`.
+        PredictionError: the array is invalid; the message is one line that begins with `name`.
     """
     try:
         _check_claims(NpyHeader(array.dtype, array.shape, False, 0))
@@ -140,7 +141,7 @@ def checked(array: NDArray[np.generic], name: str) -> Prediction:
 
 
 def _grid(file: IO[bytes], suffix: str) -> Prediction:
-    """Read the prediction of an npy or npz file."""
+    """Read and check the prediction in an .npy or .npz file."""
     size = _checked_size(file, MAX_BYTES)
     if suffix == ".npy":
         return _checked(read_npy(file, size, _check_claims))
@@ -199,7 +200,7 @@ def _checked_size(file: IO[bytes], most: int) -> int:
 
 
 def _check_claims(header: NpyHeader) -> None:
-    """Refuse an array of wrong shape or type by its header, before memory is allocated for it."""
+    """Refuse an array with a wrong shape or dtype in its header, before memory is allocated for it."""
     shape, dtype = header.shape, header.dtype
     if _is_packed(shape, dtype):
         return
@@ -213,15 +214,15 @@ def _check_claims(header: NpyHeader) -> None:
 
 
 def _is_packed(shape: tuple[int, ...], dtype: np.dtype[np.generic]) -> bool:
-    """Return whether an array is a cube of bits, packed along its last axis."""
+    """Return whether an array of this shape and dtype is a cube of bits, packed along its last axis."""
     bits = dtype == np.uint8 and len(shape) == 3 and 8 <= shape[0] <= MAX_CELLS
     return bits and shape[0] == shape[1] == 8 * shape[2]
 
 
 def _checked(array: NDArray[np.generic]) -> Prediction:
-    """Return the array in native bytes and C order; refuse values outside [0, 1]."""
+    """Return the array in native byte order and C order; refuse values outside [0, 1]."""
     if _is_packed(array.shape, array.dtype):
-        # Of a file in Fortran order the bits come in that order, too.
+        # If the file is in Fortran order, so are the unpacked bits.
         return np.ascontiguousarray(np.unpackbits(array.view(np.uint8), axis=-1)).view(np.bool_)
     array = _native(array)
     if array.dtype == np.float16:
@@ -245,7 +246,7 @@ def _checked(array: NDArray[np.generic]) -> Prediction:
 
 
 def _native(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Bring a cube into native bytes and C order, in place: the largest takes half a gigabyte."""
+    """Return a cube in native byte order and C order; convert in place, as it may take half a gigabyte."""
     if not array.dtype.isnative:
         array = array.byteswap(inplace=True).view(array.dtype.newbyteorder("="))
     if not array.flags.c_contiguous:
@@ -256,7 +257,7 @@ def _native(array: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def _refuse_first(array: NDArray[np.generic], bad: NDArray[np.bool_]) -> None:
-    """Refuse an array that has a value marked in `bad`; the error states the first such value."""
+    """Raise an error if `bad` marks any value of the array; the error states the first such value."""
     if bad.any():
         index = _first(bad)
         raise PredictionError(f"{array[index]} at {index}: every value must be in [0, 1]", what="bad-values")

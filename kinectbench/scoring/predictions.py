@@ -1,4 +1,4 @@
-"""Find the files in a folder of submitted predictions, match them to the targets, and report problems."""
+"""Find the files in a folder of predictions, match them to the targets (pairs), and report problems."""
 
 import contextlib
 import os
@@ -22,11 +22,11 @@ from kinectbench.scoring.suspicious import MOST_OUTSIDE
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
-# Mesh formats that are not supported; such a file in a prediction's place was meant as one.
+# Mesh formats that are not supported; a file with such a suffix in a prediction's place is reported.
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
 # The files that a method's folder should hold, in words.
 EXPECTED = "<recording>/<view>.npy, .npz, .ply or .obj, or in the camera frame .glb"
-# Most files of a folder of predictions that are listed; no release has as many pairs.
+# Maximum number of files in a folder of predictions; no release has as many pairs.
 MOST_FILES = 1_000_000
 
 
@@ -37,7 +37,8 @@ class FoundPredictions:
     Attributes:
         files: the file of each target that has one.
         missing: targets without a file.
-        problems: targets whose file cannot be used, and why: ambiguous, unsafe, or of another format.
+        problems: {target: why its file cannot be used}: several files, a link out of the folder, or a wrong
+            format.
         stray: files that match no target, relative to the folder, sorted.
         method: the folder's method.json; None if there is none.
     """
@@ -50,11 +51,11 @@ class FoundPredictions:
 
 
 def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPredictions:
-    """Find the file of each target: `<recording>/<view>` with one of the suffixes.
+    """Find the file of each target: `<recording>/<view>` with one of `SUFFIXES`.
 
     Args:
         folder: one method's predictions.
-        targets: the targets; their names are safe (see `parse_targets`).
+        targets: the targets; their names must be safe as paths (see `parse_targets`).
 
     Raises:
         PredictionError: the folder is missing, cannot be listed or holds more than `MOST_FILES` files, or its
@@ -99,7 +100,7 @@ def _matched(folder: Path, targets: Iterable[Target], method: MethodFile | None)
 
 
 def _other_mesh(folder: Path, target: Target) -> str | None:
-    """Return a line on a target's mesh file in an unsupported format; None if there is no such file."""
+    """Return a line if a target has a mesh file in an unsupported format; None if there is no such file."""
     for suffix in OTHER_MESHES:
         name = target.name + suffix
         if (folder / name).is_file():
@@ -109,7 +110,7 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
 
 
 def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
-    """Return files that are not expected, relative to the folder, sorted; hidden files are left out.
+    """Return the unexpected files in a folder, relative to it, sorted; hidden files are left out.
 
     Raises:
         PredictionError: the folder has more than `MOST_FILES` files, or a folder cannot be listed.
@@ -136,7 +137,7 @@ def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
 
 @contextlib.contextmanager
 def _readable(folder: Path) -> Iterator[None]:
-    """Turn a system error about an unreadable folder into one clear line."""
+    """Turn an OSError about an unreadable folder into a PredictionError of one line."""
     try:
         yield
     except OSError as error:
@@ -147,12 +148,12 @@ def _readable(folder: Path) -> Iterator[None]:
 
 
 def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
-    """Return a line for each of the first files that match no target, and one with the number of others.
+    """Return a line for each of the first 20 files that match no target, and one with the number of others.
 
     Args:
         stray: names of these files, relative to the method's folder.
-        missing: targets without a file; a stray file whose name differs only in letter case was meant for
-            one.
+        missing: targets without a file. If a stray file's name differs from that of such a target only in
+            letter case, the line says how to rename the file.
     """
     meant = {
         f"{target.name}{suffix}".lower(): target.name + suffix for target in missing for suffix in SUFFIXES
@@ -167,21 +168,21 @@ def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
 
 
 def missing_line(target: Target) -> str:
-    """Return a line about a missing file."""
+    """Return the line that a target has no file, with the accepted file names."""
     return f"{target.name}: no prediction; expected {target.name}.npy, .npz, .ply or .obj"
 
 
 def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
-    """Return the folder of each method: the given folder, or its subfolders if it holds several methods.
+    """Return the folder of each method: the given folder itself, or its subfolders if these hold predictions.
 
-    Subfolders of a single method's folder are recordings.
+    If subfolders of the given folder are recordings with predictions, the folder is that of a single method.
 
     Returns:
-        {name: folder}, sorted; a single method is called by its folder's name.
+        {method's name: folder}, sorted. The name is that of the folder.
 
     Raises:
-        PredictionError: the folder is missing, holds no predictions, or is a release; or a method is a link
-            out of the folder, or its name cannot be a folder of results.
+        PredictionError: the folder is missing, holds no predictions, or belongs to a release; or a method's
+            folder is a link out of the folder, or its name cannot be a method's name.
     """
     check_folder(folder)
     recordings = frozenset(target.recording for target in targets)
@@ -206,14 +207,14 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
 
 
 def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[Target]) -> list[str]:
-    """Return a line for each subfolder that holds no predictions, in a folder of several methods.
+    """Return a line for each subfolder without predictions in a folder of several methods.
 
     Hidden subfolders are skipped. At most 20 are named; one more line gives the number of the others.
 
     Args:
         folder: the folder that was given to `split_methods`.
         methods: the methods that `split_methods` returned.
-        targets: the targets that may be predicted.
+        targets: the targets that may be predicted; the first test target serves as an example in the lines.
     """
     if folder in methods.values():
         return []
@@ -255,7 +256,7 @@ def check_folder(folder: Path) -> None:
 
 
 def _answers(folder: Path, recordings: frozenset[str]) -> bool:
-    """Return whether a folder has a subfolder, named like a recording, with a file like a prediction."""
+    """Return whether a subfolder that is named like a recording has a file with a prediction's suffix."""
     with os.scandir(folder) as entries:
         named = [entry.path for entry in entries if entry.name in recordings and entry.is_dir()]
     for path in named:
@@ -266,7 +267,7 @@ def _answers(folder: Path, recordings: frozenset[str]) -> bool:
 
 
 def check_method(name: str) -> None:
-    """Refuse invalid method names: they become folder names and table cells.
+    """Refuse invalid method names, because names become folder names and table cells.
 
     Raises:
         PredictionError: the name has characters other than letters, digits and a few signs, or is reserved.
@@ -279,14 +280,14 @@ def check_method(name: str) -> None:
 
 
 def check(release: Release, folder: Path) -> list[str]:
-    """Return only the problems that `check_grids` finds."""
+    """Return the problems that `check_grids` finds, without its notes."""
     return check_grids(release, folder)[0]
 
 
 def check_grids(
     release: Release, folder: Path, progress: Progress = no_progress
 ) -> tuple[list[str], list[str]]:
-    """Check one method's predictions of the test split, and of the validation split if it predicts any.
+    """Check one method's predictions of the test split, and of the validation split if it predicts any of it.
 
     Args:
         release: the release that was predicted.
@@ -294,9 +295,9 @@ def check_grids(
         progress: called with (targets done, targets in all).
 
     Returns:
-        A line for each problem: those of method.json first, then those of the targets in order, then swapped
-        axes and stray files; empty without problems. And notes on predictions that do not depend on their
-        view: constant ones, and equal ones.
+        The problems, one line each: first those of method.json, then those of the targets in order, then
+        swapped axes and stray files. And notes on predictions that do not depend on their view, as they are
+        constant or equal.
 
     Raises:
         PredictionError: the folder is missing, or its method.json is refused (`read_method`).
@@ -325,7 +326,7 @@ def check_grids(
 def _looked_at(
     release: Release, predictions: FoundPredictions, readable: Sequence[Target]
 ) -> Iterator[tuple[Prediction, Bools]]:
-    """Yield some predictions, spread evenly over all, each with its view's `partial_256`."""
+    """Yield evenly spread predictions, each with its view's `partial_256`, bool (256, 256, 256)."""
     for target in sorted(readable)[:: -(-len(readable) // MOST_LOOKED_AT) or 1]:
         names = ("partial_256", "voxel_size_m")
         partial, size_m = read_parts(release.pair_path(target), target.sha256, names)
@@ -333,7 +334,7 @@ def _looked_at(
 
 
 def _file_content(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | Held:
-    """Return the fault of a prediction's file, or a digest of the prediction if it has none."""
+    """Return why a prediction's file is faulty; if it is not, return a digest of the prediction."""
     size_m = read_voxel_size(release.pair_path(target), target.sha256) if path.suffix in MESHES else None
     name = target.name + path.suffix
     try:

@@ -1,4 +1,4 @@
-"""Protocols: which voxels of a pair count, and which protocols a release's pairs allow."""
+"""The protocols: which voxels of a pair each one counts, and which of them the pairs of a release allow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ class Protocol:
     Attributes:
         known: count only voxels whose truth is known.
         hidden: count only voxels that the input view did not see.
-        distrusts: a grid of the pair file whose cells do not count as known; None: no such grid.
-        truth: the grid of the pair file that predictions are compared with.
+        distrusts: name of a grid of the pair file whose cells do not count as known; None for no such grid.
+        truth: name of the grid of the pair file that predictions are compared with.
     """
 
     known: bool = True
@@ -34,7 +34,7 @@ class Protocol:
 
     @cached_property
     def looked_at(self) -> tuple[int, ...]:
-        """The codes of voxels that the protocol counts if all are known: 1 occupied + 2 known + 4 seen."""
+        """The codes (1 occupied + 2 known + 4 seen) that the protocol would count if it ignored "known"."""
         return tuple(code for code in CODES if not (self.hidden and code & SEEN))
 
     @cached_property
@@ -59,13 +59,13 @@ EVERY_VOXEL = tuple(name for name, of in PROTOCOLS.items() if not of.known)
 
 
 def further_grids(protocols: Sequence[str]) -> tuple[str, ...]:
-    """Return the grids of a pair file that some protocols need beside `full`, `known` and `seen`."""
+    """Return the names of the grids of a pair file that protocols need beside `full`, `known` and `seen`."""
     grids = [grid for name in protocols for grid in (PROTOCOLS[name].distrusts, PROTOCOLS[name].truth)]
     return tuple(dict.fromkeys(grid for grid in grids if grid not in (None, SOLID)))
 
 
 def check_protocols(protocols: Sequence[str] | None) -> None:
-    """Refuse unknown protocols; an empty list is valid, and means the usual protocols.
+    """Refuse unknown protocols; None or an empty list means the usual protocols.
 
     Raises:
         SettingsError: a protocol is not known.
@@ -77,12 +77,12 @@ def check_protocols(protocols: Sequence[str] | None) -> None:
 
 
 def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the requested protocols, else all but `shell` that the pairs of a release allow.
+    """Return the requested protocols; by default, all that the pairs of a release allow, except `shell`.
 
-    All pairs of a recording have the same grids, so the first pair of each is read.
+    All pairs of a recording have the same grids, so only the first pair of each recording is read.
 
     Raises:
-        SettingsError: a protocol is not known or is one of space, or the pairs lack a grid that it needs.
+        SettingsError: a protocol is not known, is `camera` or `aligned`, or needs a grid that the pairs lack.
         ReleaseError: a pair file is missing or changed.
     """
     check_protocols(asked)
@@ -109,7 +109,7 @@ def protocols_of(release: Release, asked: Sequence[str] | None) -> tuple[str, ..
 
 
 def _keys(release: Release, target: Target) -> tuple[str, ...]:
-    """Return the keys of a published pair file; none if it is damaged, which counting reports."""
+    """Return the keys of a published pair file; () if it is damaged, as counting will report that."""
     try:
         return pair_keys(release.pair_content(target))
     except UNREADABLE:

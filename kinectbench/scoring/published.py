@@ -1,8 +1,8 @@
-"""The paper's own tables: of its real recordings and synthetic test sets; and its networks' sizes.
+"""The tables of the 3D-RecGAN++ paper, on its real recordings and synthetic test sets; its networks' sizes.
 
 Source: Yang, Rosa, Markham, Trigoni, Wen: Dense 3D Object Reconstruction from a Single Depth View
-(3D-RecGAN++), IEEE TPAMI. All results are at 256^3 voxels; each table has the paper's number. Precision and
-recall are from Table 11.
+(3D-RecGAN++), IEEE TPAMI. All results are at 256^3 voxels. Tables are numbered as in the paper; precision and
+recall are from its Table 11.
 """
 
 import re
@@ -22,12 +22,12 @@ Figures = tuple[float, ...]
 
 @dataclass(frozen=True)
 class PublishedScore:
-    """One method's published means, per category in the order of its table.
+    """The published means of one method, one value per category, in the order of its table's categories.
 
     Attributes:
         method: its name in the paper.
         iou: intersection over union.
-        ce: cross-entropy, nats a voxel.
+        ce: cross-entropy, nats per voxel.
         precision: None where the paper has none.
         recall: None where the paper has none.
     """
@@ -45,7 +45,7 @@ class PublishedTable:
 
     Attributes:
         title: the table's number and test set.
-        views: number of viewing angles in the names of the test folders; None: real recordings.
+        views: number of viewing angles, as in the names of the test folders; None for real recordings.
         rows: the methods, best first.
         categories: the categories of the test pairs.
     """
@@ -110,7 +110,7 @@ Table 9 (test_125, learnt from one category)
 
 
 def _tables() -> Iterator[PublishedTable]:
-    """Yield the tables in `_TABLES`, in the same order."""
+    """Parse `_TABLES`, and yield its tables in the same order."""
     for block in re.split(r"\n(?=T)", _TABLES.strip()):
         title, *lines = block.split("\n")
         categories = UNSEEN if "never learnt from" in title else CATEGORIES
@@ -136,10 +136,10 @@ _IMPORTED = re.compile(r".+-(125|216)")
 def published_beside(
     recordings: Iterable[str], categories: Iterable[str] = CATEGORIES
 ) -> tuple[PublishedTable, ...]:
-    """Return the paper's tables to show beside scores: synthetic ones for imported data, else the real one.
+    """Return the paper's tables to show beside scores: for imported data the synthetic ones, else the real.
 
     Args:
-        recordings: names of the test split's recordings. Recordings that `import` makes of the authors' files
+        recordings: names of the test split's recordings. The names that `import` gives to the authors' files
             end in the number of views.
         categories: categories of the test split; a synthetic table without any of them is left out.
     """

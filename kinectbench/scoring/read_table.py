@@ -1,6 +1,6 @@
-"""Read score tables as rows; all other values are computed again and compared with the file.
+"""Read score tables. All values that follow from the rows are computed again and compared with the file.
 
-All rows of a file can be made up: only `recheck` can tell whether they are of real predictions.
+The rows themselves could be invented; only `recheck` can tell whether they are of real predictions.
 """
 
 import math
@@ -18,10 +18,11 @@ from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.from_rows import from_rows
 from kinectbench.scoring.marks import marks_of
 
-# Relative tolerance. Sums in another order differ by 1e-15; the smallest change that is shown is 1e-3.
+# Relative tolerance. Sums in another order differ by 1e-15; the smallest change that is displayed is 1e-3.
 TOLERANCE = 1e-9
-# Share of an interval's width by which a bootstrapped end may differ, as another version of numpy may draw
-# other samples: 10 000 resamples place an end to within 2.6 % (measured with 100 000 draws of another seed).
+# Share of an interval's width by which a bootstrapped end may differ, because another version of numpy may
+# draw other samples. With 10 000 resamples, an end is accurate to 2.6 % (measured with 100 000 draws of
+# another seed).
 OF_BOOTSTRAP = 0.05
 NOTHING: tuple[object, ...] = (None, [], (), {})
 # Keys that are compared. Notes and marks, which other versions may word differently, are only computed again.
@@ -29,17 +30,17 @@ FIGURES = [name for name in DERIVED if name not in ("notes", "marks")]
 
 
 def read_table(path: Path) -> ScoreTable:
-    """Read a score table, recompute the values that follow from its rows, and drop an invalid `verified`.
+    """Read a score table, recompute the values that follow from its rows, and remove `verified` if invalid.
 
     Raises:
         StorageError: the file is missing or damaged, its rows contradict each other, or its other values
-            (averages, intervals, curves, extremes) do not follow from its rows. One line.
+            (averages, intervals, curves, extremes) do not follow from its rows. The message is one line.
     """
     return recomputed(ScoreTable.read_file(path), str(path))
 
 
 def recomputed(table: ScoreTable, where: str) -> ScoreTable:
-    """Return a table with the values that follow from its rows computed again.
+    """Check a table as `read_table` does; return it with the values that follow from its rows recomputed.
 
     Raises:
         StorageError: as in `read_table`; the message begins with `where`.
@@ -65,7 +66,7 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
 
 
 def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Mapping[str, Averages]]) -> Iterator[str]:
-    """Report IoU curves of an older table that miss the mean IoU of its rows at the category's threshold."""
+    """Report IoU curves of an older table that differ from its mean IoU at the category's threshold."""
     for protocol, curves in (table.iou_by_threshold or {}).items():
         for category, curve in curves.items():
             used = table.thresholds.get(category)
@@ -77,7 +78,7 @@ def _off_the_curve(table: ScoreTable, by_category: Mapping[str, Mapping[str, Ave
 
 
 def _differences(table: ScoreTable, computed: Mapping[str, object]) -> Iterator[str]:
-    """Report values of the file that do not follow from its rows; a missing value is no difference."""
+    """Report values of a table that do not follow from its rows; values that are missing are not reported."""
     for name in FIGURES:
         if name in table.model_fields_set:
             yield from differing(getattr(table, name), computed[name], name)
@@ -90,7 +91,7 @@ def differing(stated: object, computed: object, key: str, whole: bool = False) -
         stated: numbers, text, lists, mappings, models or dataclasses of these.
         computed: the same kinds of values.
         key: the key of both values in the file, "" at the top.
-        whole: whether a missing statement (None) also counts as a difference.
+        whole: whether a value that is not stated (None) also counts as a difference.
     """
     stated, computed = _plain(stated), _plain(computed)
     if stated is None and not whole:
@@ -113,7 +114,7 @@ def differing(stated: object, computed: object, key: str, whole: bool = False) -
 def _bootstrapped(
     stated: Mapping[str, Sequence[float] | None], computed: Mapping[str, Sequence[float] | None], key: str
 ) -> Iterator[str]:
-    """Report intervals that differ by more than a small part of their width, as the bootstrap is random."""
+    """Report intervals that differ by more than 5 % of their width, as the bootstrap is random."""
     for name, ends in stated.items():
         of = computed.get(name)
         near = of is not None and ends is not None and OF_BOOTSTRAP * (of[1] - of[0]) + TOLERANCE
@@ -126,7 +127,7 @@ def _below(key: str, name: object) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a model or dataclass as a mapping, other values unchanged."""
+    """Return a model or dataclass as a mapping, and any other value unchanged."""
     if isinstance(value, StoredPart):
         return value.json_value()
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
@@ -144,7 +145,7 @@ def _close(one: object, other: object) -> bool:
 
 
 def _short(value: object) -> str:
-    """Return a value in a few characters, without control characters."""
+    """Return a value as short text without control characters."""
     if isinstance(value, float):
         return f"{value:.6g}"
     return "nothing" if value is None else printable(repr(value), 60)

@@ -35,23 +35,23 @@ def recheck(
 ) -> list[str]:
     """Score predictions with the settings of a table, and compare the result with the table.
 
-    If all values agree, `verified` is written into the table; it is valid only with the table's rows,
-    settings and hashes of predictions. Otherwise the table is not changed.
+    If all values agree, `verified` is written into the table's file; it is valid only as long as the table's
+    rows, settings and hashes of predictions do not change. Otherwise the file is not changed.
 
     Args:
         release: the release that was scored.
         path: the table's scores.json.
         predictions: one method's folder of predictions.
-        thresholds_file: the file that the thresholds were read from, if any.
+        thresholds_file: the file that the table's thresholds were read from, if any.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
     Returns:
-        One line for each difference; none if the table is verified.
+        One line for each difference; [] if the table is verified.
 
     Raises:
-        SettingsError: the table is of another truth or version, its file of thresholds is not given, or
-            `predictions` holds several methods, none of its name.
+        SettingsError: the table is of another release or version, its threshold file is not given, or
+            `predictions` holds several methods but none with the table's name.
         StorageError: the table is damaged or contradicts itself, or cannot be written.
         PredictionError, ReleaseError: as in `score`.
     """
@@ -78,7 +78,7 @@ def recheck(
 
 
 def _folder(release: Release, stated: ScoreTable, path: Path, predictions: Path) -> Path:
-    """Return the folder of the method that is rechecked; refuse a table that cannot be rechecked."""
+    """Return the folder with the predictions of a table's method; refuse tables that cannot be rechecked."""
     if stated.benchmark_sha256 != release.benchmark_sha256:
         raise SettingsError(
             f"{path}: scored against benchmark {stated.benchmark_sha256[:12]}, this is "
@@ -102,7 +102,7 @@ def _folder(release: Release, stated: ScoreTable, path: Path, predictions: Path)
 
 
 def _same_thresholds_file(stated: ScoreTable, path: Path, given: Path | None) -> None:
-    """Refuse a file of thresholds other than the one that the table was made with."""
+    """Refuse a threshold file that is missing, or is not the one that the table was made with."""
     source = stated.threshold_source
     if given is None and source.startswith(FROM_FILE):
         raise SettingsError(f"{path}: its thresholds are from a file ({source[:17]}); give it: --thresholds")
@@ -116,7 +116,7 @@ def _same_thresholds_file(stated: ScoreTable, path: Path, given: Path | None) ->
 
 
 def _upsampling(stated: ScoreTable, path: Path) -> str:
-    """Return the upsampling that a table's settings describe."""
+    """Return the name of the upsampling that a table's settings describe in words."""
     words = (stated.settings.upsampling or HALF_PIXEL).replace(",", "").split()
     names = [name for name in CONVENTIONS if name in words]
     if len(names) != 1:
@@ -127,7 +127,7 @@ def _upsampling(stated: ScoreTable, path: Path) -> str:
 
 
 def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[str]:
-    """Report a different method name, and warnings that the table lacks."""
+    """Report a method name that differs from method.json's, and warnings that the table lacks."""
     method = MethodFile.read_if_there(folder)
     if method is not None and stated.method not in (method.name, folder.resolve().name):
         name, said = printable(stated.method), printable(method.name)
@@ -138,7 +138,7 @@ def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[s
 
 
 def _differences(stated: ScoreTable, computed: ScoreTable) -> Iterator[str]:
-    """Report statements of a table that its predictions do not confirm, rows first."""
+    """Report values of a table that differ from those computed from its predictions, rows first."""
     rows = {(row.pair, row.heading): row for row in stated.rows}
     again = {(row.pair, row.heading): row for row in computed.rows}
     for pair, protocol in sorted(rows.keys() | again.keys()):
@@ -159,7 +159,7 @@ def _differences(stated: ScoreTable, computed: ScoreTable) -> Iterator[str]:
 
 
 def _beyond_the_rows(stated: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[str]:
-    """Report differences in thresholds, base rates, failures, settings and other statements of a table."""
+    """Report differences in thresholds, base rates, failures, settings and other values that are no rows."""
     settings = stated.get("settings", {})
     for key in sorted((stated.keys() | computed.keys()) - NOT_COMPARED):
         yield from differing(stated.get(key), computed.get(key), key, whole=True)

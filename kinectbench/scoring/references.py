@@ -11,25 +11,26 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.truth import read_parts
 from kinectbench.scoring.workers import run_tasks
 
-# The splits that base rates are taken from, in this order: truth for training first; the test split's truth
-# makes the base rate an oracle.
+# The splits that base rates are taken from, in this order. Validation and training truth come first, because
+# the truth of the test split makes the base rate an oracle.
 SOURCES = {"validation": "validation", "train": "train", "test": "test (oracle)"}
-# Pairs that make another process worth its start: 2.5 s, against 13 ms a pair (measured).
+# Number of pairs for which another process is worthwhile: it takes 2.5 s to start, and a pair takes 13 ms
+# (measured).
 PAIRS_A_PROCESS = 200
 
 
 def base_rates(
     release: Release, jobs: int = 1, counted: Mapping[Target, Tally] | None = None
 ) -> dict[str, BaseRate]:
-    """Return the base rate of every category, from the first of validation, train and test that has it.
+    """Return {category: base rate}, from the first split of validation, train and test that has its truth.
 
-    It is the mean over pairs of the share of voxels that are occupied in the truth. A category whose truth is
-    held back everywhere has none.
+    A base rate is the mean, over pairs, of the share of voxels that are occupied in the truth. A category is
+    left out if its truth is held back in all splits.
 
     Args:
         release: the release whose truth is read.
-        jobs: number of processes at most; few pairs are read in the calling process.
-        counted: tallies of already counted pairs, whose truth is not read again.
+        jobs: maximum number of processes; if there are few pairs, the calling process reads them.
+        counted: {pair: tally} of pairs that are already counted; their truth is not read again.
 
     Raises:
         ReleaseError: a pair file is missing or changed.
@@ -58,7 +59,7 @@ def base_rates(
 
 
 def _occupied_share(task: tuple[Path, str]) -> float:
-    """Return the share of a pair's voxels that is occupied."""
+    """Return the share of voxels that are occupied in the truth of a pair; `task` is (file, SHA-256)."""
     (full,) = read_parts(*task, ("full",))
     return int(np.bitwise_count(full).sum()) / (8 * full.size)
 

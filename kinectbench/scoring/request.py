@@ -20,16 +20,16 @@ from kinectbench.scoring.thresholds import read_thresholds
 
 @dataclass(frozen=True)
 class Request:
-    """The options of `score` that may contradict the predictions.
+    """The options of `score` that may contradict each other or the predictions.
 
     Attributes:
-        protocols: names of protocols; None: all that apply, without shell.
+        protocols: names of protocols; None for all that apply, except `shell`.
         thresholds_file: a file to read thresholds from.
         save_thresholds: a file to write chosen thresholds to.
         missing: "error" or "empty": how a missing prediction is treated.
         upsampling: "half-pixel" or "corner-aligned".
-        close: how open meshes and points are made solid; None: not at all.
-        jobs: number of processes on this machine, or the executor that counts on other machines.
+        close: how open meshes and points are made solid; None if they are not.
+        jobs: number of processes on this machine, or what counts on other machines (an executor).
         in_parts: whether only one part of the pairs is counted (`count_methods`).
     """
 
@@ -44,7 +44,7 @@ class Request:
 
 
 def check_request(request: Request, predictions: Path | None) -> Missing:
-    """Refuse wrong options, as far as they can be found without the release.
+    """Refuse wrong options, as far as this is possible without the release.
 
     Args:
         request: the options.
@@ -75,16 +75,17 @@ def check_request(request: Request, predictions: Path | None) -> Missing:
 
 
 def check_declared(request: Request, folder: Path, *, of_several: bool = False) -> None:
-    """Refuse options that contradict the declarations of one method.
+    """Refuse options that contradict the method.json of one method.
 
     Args:
         request: the options.
         folder: the method's predictions; without a method.json they are in the pairs' grid.
-        of_several: whether other methods are scored, too; then protocols that do not fit this method are no
-            error, as it is left out.
+        of_several: whether other methods are scored too. Then protocols that do not fit this method are no
+            error: the method is left out.
 
     Raises:
-        SettingsError: an option does not apply to predictions in this frame (camera, or the pair's grid).
+        SettingsError: an option does not apply to predictions in the method's frame (camera, or the pair's
+            grid).
         PredictionError: the method.json is refused (`read_method`).
     """
     check_words(request.protocols, request.upsampling, request.close)
@@ -104,7 +105,7 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
 
 
 def _refuse_elsewhere(request: Request, what: str) -> None:
-    """Refuse to score `what` (a plural noun for the message) in parts or on other machines."""
+    """Raise an error if `what` (a plural noun for the message) is scored in parts or on other machines."""
     if request.in_parts:
         raise SettingsError(f"{what} are not scored in parts; leave out --shard")
     if not isinstance(request.jobs, int):

@@ -27,10 +27,10 @@ class Plan:
     """The pairs of a method to count.
 
     Attributes:
-        found: the method's files.
+        found: the content of the method's folder.
         files: {pair to count: its prediction's file, or None for an empty grid}.
-        failures: {other pair: why it cannot be counted}.
-        fixed: given thresholds; None: they are chosen on the validation split.
+        failures: {pair that cannot be counted: the reason}.
+        fixed: given thresholds; None if they are chosen on the validation split.
     """
 
     found: FoundPredictions
@@ -45,15 +45,15 @@ class Plan:
         return None if method is None or method.threshold is None else nearest_step(method.threshold)
 
     def part(self, shard: Shard, *, surface: bool) -> dict[Target, Path | None]:
-        """Return {pair: its file, None for an empty grid} of one part of the run.
+        """Return {pair: its file, None for an empty grid} for one part of the run.
 
-        These are the pairs of the part's recordings and, for surface metrics, the validation pairs that their
-        threshold is chosen on.
+        These are the pairs of the part's recordings. If surface metrics are computed, the validation pairs on
+        which their thresholds are chosen are included too.
 
         Args:
             shard: the part.
-            surface: whether surface metrics are computed. Their threshold is chosen on all validation pairs
-                of a category, or of all categories if it has none.
+            surface: whether surface metrics are computed. The threshold of a category is chosen on all its
+                validation pairs; if it has none, on those of all categories.
         """
         mine = {target for target in self.files if shard.holds(target.recording)}
         needed = {target.category for target in mine if target.split == "test" and surface}
@@ -68,10 +68,10 @@ class Plan:
 
 
 def plan(release: Release, predictions: Path, thresholds_file: Path | None, missing: Missing) -> Plan:
-    """Find a method's files, and return which pairs are counted.
+    """Find a method's files, and decide which pairs are counted.
 
-    A method without any validation prediction is scored without the validation split. If it has some, the
-    other validation pairs count as missing.
+    If a method has no validation prediction at all, it is scored without the validation split. If it has
+    some, the other validation pairs count as missing.
 
     Raises:
         PredictionError, ReleaseError, SettingsError: see `score`.
@@ -98,12 +98,12 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
 
 
 def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) -> tuple[Target, ...]:
-    """Return the pairs of the test split; check that no truth of the needed splits is held back.
+    """Return the pairs of the test split, after checking that the truth of all needed splits is there.
 
     Args:
         release: the release that is scored.
         validation: whether the validation split is needed, too.
-        solid: whether the truth must be solid; an open mesh has no inside.
+        solid: whether the truth must be solid, that is, no open mesh.
 
     Raises:
         ReleaseError: there is no test pair, or the truth is held back or not solid.
@@ -119,12 +119,12 @@ def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) ->
 
 @dataclass(frozen=True)
 class Rounds:
-    """Counts pairs: those of the validation split first, then those of the test split.
+    """Counts pairs, those of the validation split first, then those of the test split.
 
     Attributes:
         release: the release that is scored.
         counting: how pairs are counted, the same for all.
-        journal: keeps counts until all are complete.
+        journal: keeps the counts on disk until all are complete.
         jobs: number of processes on this machine, or the executor that counts on other machines.
         progress: called with (pairs done, pairs in all).
     """
@@ -139,11 +139,11 @@ class Rounds:
     def count(
         self, files: Mapping[Target, Path | None], fixed: Thresholds | None, own: float | None = None
     ) -> tuple[dict[Target, PairResult | str], Thresholds]:
-        """Count pairs; return each pair's result, or why it has none, and the thresholds.
+        """Count pairs; return {pair: its result, or why it has none}, and the thresholds.
 
         Args:
-            files: the file of every pair; None: an empty grid.
-            fixed: given thresholds; None: they are searched on the validation pairs.
+            files: {pair: its prediction's file, None for an empty grid}.
+            fixed: given thresholds; None if they are searched on the validation pairs.
             own: the method's own threshold, for categories without validation pairs.
         """
         total = len(files)
@@ -155,7 +155,10 @@ class Rounds:
     def _round(
         self, files: Mapping[Target, Path | None], thresholds: Thresholds | None, total: int
     ) -> dict[Target, PairResult | str]:
-        """Count the pairs of one split; surface metrics only with thresholds. `total`: pairs of all."""
+        """Count the pairs of one split, with surface metrics if there are thresholds.
+
+        `total` is the number of pairs of all splits, for the progress.
+        """
         jobs = [
             PairJob(
                 target,
@@ -187,7 +190,7 @@ class Rounds:
 
 
 class _Silent:
-    """A console that prints nothing: progress is reported elsewhere, as each recording is done."""
+    """A console that prints nothing, because progress is reported in another way when a recording is done."""
 
     def heard(self, message: object) -> None: ...
     def warn(self, message: str, task: object = None) -> None: ...
@@ -196,7 +199,10 @@ class _Silent:
 def _by_recording(
     executor: Executor, jobs: Sequence[PairJob], keep: Callable[[PairJob, PairResult | str], None]
 ) -> None:
-    """Count pairs by an executor, one task per recording, as a single pair is too short for a task."""
+    """Count pairs by an executor; a task is a whole recording, as a single pair would take too little time.
+
+    `keep` is called with each job and its result.
+    """
     by_id: dict[str, list[PairJob]] = {}
     for job in jobs:
         by_id.setdefault(job.target.recording, []).append(_elsewhere(job))
@@ -211,7 +217,7 @@ def _by_recording(
 
 
 def _elsewhere(job: PairJob) -> PairJob:
-    """Return the job with absolute paths, for processes with other working folders."""
+    """Return the job with absolute paths, for processes that have another working folder."""
     return replace(job, truth=job.truth.absolute(), file=None if job.file is None else job.file.absolute())
 
 

@@ -1,4 +1,4 @@
-"""Find predictions that do not depend on their view: constant ones, and equal ones of different views."""
+"""Find predictions that do not depend on their view: they are constant, or equal for several views."""
 
 import hashlib
 from collections import Counter
@@ -8,17 +8,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# Predictions that equal another one are reported from this share on: one category's mean is the same for all
-# of its views, and two views of a coarse grid may agree by chance.
+# Minimum share of equal predictions that is reported. A lower share may be valid: the mean shape of a
+# category is the same for all its views, and two coarse grids may be equal by chance.
 LEAST_EQUAL = 0.5
 
 
 class Held(NamedTuple):
-    """The content of a prediction, in short.
+    """A summary of the content of a prediction.
 
     Attributes:
         digest: hash of its values.
-        constant: the value of all of its cells; None if they differ, or if it has no cells.
+        constant: the value of all its cells; None if they differ, or if the prediction has no cells.
     """
 
     digest: str
@@ -26,7 +26,7 @@ class Held(NamedTuple):
 
 
 def content_of(*arrays: NDArray[np.generic]) -> Held:
-    """Return a prediction's digest and its constant value, if any, given its grid or its shape's arrays."""
+    """Return the digest, and the constant value if any, of a prediction's grid or of its shape's arrays."""
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
         digest.update(f"{array.shape} {array.dtype}".encode())
@@ -38,7 +38,7 @@ def content_of(*arrays: NDArray[np.generic]) -> Held:
 
 
 def same_lines(contents: Mapping[str, Held]) -> Iterator[str]:
-    """Yield a line for each value of constant predictions, and one if at least half of all equal another one.
+    """Yield a line for each value of constant predictions, and one if half of all or more are duplicates.
 
     Args:
         contents: {name of a prediction: its content}.

@@ -1,4 +1,4 @@
-"""Score one or several methods' predictions against a release."""
+"""Score the predictions of one or several methods against a release."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -49,21 +49,21 @@ def score(
     resume_in: Path | None = None,
     close: str | None = None,
 ) -> ScoreTable:
-    """Score the test split; predictions of the validation split only choose the thresholds.
+    """Score the test split; predictions of the validation split serve only to choose the thresholds.
 
     Args:
         release: the release that was predicted.
         predictions: one method's folder, with a file `<recording>/<view>` for each view; untrusted.
         method: the method's name.
-        protocols: names of `PROTOCOLS`, or camera, aligned or both; default: those that apply, without shell.
+        protocols: names of `PROTOCOLS`, or camera, aligned or both; default: all that apply, except shell.
         thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
-        missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid for it.
+        missing: "error" lists a missing prediction as a failure; "empty" scores an empty grid in its place.
         upsampling: "half-pixel" or "corner-aligned" (see `upsampled_planes`).
         surface: whether surface metrics are computed; they take most of the time.
-        jobs: number of processes, or the executor that counts elsewhere; the result does not depend on it.
+        jobs: number of processes, or an executor for other machines; the result does not depend on it.
         progress: called with (pairs done, pairs in all).
-        resume_in: a folder where counts are kept until all are complete; None keeps nothing.
-        close: one of `CLOSINGS`: how open meshes and points in the camera frame are closed; None: not at all.
+        resume_in: a folder where counts are kept until all pairs are counted; None keeps nothing.
+        close: one of `CLOSINGS`, to make open meshes and points in the camera frame solid; None: not at all.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
@@ -102,7 +102,7 @@ def _with_warnings(
     asked: Plan,
     release: Release,
 ) -> ScoreTable:
-    """Return the table with warnings about method.json and folder added, and the run's hash if stated."""
+    """Add warnings about method.json and the folder to a table, and the run's hash if method.json has it."""
     method = asked.found.method
     more = (
         *method_lines(predictions, method, release),
@@ -116,7 +116,7 @@ def _with_warnings(
 
 
 def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], table: ScoreTable) -> list[str]:
-    """Return a line about scored files whose digests differ from those in method.json; none if all agree."""
+    """Return a line on scored files whose digests differ from those in method.json; [] if all agree."""
     digests = {
         target.name + file.suffix: of.prediction
         for target, file in files.items()
@@ -127,7 +127,7 @@ def _changed(method: MethodFile | None, files: Mapping[Target, Path | None], tab
 
 
 def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
-    """Refuse a table too large to read, before counting."""
+    """Refuse a table that would have too many rows to be read again, before counting."""
     if pairs * len(protocols) > MOST_ROWS:
         most = MOST_ROWS // len(protocols)
         raise SettingsError(
@@ -140,7 +140,7 @@ def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
 def counting_of(
     release: Release, protocols: Sequence[str] | None, upsampling: str, surface: bool
 ) -> Counting:
-    """Return how a release's pairs are counted; arguments and errors as in `score`."""
+    """Return how the pairs of a release are counted; arguments and errors are as in `score`."""
     return Counting(protocols_of(release, protocols), upsampling, surface)
 
 
@@ -160,16 +160,16 @@ def score_methods(
     progress: Progress = no_progress,
     close: str | None = None,
 ) -> list[ScoreTable]:
-    """Score every method in a folder; write `out/scores.json`, or `out/<method>/scores.json` for several.
+    """Score every method in a folder; write `out/scores.json`, or `out/<method>/scores.json` of several.
 
     Args:
         release: the release that was predicted.
-        predictions: one method's folder (its subfolders are recordings), or a folder of methods.
+        predictions: one method's folder, whose subfolders are recordings, or a folder of methods.
         out: folder for the results.
-        method: name of a single method; default: the folder's name.
+        method: name of a single method; default: its folder's name.
         protocols: see `score`; tables of methods that they do not fit are returned last, without scores.
         thresholds_file: a threshold file (`read_thresholds`).
-        save_thresholds: a file for the thresholds, if any was chosen on the validation split.
+        save_thresholds: a file for the thresholds; at least one must be chosen on the validation split.
         missing: "error" or "empty".
         upsampling: "half-pixel" or "corner-aligned".
         surface: see `score`.
@@ -179,7 +179,7 @@ def score_methods(
 
     Raises:
         SettingsError: an option contradicts another option, a method.json, or the number of methods.
-        PredictionError, ReleaseError: as in `score`, or a single method has no prediction that can be scored.
+        PredictionError, ReleaseError: as in `score`, or no prediction of a single method can be scored.
     """
     request = Request(protocols, thresholds_file, save_thresholds, missing, upsampling, close, jobs)
     rule = check_request(request, predictions)
@@ -213,9 +213,10 @@ def _left_out(
     missing: Missing,
     out: Path,
 ) -> dict[str, ScoreTable]:
-    """Return tables, without scores, of methods that the protocols do not fit, if they fit another method.
+    """Return tables without scores for the methods that the protocols do not fit.
 
-    Each is written, unless earlier scores of the method are there, which are kept.
+    A table is written unless there are earlier scores of the method, which are kept. If the protocols fit no
+    method, an error is raised.
     """
     declared = {name: read_in_camera(folder) for name, folder in methods.items()}
     reasons = {name: unfit(protocols, of) for name, of in declared.items() if of is not None}
@@ -231,10 +232,10 @@ def _left_out(
 
 
 def _written(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> ScoreTable:
-    """Write a method's table and return it; if no prediction can be scored, keep earlier scores.
+    """Write a method's table and return it; if it has no rows, keep earlier scores instead.
 
     Raises:
-        PredictionError: no prediction can be scored, and it is the only method.
+        PredictionError: the table has no rows, and the method is the only one (`alone`).
     """
     if table.rows:
         table.write(out)
@@ -262,13 +263,14 @@ def count_methods(
     jobs: int | Executor = 1,
     progress: Progress = no_progress,
 ) -> int:
-    """Count one part of the pairs; a later `score_methods` reads the counts in `out`.
+    """Count one part of the pairs; a later `score_methods` uses the counts in `out`.
 
-    Parts can be counted at the same time, on machines that share a disk; each part writes a file of its own.
-    Arguments and errors are those of `score_methods`.
+    Several machines that share a disk can count parts at the same time; each part writes a file of its own.
+    `shard` is the part; other arguments and errors are those of `score_methods`.
 
     Returns:
-        The number of this part's pairs without a result: the prediction is missing or cannot be scored.
+        The number of pairs of this part without a result, because the prediction is missing or cannot be
+        scored.
     """
     request = Request(protocols, thresholds_file, None, missing, upsampling, None, jobs, in_parts=True)
     rule = check_request(request, predictions)
@@ -287,7 +289,7 @@ def count_methods(
 
 
 def _methods(release: Release, predictions: Path, method: str | None, request: Request) -> dict[str, Path]:
-    """Return the folder of each method by name; refuse options that contradict a method, before counting."""
+    """Return {method: its folder}; refuse options that contradict one of the methods."""
     methods, saved = split_methods(predictions, release.targets), request.save_thresholds
     for option, value in (("--method names", method), ("--save-thresholds is of", saved)):
         if value is not None and len(methods) > 1:
@@ -304,7 +306,7 @@ def _methods(release: Release, predictions: Path, method: str | None, request: R
 
 
 def _freeze(release: Release, table: ScoreTable, path: Path | None) -> None:
-    """Write the thresholds of all categories to a file, if one is given.
+    """Write a table's thresholds of all categories to the file `path`, if it is given.
 
     Raises:
         SettingsError: no threshold was chosen on the validation split.

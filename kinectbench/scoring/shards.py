@@ -1,4 +1,4 @@
-"""Samples of WebDataset shards as items of a dataset."""
+"""Turn samples of WebDataset shards into items of a dataset."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -35,12 +35,13 @@ def decode_sample(
 ) -> Item:
     """Turn a sample of `kinectbench export --layout webdataset` into an item, as `load(…)[i]` returns it.
 
-    Use it as `webdataset.WebDataset(urls).map(kinectbench.decode_sample)`; give keys by `functools.partial`.
-    Samples of earlier versions, with a `.npy` file for each grid, are read, too; they hold only `partial`,
-    `full`, `known` and `seen`.
+    Use it as `webdataset.WebDataset(urls).map(kinectbench.decode_sample)`; pass keys by `functools.partial`.
+    Samples of earlier versions, which have a `.npy` file for each grid, are read too; their only grids are
+    `partial`, `full`, `known` and `seen`.
 
     Args:
-        sample: the bytes of its files by suffix, `npz` and `json`, as webdataset gives them before decoding.
+        sample: {suffix: bytes of the file}, with the suffixes `npz` and `json`, as webdataset gives it before
+            decoding.
         keys: as in `load`, without images.
         packed: as in `load`.
 
@@ -62,7 +63,7 @@ def decode_sample(
 
 
 def _parts(sample: Mapping[str, bytes], row: Mapping[str, object], keys: Sequence[str]) -> Arrays:
-    """Return the arrays that some keys need; arrays of the truth only if the sample has it."""
+    """Return the arrays that the keys need (those of the truth if the sample has it); `row` is its JSON."""
     given = pair_keys(sample[NPZ]) if NPZ in sample else [name.removesuffix(NPY) for name in sample]
     names = [n for n in wanted_parts(keys, hidden="full" not in given) if n in given or n not in OPTIONAL]
     if NPZ in sample:
@@ -71,7 +72,7 @@ def _parts(sample: Mapping[str, bytes], row: Mapping[str, object], keys: Sequenc
 
 
 def _earlier(sample: Mapping[str, bytes], row: Mapping[str, object], name: str) -> FileArray:
-    """Read one array of a pair from a sample written by an earlier version.
+    """Read the array `name` of a pair from a sample that an earlier version wrote.
 
     Such a sample has a .npy file for each grid, and all other values in its JSON row (`row`).
     """

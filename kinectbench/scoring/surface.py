@@ -1,9 +1,9 @@
-"""Metrics of surfaces: Chamfer distance, F-score, surface Dice, normal consistency; docs/scoring.md.
+"""Surface metrics: Chamfer distance, F-score, surface Dice, normal consistency (see docs/scoring.md).
 
-The surface of a set of cells is its cells with an empty 6-neighbour; cells outside the grid are empty. A
-distance is exact, between cell centres: from a surface cell that the protocol counts to the nearest known
-cell of the other surface (under `paper`: known or not). So under `occluded`, a hidden cell may be nearest to
-a cell that the view saw.
+The surface of a set of cells consists of its cells with an empty 6-neighbour; cells outside the grid are
+empty. Distances are exact, between cell centres. They are measured from a surface cell that the protocol
+counts to the nearest known cell of the other surface (under `paper`: known or not). So under `occluded`, the
+nearest cell to a hidden cell may be one that the view saw.
 """
 
 import math
@@ -35,8 +35,10 @@ class Distances:
 
     Attributes:
         mm: (k,) the distances of 0, 1, sqrt(2), sqrt(3), ... cells, millimetres.
-        to_truth: (k,) number of cells of the prediction's surface at each distance from the truth's.
-        to_prediction: (k,) number of cells of the truth's surface at each distance from the prediction's.
+        to_truth: (k,), the number of cells of the prediction's surface at each distance from the truth's
+            surface.
+        to_prediction: (k,), the number of cells of the truth's surface at each distance from the prediction's
+            surface.
     """
 
     mm: Float64
@@ -44,20 +46,20 @@ class Distances:
     to_prediction: Int64
 
     def chamfer_mm(self) -> float:
-        """Return the mean of the two mean distances, millimetres."""
+        """Return the Chamfer distance: the mean of the two directions' mean distances, millimetres."""
         # No dot product: its sum depends on the number of cores.
         ways = (self.to_truth, self.to_prediction)
         return sum(float((self.mm * cells).sum()) / int(cells.sum()) for cells in ways) / 2
 
     def f_score(self, tolerance_mm: float) -> float:
-        """Return the harmonic mean of the shares of both surfaces within a tolerance; 0 if no cell is."""
+        """Return the harmonic mean of both surfaces' shares within a tolerance; 0 if no cell is within it."""
         near = self.mm <= tolerance_mm
         precision = int(self.to_truth[near].sum()) / int(self.to_truth.sum())
         recall = int(self.to_prediction[near].sum()) / int(self.to_prediction.sum())
         return 2 * precision * recall / (precision + recall) if precision + recall else 0.0
 
     def dice(self, tolerance_mm: float) -> float:
-        """Return the share of all cells of both surfaces that lie within a tolerance of the other surface."""
+        """Return the share of the cells of both surfaces that are within a tolerance of the other surface."""
         cells = self.to_truth + self.to_prediction
         return int(cells[self.mm <= tolerance_mm].sum()) / int(cells.sum())
 
@@ -73,8 +75,8 @@ def surface_metrics(
         protocols: names of `PROTOCOLS`.
 
     Returns:
-        Metrics by protocol. If neither surface has a counted cell, all metrics are perfect. If only one has,
-        every share is 0 and the Chamfer distance is the grid's diagonal.
+        {protocol: metrics}. If neither surface has a counted cell, all metrics are perfect. If only one
+        surface has counted cells, every share is 0 and the Chamfer distance is the grid's diagonal.
     """
     from kinectbench.scoring.surface_kernels import solid_surface, spreads
 
@@ -95,7 +97,7 @@ def surface_metrics(
 
 
 def _metrics(forward: "Spread", back: "Spread", truth: PackedTruth) -> SurfaceMetrics:
-    """Return the surface metrics, given the distances from the prediction to the truth and back."""
+    """Return the surface metrics; `forward` is from the prediction to the truth, `back` the other way."""
     if not len(forward) and not len(back):
         return SAME
     voxel_mm = truth.voxel_size_m * 1000

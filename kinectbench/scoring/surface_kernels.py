@@ -1,7 +1,7 @@
-"""Voxel surfaces: cells, nearest cells, agreement of normals. Import late: numba is slow to load.
+"""Surfaces of voxels: their cells, nearest cells and normals. Import late: numba is slow to load.
 
-A shape has a hundred thousand surface cells, a prediction of noise eight million, so little is stored per
-cell.
+Little is stored per cell: a shape has a hundred thousand surface cells, but a prediction of noise has eight
+million.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,17 +16,18 @@ from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Packed
 
 _SIDE = 32  # blocks along an axis; a packed byte is one column of a block
-# Number of cells matched at a time, at some 50 bytes each: a shape has fewer, noise takes 32 such parts.
+# Number of cells matched at a time, at some 50 bytes each. A shape has fewer cells; noise takes 32 such
+# parts.
 _PART_CELLS = 1 << 18
 
 
 @dataclass(frozen=True)
 class Cells:
-    """A set of cells, sorted by block of 8^3 cells.
+    """A set of cells, sorted by blocks of 8^3 cells.
 
     Attributes:
         index: (n,) int32, the cells as x << 16 | y << 8 | z, grouped by block, in C order within a block.
-        start: (b + 1,) int32, where each nonempty block begins in `index`; n at last.
+        start: (b + 1,) int32, where each of the b nonempty blocks begins in `index`; the last value is n.
         box: (b, 6) int32, the smallest and the largest x, y, z of each block's cells.
     """
 
@@ -38,19 +39,20 @@ class Cells:
         return len(self.index)
 
     def chosen(self, which: Bools) -> "Cells":
-        """Return the cells that a mask (n,) selects; boxes are not shrunk."""
+        """Return the cells that a mask (n,) selects; the boxes stay as they are."""
         before = np.concatenate([[0], np.cumsum(which)]).astype(np.int32)
         return Cells(self.index[which], before[self.start], self.box)
 
 
 @dataclass(frozen=True)
 class SolidSurface:
-    """Surface cells of a solid.
+    """The surface cells of a solid.
 
     Attributes:
         packed: (256, 256, 32) uint8, the surface cells.
         cells: the same cells as a list.
-        moments: (n, 3) int16, sum of the offsets of solid cells around each of `cells`: it points inwards.
+        moments: (n, 3) int16, for each of `cells`, the sum of the offsets of the solid cells around it; it
+            points inwards.
     """
 
     packed: Packed
@@ -58,14 +60,14 @@ class SolidSurface:
     moments: NDArray[np.int16]
 
     def within(self, mask: Packed) -> "SolidSurface":
-        """Return the surface within a packed mask; the surface itself if all its cells are in the mask."""
+        """Return the surface cells within a packed mask; the surface itself if the mask contains them all."""
         packed = self.packed & mask
         if np.array_equal(packed, self.packed):
             return self
         return SolidSurface(packed, cells_of(packed), self.moments[is_set(mask, self.cells.index)])
 
     def parts(self) -> Iterator["SolidSurface"]:
-        """Yield the surface in pieces of whole blocks, about `_PART_CELLS` cells each."""
+        """Yield the surface in parts that consist of whole blocks, about `_PART_CELLS` cells each."""
         start, block = self.cells.start, 0
         while block < len(self.cells.box):
             first = start[block]
@@ -79,10 +81,10 @@ class SolidSurface:
 
 @dataclass
 class Spread:
-    """Distances of a surface's cells to another surface, and agreement of the normals.
+    """The distances of a surface's cells to another surface, and the agreement of their normals.
 
     Attributes:
-        cells: (k,) int64, number of cells at each squared distance (in cells), up to the largest.
+        cells: (k,) int64, the number of cells at each squared distance 0, 1, 2, ... (in cells).
         agreement: the sum of |n . n'| over these cells; see `normal_agreement`.
     """
 
@@ -93,7 +95,7 @@ class Spread:
         return int(self.cells.sum())
 
     def add(self, squared: Int32, cosines: Float64) -> None:
-        """Add cells by their squared distances and |n . n'|, (n,) each."""
+        """Add n cells, given their squared distances (n,) and their |n . n'| (n,)."""
         cells = np.bincount(squared, minlength=len(self.cells))
         cells[: len(self.cells)] += self.cells
         self.cells = cells
@@ -103,20 +105,20 @@ class Spread:
 def spreads(
     queries: SolidSurface, targets: SolidSurface, masks: Sequence[Packed], hidden: Packed
 ) -> list[tuple[Spread, Spread]]:
-    """Return the distances of one surface to another, counted within parts of the grid.
+    """Return the distances of one surface to another within each of several parts of the grid.
 
-    If the nearest cell of the whole other surface lies in a part, it is the nearest in that part, too. So
-    only the other cells are searched again.
+    A query's nearest target in the whole grid is also its nearest target in any part that contains the
+    target. So only the other queries are searched again for a part.
 
     Args:
         queries: the surface whose cells are counted.
         targets: the other surface.
-        masks: packed parts of the grid; for each, both surfaces are cut to it.
-        hidden: packed; each second result counts only the queries in it.
+        masks: the parts of the grid, packed; both surfaces are cut to each part.
+        hidden: packed cells; the second spread of each part counts only queries in these cells.
 
     Returns:
-        For each mask: the spread of the queries in the mask, and of those also in `hidden`. Without targets
-        all distances and cosines are 0.
+        For each mask, the spread of the queries in the mask, and that of the queries that are also in
+        `hidden`. If there are no targets, all distances and cosines are 0.
     """
     results = [(Spread(), Spread()) for _ in masks]
     cut = [targets.within(mask) for mask in masks]
@@ -135,14 +137,14 @@ def spreads(
 
 
 def solid_surface(solid: Packed) -> SolidSurface:
-    """Return the surface of a packed solid, (256, 256, 32) uint8: its cells with an empty 6-neighbour."""
+    """Return the surface of a packed solid (256, 256, 32) uint8: its cells that have an empty 6-neighbour."""
     packed = packed_shell(solid)
     cells = cells_of(packed)
     return SolidSurface(packed, cells, moments(solid, cells.index))
 
 
 def _matched(queries: SolidSurface, targets: SolidSurface) -> tuple[Int32, Int32, Float64]:
-    """Return each query's nearest target: squared distance, position and |n . n'|; zeros without any."""
+    """Return squared distance, position and |n . n'| of each query's nearest target; zeros if none."""
     n = len(queries.cells)
     if not n or not len(targets.cells):
         return np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n)
@@ -170,15 +172,15 @@ def cells_of(packed: Packed) -> Cells:
 
 
 def nearest_cells(queries: Cells, targets: Cells) -> tuple[Int32, Int32]:
-    """Return the nearest target of every query; of equally near ones the first in C order.
+    """Return the nearest target of every query; of equally near targets, the first in C order.
 
     Args:
         queries: any number of cells.
         targets: at least one cell.
 
     Returns:
-        For each of `queries.index`: (n,) int32 squared distance in cells, and (n,) int32 position in
-        `targets.index`.
+        Squared distances in cells, (n,) int32, and positions in `targets.index`, (n,) int32, in the order of
+        `queries.index`.
     """
     boxes = targets.box.T.copy()
     indices = _nearest(queries.index, queries.start, queries.box, targets.index, targets.start, boxes)
@@ -187,7 +189,7 @@ def nearest_cells(queries: Cells, targets: Cells) -> tuple[Int32, Int32]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _sorted_cells(packed):  # type: ignore[no-untyped-def]
-    """Return `index`, `start` and `box` of the set cells."""
+    """Return the fields `index`, `start` and `box` of `Cells` for the set cells of a packed grid."""
     counts = np.zeros(_SIDE**3 + 1, np.int64)
     for x in range(packed.shape[0]):
         for y in range(packed.shape[1]):
@@ -225,7 +227,7 @@ def _sorted_cells(packed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _nearest(query, query_start, query_box, target, target_start, target_box):  # type: ignore[no-untyped-def]
-    """Return (2, n), squared distance and position of each query's nearest target; `target_box` is (6, b)."""
+    """Return (2, n): squared distance and position of each query's nearest target; `target_box` is (6, b)."""
     nearest = np.empty((2, len(query)), np.int32)
     least, most = np.empty(target_box.shape[1], np.int32), np.empty(target_box.shape[1], np.int32)
     box_rows, last = target_box.T.copy(), np.int64(0)
@@ -260,9 +262,9 @@ def _nearest(query, query_start, query_box, target, target_start, target_box):  
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _block_bounds(box, boxes, least, most):  # type: ignore[no-untyped-def]
-    """Write bounds of the squared distance from a box's cells to the cells of each of `boxes` (6, b).
+    """Write bounds (b,) of the squared distances from the cells of a box to those of each of `boxes` (6, b).
 
-    No two cells are nearer than `least`; every cell of the box has a cell of the other box within `most`.
+    No cell of the box is nearer than `least` to a cell of the other box, and none is farther than `most`.
     """
     least[:], most[:] = 0, 0
     for axis in range(3):
@@ -277,7 +279,7 @@ def _block_bounds(box, boxes, least, most):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _to_box(x, y, z, boxes, n):  # type: ignore[no-untyped-def]
-    """Return the squared distance from a cell to box n."""
+    """Return the squared distance from the cell (x, y, z) to box n of `boxes` (b, 6)."""
     zero = np.int32(0)
     a = max(boxes[n, 0] - x, x - boxes[n, 3], zero)
     b = max(boxes[n, 1] - y, y - boxes[n, 4], zero)
@@ -287,7 +289,7 @@ def _to_box(x, y, z, boxes, n):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _squared(x, y, z, cell):  # type: ignore[no-untyped-def]
-    """Return the squared distance between two cells."""
+    """Return the squared distance between the cell (x, y, z) and `cell`, which is x << 16 | y << 8 | z."""
     a, b, c = x - (cell >> 16), y - (cell >> 8 & 255), z - (cell & 255)
     return np.int32(a * a + b * b + c * c)
 
@@ -303,10 +305,11 @@ _MOMENT = (_BITS * np.arange(-RADIUS_CELLS, RADIUS_CELLS + 1, dtype=np.int32)).s
 
 
 def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
-    """Return first moments of the solid around surface cells: (n, 3) int16, opposite to the outward normal.
+    """Return first moments of the solid around surface cells: (n, 3) int16, opposite to outward normals.
 
-    A moment is the sum of the offsets of occupied cells among the 7^3 cells around (outside the grid is
-    empty). It is zero only if these are symmetric, such as a single cell or a plate one cell thick.
+    A moment is the sum of the offsets of the occupied cells among the 7^3 cells around a cell; space outside
+    the grid is empty. It is zero only if these offsets cancel, as for a single cell or a plate one cell
+    thick.
 
     Args:
         solid: (256, 256, 32) uint8, packed, most significant bit first.
@@ -317,9 +320,9 @@ def moments(solid: Packed, cells: Int32) -> NDArray[np.int16]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def normal_agreement(first, second, rows):  # type: ignore[no-untyped-def]
-    """Return (n,) float64: |n . n'| of moments `first` (n, 3) and rows `rows` of moments `second`.
+    """Return |n . n'| of the moments `first` (n, 3) and the moments `second[rows]` (n, 3): (n,) float64.
 
-    It is 1 where neither cell has a normal (both moments are zero), 0 where only one has.
+    It is 1 where neither cell has a normal (both moments are zero), and 0 where only one cell has one.
     """
     cosines = np.empty(len(first))
     for n in range(len(first)):
@@ -336,7 +339,7 @@ def normal_agreement(first, second, rows):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _moments(solid, cells):  # type: ignore[no-untyped-def]
-    """Return (n, 3) int16: the sum of the offsets of the occupied cells around each cell, at most 49 * 6."""
+    """Return the sum of the offsets of the occupied cells around each cell: (n, 3) int16, at most 49 * 6."""
     moments = np.zeros((len(cells), 3), np.int16)
     side, last = solid.shape[0], solid.shape[2] - 1
     for n in range(len(cells)):

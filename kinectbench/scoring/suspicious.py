@@ -1,4 +1,4 @@
-"""Predictions that can be counted but are probably wrong."""
+"""Find predictions that can be counted but are probably wrong."""
 
 from collections.abc import Iterator, Mapping
 
@@ -8,8 +8,8 @@ from kinectbench.scoring.counts import THRESHOLDS
 from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import Thresholds
 
-# Share of a mesh's volume: a cube placed by the view alone may cut off as much of the true shape (pairs,
-# framing: view).
+# Largest share of a mesh's volume outside the cube that is plausible: a cube that is placed by the view alone
+# may cut off as much of the true shape (setting `framing: view` of pairs).
 MOST_OUTSIDE = 0.05
 # A smaller share of a mesh outside the grid is not reported.
 LEAST_OUTSIDE = 0.001
@@ -18,11 +18,11 @@ LEAST_OUTSIDE = 0.001
 def suspicious_lines(
     method: str, results: Mapping[Target, PairResult], thresholds: Thresholds
 ) -> Iterator[str]:
-    """Yield lines with the numbers of meshes cut off at the cube, empty predictions and full predictions.
+    """Yield lines on how many meshes are cut off at the cube, and how many predictions are empty or full.
 
     Args:
         method: the method's name; for a baseline, empty and full predictions are not reported.
-        results: the result of every counted pair; without a prediction its `cells` is 0.
+        results: the result of every counted pair; its `cells` is 0 if there was no prediction.
         thresholds: threshold of every category of the test split.
     """
     outside = {t.name: of.outside_share for t, of in results.items() if of.outside_share >= LEAST_OUTSIDE}

@@ -1,4 +1,4 @@
-"""The threshold of each category: searched on validation, the method's own, read from a file, or 0.5."""
+"""The threshold of each category: searched on validation pairs, the method's own, from a file, or 0.5."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -14,16 +14,16 @@ from kinectbench.release.release import Target
 from kinectbench.scoring.counts import STEPS, THRESHOLD_STEPS, THRESHOLDS, ious, protocol_counts
 
 FIXED = 0.5
-# Sources of a threshold; for a file its SHA-256 follows. "pooled": searched on the validation pairs of all
-# other categories together.
+# Sources of a threshold; after "file:" follows the file's SHA-256. "pooled": searched on the validation pairs
+# of all other categories together.
 VALIDATION_SOURCE = "validation"
 POOLED_SOURCE = "pooled"
 METHOD_SOURCE = "method"
 FIXED_SOURCE = "fixed"
 FROM_FILE = "file:"
 STEPS_IN_WORDS = "0.1, 0.15, ... 0.9"
-# Sources for which validation pairs were counted; and all sources but files: the first that occurs is the
-# table's.
+# Sources for which validation pairs were counted; and all sources except files, in order: the first that
+# occurs is that of the whole table.
 SEARCHED = (VALIDATION_SOURCE, POOLED_SOURCE)
 SOURCES = (*SEARCHED, METHOD_SOURCE, FIXED_SOURCE)
 
@@ -34,12 +34,12 @@ class Thresholds:
 
     Attributes:
         of: {category: threshold}, each k / 20 with k from 2 to 18.
-        source: "file:<sha256>", or the first of these that any category has: "validation", "pooled" (pairs
-            of other categories), "method" (its own threshold), "fixed" (0.5).
+        source: "file:<sha256>"; or the first of these sources that any category has: "validation", "pooled"
+            (searched on pairs of other categories), "method" (the method's own threshold), "fixed" (0.5).
         warnings: one line each.
         sources: {category: source of its threshold}.
-        objects: objects whose pairs chose the thresholds; None if unknown, because a file does not name them
-            or a threshold is the method's own.
+        objects: the objects on whose pairs the thresholds were chosen; None if they are not known, because a
+            file does not name them, or because a threshold is the method's own.
     """
 
     of: Mapping[str, float]
@@ -55,7 +55,7 @@ def best_threshold(tallies: Sequence[Tally]) -> float:
     Args:
         tallies: tallies of the validation pairs of one category, at least one.
 
-    Source: the paper; of equally good thresholds the lowest is taken (our rule).
+    Source: the paper. Of equally good thresholds, the lowest is taken (own rule).
     """
     mean_iou = np.mean([ious(protocol_counts(tally, "paper")) for tally in tallies], axis=0)
     return THRESHOLDS[int(np.argmax(mean_iou))]
@@ -64,14 +64,14 @@ def best_threshold(tallies: Sequence[Tally]) -> float:
 def searched_thresholds(
     targets: Sequence[Target], tallies: Mapping[Target, Tally], own: float | None = None
 ) -> Thresholds:
-    """Search each category's threshold on its validation pairs.
+    """Search the threshold of each category on its validation pairs.
 
-    A category without validation pairs gets the method's own threshold; else the threshold of the validation
-    pairs of all other categories together; else 0.5.
+    A category without validation pairs gets the method's own threshold. If the method has none, it gets the
+    threshold that is best for the validation pairs of all other categories together; if there are none, 0.5.
 
     Args:
-        targets: targets of the release; the categories of its test split get a threshold.
-        tallies: voxel counts of each validation target that was predicted.
+        targets: all targets of the release; every category with a test target gets a threshold.
+        tallies: {validation target that was predicted: its voxel counts}.
         own: the method's own threshold, k / 20 with k from 2 to 18; None if it has none.
     """
     categories = sorted({target.category for target in targets if target.split == "test"})
@@ -98,7 +98,7 @@ def searched_thresholds(
 
 
 def _without_validation(tallies: Mapping[Target, Tally], own: float | None) -> tuple[float, str]:
-    """Return the threshold of categories without validation pair, and its source: own, pooled or 0.5."""
+    """Return the threshold of categories without a validation pair (own, pooled or 0.5), and its source."""
     if own is not None:
         return own, METHOD_SOURCE
     if tallies:
@@ -127,13 +127,13 @@ def _fallback_warning(
 
 
 def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozenset[str]) -> Thresholds:
-    """Read a threshold file: JSON with `thresholds`, {category: threshold}, and possibly `objects`.
+    """Read a threshold file: JSON with `thresholds`, {category: threshold}, and optionally `objects`.
 
-    `objects` are those whose pairs the thresholds were chosen on.
+    `objects` names the objects on whose pairs the thresholds were chosen.
 
     Raises:
-        SettingsError: the file is missing or unreadable, a category is missing, a threshold is not
-            k / 20 with k from 2 to 18, or was chosen on an object of the test split.
+        SettingsError: the file is missing or unreadable, it has no threshold for a category, a threshold is
+            not k / 20 with k from 2 to 18, or `objects` names an object of the test split.
     """
     try:
         content = read_plain(path, ThresholdsFile.MAX_BYTES)
@@ -177,13 +177,13 @@ def read_thresholds(path: Path, categories: Sequence[str], test_objects: frozens
 
 
 def thresholds_for(path: Path, test: Sequence[Target]) -> Thresholds:
-    """Read a threshold file for the pairs of a test split; errors as in `read_thresholds`."""
+    """Read a threshold file for the pairs of a test split; errors are as in `read_thresholds`."""
     categories = sorted({target.category for target in test})
     return read_thresholds(path, categories, frozenset(target.object for target in test))
 
 
 def _plain(name: str) -> str:
-    """Return a name without case and surrounding blanks."""
+    """Return a name without surrounding blanks, and with case folded."""
     return name.strip().casefold()
 
 

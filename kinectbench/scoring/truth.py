@@ -16,7 +16,7 @@ GRIDS = ("full", "known", "seen")
 
 @dataclass(frozen=True)
 class PackedTruth:
-    """The truth of a pair; its grids are packed (see pair_file.py): (256, 256, 32) uint8, C order.
+    """The truth of a pair. Its grids are packed (see pair_file.py): (256, 256, 32) uint8, C order.
 
     Attributes:
         full: the solid true shape.
@@ -24,7 +24,8 @@ class PackedTruth:
         seen: cells that the input view saw.
         voxel_size_m: edge of a cell, metres.
         surface_sigma_m: standard deviation of the truth's surface, metres; 0 if it is exact or not known.
-        others: {name: grid} of cells that some protocols count as not known, or of other true shapes.
+        others: {name: grid} of the grids that only some protocols use: cells that count as not known, or
+            another true shape.
     """
 
     full: Packed
@@ -39,12 +40,12 @@ class PackedTruth:
         return self.full.ravel(), self.known.ravel(), self.seen.ravel()
 
     def under(self, protocol: Protocol) -> "PackedTruth":
-        """Return the truth that a protocol compares with: its shape and its known cells."""
+        """Return the truth that a protocol compares with: its own true shape and its own known cells."""
         of = self.distrusting(protocol.distrusts)
         return of if protocol.truth == SOLID else replace(of, full=of.others[protocol.truth])
 
     def distrusting(self, name: str | None) -> "PackedTruth":
-        """Return the truth with the cells of grid `name` removed from `known`; itself if there are none."""
+        """Return the truth, with the cells of grid `name` removed from `known`; itself if it has none."""
         if name is None or not self.others[name].any():
             return self
         return replace(self, known=self.known & ~self.others[name])
@@ -59,7 +60,7 @@ def read_packed_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> Pa
         others: names of further grids to read (`further_grids`).
 
     Raises:
-        ReleaseError: the file is missing, or not the published one.
+        ReleaseError: the file is missing, or differs from the published one.
     """
     names = (*GRIDS, *NUMBERS, *others)
     full, known, seen, voxel_size_m, surface_sigma_m, *more = read_parts(path, sha256, names)
@@ -71,18 +72,18 @@ def read_voxel_size(path: Path, sha256: str) -> float:
     """Read the edge of a cell of the 256-grid of a published pair, metres.
 
     Raises:
-        ReleaseError: the file is missing, or not the published one.
+        ReleaseError: the file is missing, or differs from the published one.
     """
     return float(read_parts(path, sha256, ("voxel_size_m",))[0])
 
 
 def read_parts(path: Path, sha256: str, names: Sequence[str]) -> list[FileArray]:
-    """Read only the named packed grids or lengths of a published pair file, in the order of `names`.
+    """Read only the named grids (packed) or lengths from a published pair file, in the order of `names`.
 
     Lengths are 0-d, float64, in metres.
 
     Raises:
-        ReleaseError: the file is missing, or not the published one.
+        ReleaseError: the file is missing, or differs from the published one.
     """
     content = published_bytes(path, sha256)
     try:

@@ -1,7 +1,7 @@
-"""Statistics of few objects: confidence intervals of means, tests of differences, Holm's correction.
+"""Statistics for few objects: confidence intervals of means, tests of differences, Holm's correction.
 
-Views of one object are not independent; objects are. A mean is the mean of the objects' means, or, under the
-protocol `paper`, the mean of all pairs: then an object's weight is its number of pairs.
+Objects are independent, but views of one object are not. A mean is the mean over the objects of each object's
+mean. Under the protocol `paper`, it is the mean of all pairs; then an object's weight is its number of pairs.
 """
 
 import numpy as np
@@ -13,9 +13,9 @@ MIN_OBJECTS = 3
 RESAMPLES = 10_000
 SEED = 0
 RESAMPLES_AT_ONCE = 1000
-# Number of values drawn together: 32 MB; more would not be faster.
+# Number of values drawn at a time: 32 MB; more would not be faster.
 DRAWN_AT_ONCE = 1 << 22
-# Most objects that are resampled; 2000 with twelve metrics take 1.5 s (measured).
+# Maximum number of objects that are resampled; 2000 with twelve metrics take 1.5 s (measured).
 MOST_RESAMPLED = 2000
 
 
@@ -23,8 +23,8 @@ def student_interval(values: Float64, weights: Float64) -> Float64 | None:
     """Return Student's t interval of a weighted mean over the objects of one category.
 
     With weights w, mean m = sum w x / sum w and k objects, the variance of the mean is k / (k - 1) * sum (w
-    (x - m))^2 / (sum w)^2: the variance of a ratio (Cochran, Sampling Techniques, 1977, eq. 6.13); with equal
-    weights it is the usual s^2 / k. Degrees of freedom: k - 1.
+    (x - m))^2 / (sum w)^2. This is the variance of a ratio (Cochran, Sampling Techniques, 1977, eq. 6.13);
+    with equal weights it is the usual s^2 / k. There are k - 1 degrees of freedom.
 
     Args:
         values: (k, m) float64, a row per object, a column per metric.
@@ -43,7 +43,7 @@ def student_interval(values: Float64, weights: Float64) -> Float64 | None:
 
 
 def _mean_and_deviation(values: Float64, weights: Float64) -> tuple[Float64, Float64]:
-    """Return the weighted mean of each column, and the mean's standard deviation: see `student_interval`."""
+    """Return the weighted mean of each column and this mean's standard deviation (`student_interval`)."""
     count = len(values)
     mean = weights @ values / weights.sum()
     residuals = weights[:, None] * (values - mean)
@@ -51,17 +51,18 @@ def _mean_and_deviation(values: Float64, weights: Float64) -> tuple[Float64, Flo
 
 
 def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
-    """Return the percentile bootstrap interval of the mean over categories; objects are resampled in each.
+    """Return the percentile bootstrap interval of the mean over categories, resampling objects in each.
 
     Args:
-        groups: for each category `values` (k, m) and `weights` (k,) as in `student_interval`.
+        groups: (`values` (k, m), `weights` (k,)) for each category, as in `student_interval`.
 
     Returns:
         (m, 2) lower and upper end; None if a category has fewer than three objects, since resampling one or
         two says little about how objects differ. The seed is fixed, so equal values give equal intervals.
 
-    With more than 2000 objects in all, only categories with at most 2000 / (number of categories)
-    are resampled. The means of larger ones are drawn from a normal distribution, which suits so many objects.
+    If there are more than 2000 objects in all, only categories with at most 2000 / (number of categories)
+    objects are resampled. The means of larger categories are drawn from a normal distribution, which suits so
+    many objects.
 
     Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 13; strata are added here.
     """
@@ -91,7 +92,7 @@ def bootstrap_interval(groups: list[tuple[Float64, Float64]]) -> Float64 | None:
 def _add_resampled(
     means: Float64, rng: np.random.Generator, values: Float64, weights: Float64, groups: int
 ) -> None:
-    """Add a category's resampled means to `means` (resamples, m), divided by the number of `groups`."""
+    """Add resampled means of a category, divided by the number of `groups`, to `means` (resamples, m)."""
     rows = min(RESAMPLES_AT_ONCE, max(1, DRAWN_AT_ONCE // values.size))
     for start in range(0, RESAMPLES, rows):
         batch = means[start : start + rows]
@@ -103,9 +104,9 @@ def _add_resampled(
 
 MAX_EXACT = 30
 SAMPLES, LEAST_SAMPLES = 1_000_000, 10_000
-# Most signs drawn in all, in 1.5 s: a million assignments for 500 objects (measured).
+# Maximum number of signs drawn in all: a million assignments for 500 objects, which take 1.5 s (measured).
 MOST_SIGNS = 500_000_000
-# Drawn at a time: 128 MB.
+# Maximum numbers of assignments and of signs drawn at a time: 128 MB.
 ROWS_AT_ONCE, SIGNS_AT_ONCE = 8_000, 16_000_000
 # Sums that differ by less, relative to the sum of absolute differences, are equal.
 EQUAL = 1e-12
@@ -114,13 +115,13 @@ EQUAL = 1e-12
 def sign_flip_ps(differences: Float64) -> list[float]:
     """Return two-sided p-values of sign-flip tests, one per row.
 
-    The null hypothesis is that a row's differences are symmetric about zero. The p-value is the share of all
-    2^n assignments of signs whose sum is at least as far from zero as the observed one. It is exact up to 30
-    differences: the sums of both halves are sorted and counted against each other. Beyond 30, `samples`
-    assignments are drawn with a fixed seed, the same for every row.
+    The null hypothesis is that a row's differences are symmetric about zero. The p-value is the share, of all
+    2^n assignments of signs, of those whose sum is at least as far from zero as the observed sum. Up to 30
+    differences it is exact: the sums of each half are sorted, and counted against those of the other half.
+    Beyond 30, `samples` assignments are drawn with a fixed seed, the same for every row.
 
     Args:
-        differences: (m, n) float64, n > 0, for m tests; already multiplied by weights, if any.
+        differences: (m, n) float64, n > 0, for m tests; if there are weights, already multiplied by them.
 
     Source: Fisher, The Design of Experiments (1935), sect. 21.
     """
@@ -135,9 +136,9 @@ def sign_flip_ps(differences: Float64) -> list[float]:
 
 
 def _exact(differences: Float64, observed: float) -> float:
-    """Return the share of all assignments of signs whose sum is not strictly between -observed and observed.
+    """Return the share of sign assignments whose sum is not strictly between -observed and observed.
 
-    The sums in between are counted and subtracted from all, so that no sum counts in both tails, even if
+    The sums in between are counted, and subtracted from all. So no sum counts in both tails, even if
     `observed` is tiny.
     """
     half = len(differences) // 2
@@ -173,12 +174,12 @@ def _sampled(differences: Float64, observed: Float64) -> list[float]:
 
 
 def samples(count: int) -> int:
-    """Return the number of sign assignments drawn for `count` differences: a million, fewer beyond 500."""
+    """Return the number of sign assignments to draw for `count` differences: a million, fewer beyond 500."""
     return max(LEAST_SAMPLES, min(SAMPLES, MOST_SIGNS // count))
 
 
 def smallest_p(count: int) -> float:
-    """Return the smallest p-value of the test of n = `count` differences: 2^(1 - n).
+    """Return the smallest p-value that the test of n = `count` differences can give: 2^(1 - n).
 
     Beyond 30 differences, where signs are drawn, it is 1 / (`samples` + 1).
     """
@@ -186,7 +187,7 @@ def smallest_p(count: int) -> float:
 
 
 def holm(p_values: list[float]) -> list[float]:
-    """Return p-values corrected for their number (Holm, Scand. J. Statist. 6, 1979), in the same order."""
+    """Return p-values corrected by Holm's method (Scand. J. Statist. 6, 1979), in the same order."""
     rising = np.argsort(p_values, kind="stable")
     corrected = np.minimum(1.0, np.arange(len(p_values), 0, -1) * np.array(p_values)[rising])
     adjusted = np.empty(len(p_values))

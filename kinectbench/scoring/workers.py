@@ -8,8 +8,8 @@ from kinectbench.core import KinectBenchError
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.engine.processes import KILLED, submit_all, worker_pool
 
-# Tasks that make another process worth its start: it costs 2 s of CPU, a pair with all baselines 2.4 s. Two
-# pairs took 10.4 CPU s in two processes, 6.0 in one, and no less time.
+# Number of tasks for which another process is worthwhile. Its start takes 2 s of CPU, a pair with all
+# baselines 2.4 s. Two pairs took 10.4 s of CPU in two processes and 6.0 s in one, in the same time.
 TASKS_A_PROCESS = 2
 
 Task = TypeVar("Task")
@@ -26,15 +26,15 @@ def run_tasks(
     """Apply a module-level function to every task; return the results in the order of the tasks.
 
     Args:
-        function: must not depend on the order of the tasks.
+        function: its results must not depend on the order of the tasks.
         tasks: picklable values.
-        jobs: number of processes at most; with 1, or with fewer than `2 * TASKS_A_PROCESS` tasks, all run in
-            the calling process.
+        jobs: maximum number of processes; with 1, or with fewer than `2 * TASKS_A_PROCESS` tasks, all tasks
+            run in the calling process.
         progress: called with (tasks done, tasks in all).
         keep: called in the calling process with each task and its result, in the order of the tasks.
 
     Raises:
-        KinectBenchError: a task raised it, or a process was killed, for lack of memory for example.
+        KinectBenchError: a task raised it, or a process was killed, for example because memory was full.
     """
     results: list[Result] = []
 

@@ -11,7 +11,7 @@ from kinectbench.core.types import Float64
 from kinectbench.release.exchange.rgbd import WriteView
 from kinectbench.scoring.camera_shape import CameraShape
 
-# At most so many files are read from the folder of one view (chosen here).
+# Maximum number of files in the folder of one view (chosen here).
 MOST_FILES = 1000
 
 
@@ -20,14 +20,15 @@ class Adapter:
     """Input and output of one method.
 
     Attributes:
-        write: writes the method's input files for a view; returns the view as written, and keys for
-            camera.json, among them `T_camera_method` (4, 4).
-        output: name of the file that the method writes for a view; `*` is a wildcard.
-        read: reads that file; returns the shape in the method's own frame, which `T_camera_method` of
-            camera.json maps to the camera; raises PredictionError, ValueError or one of `UNREADABLE`.
+        write: function that writes the method's input files for a view. It returns the view as written, and
+            entries for camera.json, among them `T_camera_method` (4, 4).
+        output: name of the file that the method writes for a view; may contain the wildcard `*`.
+        read: function that reads this file. It returns the shape in the method's own frame; `T_camera_method`
+            in camera.json maps that frame to the camera. It raises PredictionError, ValueError or one of
+            `UNREADABLE`.
         form: what the method predicts: mesh, points or voxels.
-        inputs: the images that the method reads, some of "color", "depth", "mask".
-        module: the package that `write` needs beyond the extra `build`; "" if none.
+        inputs: the images that the method reads, a subset of "color", "depth", "mask".
+        module: the package that `write` needs beside those of the extra `kinectbench[build]`; "" if none.
     """
 
     write: WriteView
@@ -39,7 +40,7 @@ class Adapter:
 
 
 def find_output(folder: Path, pattern: str) -> Path | None:
-    """Return a method's output file in the folder of a view; None if there is none.
+    """Return the file in `folder` that matches `pattern` (`*` is a wildcard); None if there is none.
 
     Raises:
         PredictionError: the folder has several output files.

@@ -1,6 +1,6 @@
-"""OctMAE (Iwase et al., ECCV 2024): points with normals, millimetres, within a cube of 1,280 mm.
+"""OctMAE (Iwase et al., ECCV 2024) predicts points with normals, in millimetres, in a cube of side 1,280 mm.
 
-Source: its repository, commit 08c1be6: `demo.py` reads the files, and writes output.pts.
+Source: its repository, commit 08c1be6. Its `demo.py` reads the files written here, and writes output.pts.
 """
 
 import json
@@ -40,8 +40,7 @@ def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVi
     """Write rgb.png, mask.png, depth.png (uint16, mm) and intrinsics.json.
 
     Returns:
-        The view as written, and keys for camera.json, among them the share of the object that OctMAE's cube
-        cuts off.
+        The view as written, and entries for camera.json, such as the share of the object outside the cube.
     """
     shown = framed(view, WIDTH, HEIGHT)
     write_color(shown, folder)
@@ -56,10 +55,12 @@ def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVi
 
 
 def cube_mm(seen_mm: Float64) -> Float64:
-    """Return the lowest and the highest corner of OctMAE's cube: (2, 3), camera frame, millimetres.
+    """Return the lowest and the highest corner of OctMAE's cube: (2, 3), millimetres, camera frame.
+
+    The cube is centred on the optical axis; it begins five 40 mm cells before the cell of the nearest point.
 
     Args:
-        seen_mm: (m, 3), the object's measured points, which place the cube.
+        seen_mm: (m, 3), measured points of the object, millimetres, camera frame.
     """
     side = CELLS * CELL_MM
     begin = (np.floor(seen_mm[:, 2].min() / CELL_MM) - CELLS_BEFORE) * CELL_MM
@@ -68,16 +69,17 @@ def cube_mm(seen_mm: Float64) -> Float64:
 
 
 def in_cube(points_mm: Float64, seen_mm: Float64) -> Bools:
-    """Return which points (n, 3) lie in OctMAE's cube: bool (n,); arguments as in `cube_mm`."""
+    """Return which points (n, 3) lie in OctMAE's cube: bool (n,); units and `seen_mm` as in `cube_mm`."""
     low, high = cube_mm(seen_mm)
     return np.asarray(((points_mm >= low) & (points_mm < high)).all(axis=1))
 
 
 def _cut_share(release: Release, view: RgbdView) -> dict[str, object]:
-    """Return {"cut_share": share of the object outside OctMAE's cube, "cut_of": "truth" or "seen"}.
+    """Return the share of the object outside OctMAE's cube, as entries for camera.json.
 
-    The share is of the true solid's cells ("truth"), or of the measured points where the truth is held back
-    ("seen"). {} if there are none, or if no measured point places the cube.
+    The entries are {"cut_share": share, "cut_of": "truth" or "seen"}. "truth": the share is of the true
+    solid's cells. "seen": the truth is held back, and the share is of the measured points. Return {} if there
+    are none, or if no measured point places the cube.
     """
     seen_m, target = view.object_points_m, view.target
     if release.metadata.hides(target.recording):
@@ -99,10 +101,11 @@ def _cut_share(release: Release, view: RgbdView) -> dict[str, object]:
 def read_octmae(path: Path) -> CameraShape:
     """Read points and normals, camera frame, millimetres, from output.pts.
 
-    The file holds a count, then lines `x y z 0 r g b`; rgb / 255 = (normal + 1) / 2.
+    The file holds the number of points, then a line `x y z 0 r g b` per point. The colour encodes the normal:
+    rgb / 255 = (normal + 1) / 2.
 
     Raises:
-        PredictionError, ValueError, OSError: the file cannot be read, or is no output.pts.
+        PredictionError, ValueError, OSError: the file cannot be read, or does not have this format.
     """
     numbers = numbers_of(read_plain(path, MAX_FILE_BYTES))
     if not len(numbers) or len(numbers) != 1 + NUMBERS * numbers[0] or numbers[0] < 1:

@@ -1,8 +1,8 @@
-"""PatchComplete (Rao et al., NeurIPS 2022): signed distances in 32^3 voxels of a cube.
+"""PatchComplete (Rao et al., NeurIPS 2022) predicts signed distances in 32^3 voxels of a cube.
 
-Source: its repository, commit 938303c: it reads `tsdf`, in units of the cube's edge, and writes
-`predicted_voxels`, in voxels; values up to 1e-10 are solid. The cube is that of the pair's grid,
-whose axes are the camera's.
+Source: its repository, commit 938303c. It reads `tsdf`, in units of the cube's edge, and writes
+`predicted_voxels`, in voxels. Values up to 1e-10 are solid. The cube is that of the pair's grid; its axes are
+parallel to the camera's.
 """
 
 from pathlib import Path
@@ -19,13 +19,13 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.adapters.adapter import Adapter, scaling
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
 
-# PatchComplete's loader has this grid and clips distances here; its own metric counts cells up to
-# SOLID_BELOW as solid.
+# PatchComplete's loader uses this number of voxels, and clips distances at CLIP_VOXELS; its own metric counts
+# cells with values up to SOLID_BELOW as solid.
 VOXELS = 32
 CLIP_VOXELS = 2.5
 SOLID_BELOW = 1e-10
 KEY = "predicted_voxels"
-# Size of 32^3 numbers of eight bytes, and what an npz adds.
+# Size of 32^3 numbers of eight bytes, plus the overhead of an npz.
 MOST_BYTES = VOXELS**3 * 8 + (1 << 16)
 
 
@@ -42,8 +42,8 @@ def write_patchcomplete(release: Release, view: RgbdView, folder: Path) -> tuple
 def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
     """Return each voxel centre's distance along z to the measured surface: (32, 32, 32) float32, metres.
 
-    It is positive in front of the surface, and clipped to +-2.5 voxels; where no pixel of the object is
-    measured, it is +2.5 voxels.
+    The distance is positive in front of the surface, and is clipped to +-2.5 voxels. It is +2.5 voxels where
+    the voxel centre projects to no measured pixel of the object.
 
     Args:
         view: depth and mask of the object.
@@ -67,10 +67,10 @@ def distances_m(view: RgbdView, T_camera_cube: Float64) -> Float32:
 
 
 def read_patchcomplete(path: Path) -> CameraShape:
-    """Read `predicted_voxels` as a solid in the cube [0, 1]^3.
+    """Read `predicted_voxels` as occupied cells of the cube [0, 1]^3.
 
     Raises:
-        PredictionError, UNREADABLE: the file is damaged, or holds something else.
+        PredictionError, UNREADABLE: the file is damaged, or does not hold (32, 32, 32) finite floats.
     """
     with open_plain(path) as file:
         values = arrays_of(file, MOST_BYTES, (KEY,))[KEY].squeeze()

@@ -1,8 +1,8 @@
-"""AdaPoinTr and PoinTr (Yu et al., TPAMI 2023): points, centred and scaled.
+"""AdaPoinTr and PoinTr (Yu et al., TPAMI 2023) read and predict points that are centred and scaled.
 
-Source: its repository, commit 2e53e72: `tools/inference.py` reads N x 3 points, and writes fine.npy. Its
-configurations for ShapeNet centre the points and divide them by the largest norm; the points written here are
-already normalised so.
+Source: its repository, commit 2e53e72. `tools/inference.py` reads N x 3 points, and writes fine.npy. Its
+configurations for ShapeNet centre the points and divide them by their largest norm. The points written here
+are already normalised in this way.
 """
 
 from pathlib import Path
@@ -27,7 +27,7 @@ SEED = 0
 def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write points.npy: at most 2,048 measured points of the object, mean 0, largest norm 1, y up.
 
-    Up is the floor's normal, or the image's up direction where no floor is known.
+    Up is the floor's normal or, if the floor is not known, the up direction of the image.
 
     Raises:
         ReleaseError: no point of the object is measured.
@@ -48,14 +48,14 @@ def write_pointr(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVi
 
 
 def _upright(release: Release, view: RgbdView) -> Float64:
-    """Return the rotation (3, 3) to the camera from axes with x right, y up and z towards the viewer."""
+    """Return the rotation (3, 3) to the camera from a frame with x right, y up and z towards the viewer."""
     floor = release.floor(view.target.recording)
     up = np.array([0.0, -1.0, 0.0])
     if floor is not None:
         up = invert_rigid(view.T_world_camera)[:3, :3] @ floor.T_floor_world[2, :3]
     towards = -np.array([0.0, 0.0, 1.0])
     right = np.cross(up, towards)
-    # A camera that looks straight down keeps its own right.
+    # If the camera looks straight down, x is the camera's x.
     right = right if np.linalg.norm(right) > 1e-6 else np.array([1.0, 0.0, 0.0])
     right /= np.linalg.norm(right)
     return np.stack([right, up, np.cross(right, up)], axis=1)

@@ -1,6 +1,6 @@
-"""RaySt3R (Duisterhof et al., NeurIPS 2025): points behind the silhouette, metres, in the camera frame.
+"""RaySt3R (Duisterhof et al., NeurIPS 2025) predicts points behind the silhouette: metres, camera frame.
 
-Source: its repository, commit 2c93f81: `eval_wrapper/eval.py` reads a folder and writes into it.
+Source: its repository, commit 2c93f81. `eval_wrapper/eval.py` reads a folder, and writes its output there.
 """
 
 from pathlib import Path
@@ -19,9 +19,10 @@ MOST_M, STEPS = 10.0, 65535
 
 
 def write_rayst3r(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
-    """Write rgb.png, mask.png, depth.png (uint16, 65535 = 10 m; farther depth becomes 0), intrinsics.pt.
+    """Write rgb.png, mask.png, depth.png and intrinsics.pt.
 
-    Without cam2world.pt, RaySt3R's output is in the camera frame.
+    depth.png is uint16: 65535 stands for 10 m; farther depth becomes 0. No cam2world.pt is written, so
+    RaySt3R's output is in the camera frame.
     """
     import torch
 

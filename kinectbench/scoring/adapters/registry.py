@@ -1,4 +1,4 @@
-"""The supported published methods by name, and the conversion of their outputs."""
+"""The supported published methods by name; export of their inputs, and conversion of their outputs."""
 
 from collections.abc import Mapping
 from importlib.util import find_spec
@@ -30,14 +30,15 @@ ADAPTERS: Mapping[str, Adapter] = {
     "pointr": POINTR,
     "patchcomplete": PATCHCOMPLETE,
 }
-# The key of method.json's settings by which a later `adapt` recognises a folder with nothing but its output.
+# The key in the settings of method.json by which a later `adapt` recognises that a folder holds only its own
+# output.
 FILES = "files_sha256"
-# Two poses of one view that differ by less are equal: writing and reading JSON changes far less.
+# Two poses of a view are equal if they differ by less; writing and reading JSON changes far less.
 SAME_POSE = 1e-6
 
 
 def _adapter_of(name: str) -> Adapter:
-    """Return the adapter of a method."""
+    """Return the adapter of the method with this name."""
     if name not in ADAPTERS:
         raise SettingsError(f"'{name}': no such method; choose among {', '.join(ADAPTERS)}")
     return ADAPTERS[name]
@@ -46,10 +47,10 @@ def _adapter_of(name: str) -> Adapter:
 def export_for(
     release: Release, out: Path, name: str, progress: Progress = no_progress
 ) -> tuple[int, list[str]]:
-    """Write the views of a release in the format that a method's own loader reads.
+    """Write the views of a release to `out`, in the format that a method's own loader reads.
 
     Returns:
-        As `export_rgbd`: the number of views, and notes, a line each.
+        The number of views, and notes of one line each (as `export_rgbd`).
 
     Raises:
         SettingsError: there is no adapter of this name, a package for it is not installed, or `out` holds
@@ -65,13 +66,13 @@ def export_for(
 def adapt(
     release: Release, name: str, output: Path, out: Path, progress: Progress = no_progress
 ) -> tuple[int, list[str]]:
-    """Convert a method's output into predictions in the camera frame, with method.json.
+    """Convert a method's output into predictions in the camera frame, and write their method.json.
 
     Args:
         release: the release that contains the views.
         name: the method's name.
-        output: a folder `<recording>/<view>/` for each view, with the method's output and the camera.json
-            of `export --for`.
+        output: folder with a subfolder `<recording>/<view>/` for each view, which holds the method's output
+            and the camera.json that `export --for` wrote.
         out: a new or empty folder, or an earlier output of `adapt`, which is replaced.
         progress: called with (views done, views in all).
 
@@ -123,7 +124,7 @@ def adapt(
 def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
-    """Convert one view's output; return its camera.json, or None if the view has no output."""
+    """Convert one view's output and write it to `folder`; return its camera.json, or None without output."""
     view_folder = output / target.recording / target.view
     try:
         path = find_output(view_folder, adapter.output)
@@ -149,10 +150,10 @@ def _adapted(
 
 
 def _placed(camera: ViewCamera, name: str) -> Float64:
-    """Return the similarity (4, 4) from the method's frame to the camera, as camera.json states it, checked.
+    """Check camera.json, and return its similarity (4, 4) from the method's frame to the camera.
 
     Raises:
-        PredictionError: it is missing or no similarity, or the file is of another method.
+        PredictionError: the matrix is missing or no similarity, or the file was written for another method.
     """
     if camera.method != name or camera.T_camera_method is None:
         raise PredictionError(f"{ViewCamera.FILE}: not of `export --layout rgbd --for {name}`; export again")
@@ -162,7 +163,7 @@ def _placed(camera: ViewCamera, name: str) -> Float64:
 
 
 def _nothing(output: Path, adapter: Adapter, problems: list[str]) -> str:
-    """Return why no file in the folder `output` can be converted: the first of `problems`, or no files."""
+    """Return the error text if nothing was converted: the first problem, or that `output` has no file."""
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
         return f"{output}: nothing there can be used: {problems[0]}{more}"

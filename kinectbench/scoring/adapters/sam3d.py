@@ -1,6 +1,6 @@
-"""SAM 3D Objects (Meta, 2025): a mesh in a box of side 1, and its pose in PyTorch3D's camera frame.
+"""SAM 3D Objects (Meta, 2025) predicts a mesh in a box of side 1, and its pose in PyTorch3D's camera frame.
 
-Source: its repository, commit cf06676: `Inference(...)(image, mask, pointmap=...)` returns a dictionary;
+Source: its repository, commit cf06676. `Inference(...)(image, mask, pointmap=...)` returns a dictionary.
 `layout_post_optimization_utils.get_mesh` and `transforms_3d.compose_transform` place the mesh.
 """
 
@@ -28,7 +28,8 @@ POSE, POSE_BYTES = "pose.npz", 1 << 16
 def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdView, dict[str, object]]:
     """Write a view as SAM 3D Objects reads it: image.png, mask.png and pointmap.npy.
 
-    pointmap.npy is (height, width, 3) float32, metres, in PyTorch3D's camera (x left, y up); NaN = no depth.
+    pointmap.npy is (height, width, 3) float32, metres, in PyTorch3D's camera frame (x left, y up). NaN means
+    no depth.
 
     Args:
         release: unused; other adapters need it.
@@ -36,7 +37,7 @@ def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
         folder: where the files are written.
 
     Returns:
-        The view, and a key for camera.json: `T_camera_method` (4, 4).
+        The view, and an entry for camera.json: `T_camera_method` (4, 4).
     """
     write_color(view, folder, "image.png")
     write_png(folder / "mask.png", view.mask.astype(np.uint8) * 255)
@@ -45,7 +46,7 @@ def write_sam3d(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVie
 
 
 def read_sam3d(path: Path) -> CameraShape:
-    """Read mesh.glb and transform the mesh by pose.npz to PyTorch3D's camera frame.
+    """Read mesh.glb, and transform the mesh to PyTorch3D's camera frame by the pose in pose.npz beside it.
 
     Raises:
         PredictionError: one of the two files is missing or damaged.
@@ -58,7 +59,7 @@ def read_sam3d(path: Path) -> CameraShape:
 
 
 def _pose(path: Path) -> tuple[float, Float64, Float64]:
-    """Read scale s, rotation R (3, 3), translation t (3,) of pose.npz: a row vector p becomes s p R + t."""
+    """Read scale s, rotation R (3, 3), translation t (3,) from pose.npz; a row vector p becomes s p R + t."""
     advice = (
         f"save rotation, translation and scale of its output there: np.savez('{POSE}', rotation=..., ...)"
     )

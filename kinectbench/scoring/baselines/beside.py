@@ -1,7 +1,7 @@
-"""Score baselines for comparison with a method; their tables are stored beside the method's scores.
+"""Score baselines for comparison with a method, and store their tables beside the method's scores.
 
-Under the grid protocols only voxel metrics are computed: they suffice to judge a method, and surface metrics
-take most of the time. Beside predictions in the camera frame, baselines are scored under `camera` alone.
+Under the grid protocols, only voxel metrics are computed: they suffice to judge a method, and surface metrics
+take most of the time. If the method predicts in the camera frame, baselines are scored only under `camera`.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence
@@ -34,22 +34,22 @@ def baselines_beside(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> list[ScoreTable]:
-    """Score every baseline that the release allows; `score` gives the same for the baseline's files.
+    """Score every baseline that the release allows; `score` gives the same for a baseline's prediction files.
 
-    Tables are kept in `out/baselines/<name>/scores.json`, those of camera in `out/baselines/<name>+camera/`.
-    A kept table is used again if release, settings and the versions of counting and of the baselines are the
-    same, and if a few of its rows, which are computed again, agree. Thresholds are chosen per baseline on the
-    validation split; without one they are 0.5.
+    Tables are kept in `out/baselines/<name>/scores.json`, or under `camera` in
+    `out/baselines/<name>+camera/`. A kept table is used again if the release, the settings and the versions
+    of counting and of the baselines are the same. As a check, a few of its rows are computed again; they must
+    agree. Thresholds are chosen per baseline on the validation split; without that split they are 0.5.
 
     Args:
         release: the release that is scored.
         out: folder of the scores.
-        protocols: names of `PROTOCOLS` that the pairs allow; or camera and aligned, of which only camera is
-            scored.
+        protocols: names of `PROTOCOLS` that the pairs allow; or `camera` and `aligned`, of which only
+            `camera` is scored.
         upsampling: "half-pixel" or "corner-aligned".
         without: names of baselines that are left out.
         jobs: number of processes.
-        progress: called with (pairs done, pairs in all), if any pair must be counted.
+        progress: called with (pairs done, pairs in all); not called if all tables are kept ones.
 
     Returns:
         A table for each baseline.
@@ -84,7 +84,7 @@ def baselines_beside(
 
 
 def _kept(folder: Path, name: str, release: Release, settings: ScoreSettings) -> ScoreTable | None:
-    """Return the kept table of a baseline if it is still valid, else None."""
+    """Return a baseline's kept table if it is readable, and of this release and these settings; else None."""
     try:
         table = read_table(folder / ScoreTable.FILE)
     except StorageError:  # there is none, or it is damaged or contradicts itself

@@ -1,4 +1,4 @@
-"""Score baselines in memory, pair by pair; the tables equal the tables of their prediction files."""
+"""Score baselines in memory, pair by pair; prediction files of the baselines would give the same tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -41,15 +41,16 @@ def score_baselines(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> list[ScoreTable]:
-    """Score every baseline that a release allows as a method, and write `out/<name>/scores.json`.
+    """Score every baseline that a release allows, write `out/<name>/scores.json`, and return the tables.
 
-    The tables, which are returned, too, are those that `write_baselines` and `score_methods` would give,
-    without hashes of prediction files, as there are none.
+    The tables are those that `write_baselines` followed by `score_methods` would give, but without hashes of
+    prediction files, because no such files are written.
 
     Args:
         release: the release that is predicted.
         out: folder for the results.
-        protocols: names of `PROTOCOLS`, or camera, aligned or both; default: all that apply, without shell.
+        protocols: names of `PROTOCOLS`; or `camera`, `aligned` or both; default: all that apply, except
+            `shell`.
         thresholds_file: a threshold file (`read_thresholds`); then nothing is chosen on the validation split.
         upsampling: "half-pixel" or "corner-aligned".
         surface: whether surface metrics are computed.
@@ -90,9 +91,9 @@ def counted_baselines(
     Args:
         release: the release that is predicted.
         names: baselines that the release allows (`possible_baselines`).
-        counting: how pairs are counted; surface metrics on the test split only.
+        counting: how pairs are counted; surface metrics are computed on the test split only.
         thresholds_file: a threshold file (`read_thresholds`); default: thresholds are chosen per baseline on
-            the validation split; without one they are 0.5.
+            the validation split, or are 0.5 if it has no pairs.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -103,7 +104,8 @@ def counted_baselines(
     rates = base_rates(release, jobs)
     fixed = None if thresholds_file is None else thresholds_for(thresholds_file, release.split("test"))
     splits: tuple[Split, ...] = ("validation", "test") if fixed is None else ("test",)
-    # Only surface metrics need the thresholds: without them one round, and one start of processes, will do.
+    # Only surface metrics need the thresholds. Without them, one round suffices, and processes start only
+    # once.
     rounds = [(split,) for split in splits] if counting.surface else [splits]
     pairs = sum(len(release.split(split)) for split in splits)
     thresholds = {} if fixed is None else dict.fromkeys(names, fixed)
@@ -127,13 +129,13 @@ def counted_baselines(
 def baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], counting: Counting, jobs: int = 1
 ) -> set[str]:
-    """Count a few pairs again and return the names of tables whose rows differ.
+    """Count a few randomly drawn test pairs again; return the baselines whose tables have other rows.
 
     Args:
         release: the release that was predicted.
         tables: {baseline: its table}, made with `release` and `counting`, without surface metrics.
         counting: how pairs are counted.
-        jobs: number of processes that read the truth.
+        jobs: number of processes.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
@@ -168,10 +170,10 @@ def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> 
 
 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
-    """Return {baseline: its counts of one pair}.
+    """Return {baseline: its counts of the pair of a task}.
 
-    For a test pair, the counts include surface metrics, if requested, at the baseline's threshold of the
-    category, and the best IoU that a grid of the prediction's side can reach.
+    For a test pair, the counts include the best IoU that a grid of the prediction's side can reach. If
+    surface metrics are requested, they are included too, at the baseline's threshold for the category.
     """
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256, counting.further_grids)
     reached: dict[int, Mapping[str, float]] = {}  # several baselines share a side

@@ -1,4 +1,4 @@
-"""Bounds from a single view: its convex hull, carved or not, and its silhouette extruded along the view."""
+"""Baselines from one partial view: its convex hull, carved or not, and its silhouette extruded along rays."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +14,27 @@ PIXELS = 512
 def hull(inputs: Inputs) -> Bools:
     """Return the solid convex hull of `partial_256`: (256, 256, 256) bool.
 
-    A cell is set if its centre lies in or on the hull of the set cells' centres. A partial that is flat, or
-    has fewer than four cells, is its own hull.
+    A cell is set if its centre lies in or on the hull of the set cells' centres. If the partial view is flat,
+    or has fewer than four cells, it is returned unchanged.
     """
     return filled_hull(inputs.partial)
 
 
 def carved_hull(inputs: Inputs) -> Bools:
-    """Return the convex hull of `partial_256` without observed free space: (256, 256, 256) bool.
+    """Return the convex hull of `partial_256`, minus observed free space: (256, 256, 256) bool.
 
-    This is the strongest bound from a single view without a prior. The hull may hold unseen air.
+    It is the strongest bound that one view gives without a shape prior. It may still contain unseen free
+    space.
     """
     carved: Bools = filled_hull(inputs.partial) & ~unpack(inputs.pair.seen) | inputs.partial
     return carved
 
 
 def silhouette(inputs: Inputs) -> Bools:
-    """Return the partial's cells and all cells behind them, as the camera sees it: (256, 256, 256) bool.
+    """Return the partial view's cells and all cells behind them, seen from the camera: (256, 256, 256) bool.
 
-    Rays go from the camera's centre to 512 x 512 points on the grid's far side. A cell takes the ray that
-    passes nearest to its centre.
+    Rays go from the camera's centre to 512 x 512 points on the grid's far side. A cell is set if the ray
+    nearest to its centre has met a cell of the partial view.
     """
     pair = inputs.pair
     centre = np.linalg.inv(pair.T_world_grid) @ pair.T_world_camera[:, 3]
@@ -41,9 +42,10 @@ def silhouette(inputs: Inputs) -> Bools:
 
 
 def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
-    """Return a partial with all cells behind it set, as seen from a camera at cell coordinates (3,).
+    """Return a partial view (n, n, n) with all cells behind it set, seen from a camera at `camera_cells`.
 
-    Rays are parallel to z if the camera is not in front of the grid.
+    The camera's position (3,) is in cells, with cell centres at integers. If the camera is not in front of
+    the grid (its z is not negative), rays are parallel to z.
     """
     from kinectbench.scoring.baselines.kernels import sweep_plane, transposed
 

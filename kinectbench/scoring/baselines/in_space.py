@@ -1,4 +1,4 @@
-"""Score baselines in memory under the protocols camera and aligned, with their occupied cells as a solid."""
+"""Score baselines in memory under the protocols camera and aligned; their occupied cells are the solid."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -37,14 +37,14 @@ def space_baselines(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> list[ScoreTable]:
-    """Return the named baselines' tables, in the order of `names`, without baselines in `WITHOUT_SURFACE`.
+    """Return the tables of the named baselines, in this order, except baselines in `WITHOUT_SURFACE`.
 
     Args:
         release: the release that is predicted.
         names: baselines that the release allows (`possible_baselines`).
         protocols: camera, aligned or both.
         thresholds_file: a threshold file (`read_thresholds`); default: thresholds are chosen per baseline on
-            the validation split; without one they are 0.5.
+            the validation split, or are 0.5 if it has no pairs.
         jobs: number of processes.
         progress: called with (views done, views in all).
 
@@ -88,7 +88,7 @@ def space_baselines(
 def space_baselines_that_differ(
     release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
 ) -> set[str]:
-    """Score a few pairs again; return the names of baselines whose tables have other rows.
+    """Score a few randomly drawn views again; return the baselines whose tables have other rows for them.
 
     Args:
         release: the release that was predicted.
@@ -119,7 +119,7 @@ def space_baselines_that_differ(
 
 
 def _tallies(task: BaselineTask) -> Tallies:
-    """Return {baseline: voxel counts of a validation pair}, for the choice of thresholds."""
+    """Return {baseline: its voxel counts of a validation pair}; they serve to choose the thresholds."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
     return {name: tally(prediction, truth) for name, prediction in predicted(task)}
 
@@ -140,6 +140,6 @@ def _results(
     for name, prediction in predicted(task):
         try:
             results[name] = grid_result(truth, prediction, thresholds[name][category], asked)
-        except PredictionError as error:  # a surface of noise
+        except PredictionError as error:  # such as a surface of noise
             results[name] = f"{task.target.name}: {error}"
     return results

@@ -1,4 +1,4 @@
-"""Inputs of baselines: a pair's input, and truth of the training split."""
+"""What a baseline may read: the input of a pair, and the truth of the training split."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +19,12 @@ UP_IN_CAMERA = np.array([0.0, -1.0, 0.0])  # y is down in the image
 
 @dataclass(frozen=True)
 class TrainingTruth:
-    """Truth of one category's training pairs.
+    """The truth of the training pairs of one category.
 
     Attributes:
-        mean: (64, 64, 64) float32, the mean occupancy of the true shapes.
-        partials: (n, 64, 64, 8) uint8, packed partial views of the pairs.
-        files: of each of the n pairs (path of the pair file, SHA-256).
+        mean: (64, 64, 64) float32, the mean occupancy of the true shapes, in [0, 1].
+        partials: (n, 64, 64, 8) uint8, the partial views of the n pairs, packed.
+        files: (path of the pair file, its SHA-256) for each of the n pairs.
     """
 
     mean: NDArray[np.float32]
@@ -39,8 +39,9 @@ class Inputs:
     Attributes:
         pair: the pair without its truth.
         base_rate: share of occupied voxels in the category's truth, in [0, 1]; NaN if the truth is held back.
-        up_grid: (3,) float64 unit vector, away from the floor, in grid axes.
-        training: truth of the category's training pairs; None if there are none, or if no baseline needs it.
+        up_grid: (3,) float64, the unit vector away from the floor, in grid axes.
+        training: truth of the category's training pairs; None if there are no such pairs, or if no baseline
+            needs them.
     """
 
     pair: PairInput
@@ -50,12 +51,12 @@ class Inputs:
 
     @property
     def partial(self) -> NDArray[np.bool_]:
-        """The partial view at full resolution, `partial_256`: (256, 256, 256) bool."""
+        """The partial view at full resolution: the pair's `partial_256`, unpacked, (256, 256, 256) bool."""
         return unpack(self.pair.partial_256)
 
 
 def read_training(release: Release, category: str) -> TrainingTruth | None:
-    """Read the training truth of a category; None without training pairs.
+    """Read the truth of a category's training pairs; None if no such pair has public, solid truth.
 
     Raises:
         ReleaseError: a pair file is missing or changed.
@@ -74,10 +75,10 @@ def read_training(release: Release, category: str) -> TrainingTruth | None:
 
 
 def up_in_grid(release: Release, target: Target, pair: PairInput) -> NDArray[np.float64]:
-    """Return the up direction in grid axes: the floor's normal; without a floor, up in the image.
+    """Return the up direction (3,) in grid axes: the floor's normal or, without a floor, up in the image.
 
     Raises:
-        ReleaseError: the floor's file is damaged.
+        ReleaseError: the floor's plane has no normal.
     """
     floor = release.floor(target.recording)
     if floor is None:

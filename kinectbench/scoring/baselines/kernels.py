@@ -9,7 +9,7 @@ from kinectbench.core.types import Bools, Float64, Int64
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def transposed(rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return bytes (n, m) transposed, tile by tile: 65536 x 256 take 8.7 ms, and 13 ms with numpy."""
+    """Return bytes (n, m) transposed, tile by tile. 65536 x 256 bytes take 8.7 ms; numpy takes 13 ms."""
     n, m = rows.shape
     turned = np.empty((m, n), np.uint8)
     tile = 32
@@ -34,21 +34,21 @@ def sweep_plane(
     row_within: Bools,
     column_within: Bools,
 ) -> None:
-    """Move rays to the next plane: rays that meet a set cell become hit, and hit rays set their cells.
+    """Advance rays to the next plane of cells. Rays that meet a set cell become hit; hit rays set cells.
 
-    There are p x p rays and n x n cells in a plane.
+    There are p x p rays, and n x n cells in a plane.
 
     Args:
-        hit: (p, p) whether each ray has met the partial so far; changed.
-        plane: (n, n) the cells of this plane; changed.
+        hit: (p, p) whether each ray has met a cell of the partial view so far; changed in place.
+        plane: (n, n) the cells of this plane; changed in place.
         row_crossed: (p,) the row of cells that each row of rays crosses in this plane.
         column_crossed: (p,) the column of cells that each column of rays crosses.
         row_inside: (p,) whether each row of rays is inside the grid in this plane.
-        column_inside: (p,) whether each column of rays is.
+        column_inside: (p,) whether each column of rays is inside the grid in this plane.
         row_ray: (n,) the row of rays that passes nearest to the centres of each row of cells.
         column_ray: (n,) the column of rays nearest to each column of cells.
-        row_within: (n,) whether that row of rays exists.
-        column_within: (n,) whether that column of rays exists.
+        row_within: (n,) whether the row of rays in `row_ray` exists.
+        column_within: (n,) whether the column of rays in `column_ray` exists.
     """
     set_rows = np.array([plane[x].any() for x in range(len(plane))])
     for p in range(len(hit)):
@@ -68,13 +68,13 @@ def sweep_plane(
 def mirror_gain(
     points: Float64, along: Float64, normal: Float64, offset: float, block: int, gain: NDArray[np.int8]
 ) -> int:
-    """Return the sum of `gain` at the mirrored points; a point that is mirrored out of the grid counts -1.
+    """Return the sum of `gain` at the mirrored points; a point whose image is outside the grid counts -1.
 
     Args:
-        points: (n, 3), in cells.
-        along: (n,) points @ normal.
+        points: (n, 3), positions in cells.
+        along: (n,), `points @ normal`.
         normal: (3,) unit normal of the mirror plane.
-        offset: the plane is normal . x = offset.
+        offset: the mirror plane is normal . x = offset.
         block: cells along a side of each block of `gain`.
         gain: (m, m, m) 1 for blocks in the partial view, -1 in observed free space, else 0.
     """

@@ -1,4 +1,4 @@
-"""The baseline `mirror`: the partial and its mirror image by the best-supported vertical plane."""
+"""The baseline `mirror`: the partial view, and its mirror image in the best-supported vertical plane."""
 
 import numpy as np
 
@@ -7,18 +7,17 @@ from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.scoring.baselines.inputs import Inputs
 
-# Planes that are tried: every 5 degrees of half a turn, and a sixteenth of the partial's extent apart over
-# three extents (chosen by hand).
+# Planes that are tried: every 5 degrees over half a turn; for each direction, offsets over three times the
+# extent of the partial view, a sixteenth of the extent apart (chosen by hand).
 ANGLES, OFFSETS = 36, 49
 BLOCK = 4
 SAMPLED = 1500
 
 
 def mirror(inputs: Inputs) -> Bools:
-    """Return the partial and its mirror image: (256, 256, 256) bool.
+    """Return the partial view together with its mirror image: (256, 256, 256) bool.
 
-    The mirror plane is the best by `best_plane` of 36 directions x 49 offsets, all vertical: its mirror image
-    has the most cells on the partial, minus those in observed free space or outside the grid.
+    The mirror plane is the one that `best_plane` finds among vertical planes of 36 directions x 49 offsets.
     """
     partial = inputs.partial
     points = np.argwhere(partial).astype(np.float64) + 0.5
@@ -34,17 +33,17 @@ def mirror(inputs: Inputs) -> Bools:
 
 
 def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) -> tuple[Float64, float]:
-    """Return the best mirror plane n . x = offset: unit normal (3,), and offset in cells of the 256-grid.
+    """Return the best vertical mirror plane n . x = offset: unit normal n (3,), offset in 256-grid cells.
 
-    The score of a plane is the number of mirrored points on the partial view, minus the number of those in
-    observed free space or outside the grid. Every k-th point is mirrored, so that at most 3,000 are. Of
-    equally good planes, the first is taken.
+    36 directions x 49 offsets are tried. The score of a plane is the number of mirrored points that lie on
+    the partial view, minus the number that lie in observed free space or outside the grid. Only every k-th
+    point is mirrored: at most 3,000 points. Of equally good planes, the first is taken.
 
     Args:
         points: (n, 3) centres of the partial view's cells, in cells of the 256-grid.
         partial: (64, 64, 64) bool, the partial view.
         seen_empty: (64, 64, 64) bool, observed free space.
-        up: (3,) unit vector in grid axes.
+        up: (3,) unit vector away from the floor, in grid axes.
     """
     from kinectbench.scoring.baselines.kernels import mirror_gain
 
@@ -57,7 +56,7 @@ def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) 
     for angle in np.arange(ANGLES) * np.pi / ANGLES:
         normal = np.cos(angle) * first + np.sin(angle) * second
         along = sampled @ normal
-        length = np.ptp(along)  # planes on either side, as normals cover half a circle
+        length = np.ptp(along)  # planes on both sides, as normals cover half a circle
         for offset in np.linspace(along.min() - length, along.max() + length, OFFSETS):
             score = mirror_gain(sampled, along, normal, offset, BLOCK, gain)
             if score > best:
@@ -66,5 +65,5 @@ def best_plane(points: Float64, partial: Bools, seen_empty: Bools, up: Float64) 
 
 
 def mirrored(points: Float64, normal: Float64, offset: float) -> Float64:
-    """Return points (n, 3) mirrored by the plane normal . x = offset."""
+    """Return points (n, 3) mirrored in the plane normal . x = offset; `normal` (3,) has unit length."""
     return points - 2 * ((points @ normal) - offset)[:, None] * normal

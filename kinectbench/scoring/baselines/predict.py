@@ -1,4 +1,4 @@
-"""Which baselines a release allows, their predictions for each pair, and their prediction files."""
+"""Find which baselines a release allows, predict each pair with them, and write prediction files."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,7 +32,7 @@ class BaselineTask:
     Attributes:
         release: the release that contains the pair.
         target: the pair.
-        base_rate: share of occupied voxels in the category's truth; NaN where that is held back.
+        base_rate: share of occupied voxels in the category's truth, in [0, 1]; NaN if the truth is held back.
         names: the baselines' names.
     """
 
@@ -45,8 +45,8 @@ class BaselineTask:
 def possible_baselines(release: Release) -> tuple[str, ...]:
     """Return the names of baselines that this release allows.
 
-    Baselines that learn need training pairs in every category. `base-rate` needs in every category some truth
-    that is solid and not held back.
+    Baselines that learn need training pairs in every category. `base-rate` needs, in every category, at least
+    one pair whose truth is solid and not held back.
     """
     trained = {target.category for target in release.open_split("train")}
     known = {target.category for split in SOURCES for target in release.open_split(split)}
@@ -61,7 +61,7 @@ def baseline_tasks(
     rates: Mapping[str, BaseRate],
     splits: Sequence[Split] = SPLITS,
 ) -> list[BaselineTask]:
-    """Return a task for every pair of the given splits; `rates` maps categories to their known base rates."""
+    """Return a task for every pair of the given splits; `rates` are the base rates of the categories."""
     values = {category: rate.value for category, rate in rates.items()}
     return [
         BaselineTask(release, target, values.get(target.category, math.nan), tuple(names))
@@ -70,11 +70,11 @@ def baseline_tasks(
     ]
 
 
-_training = lru_cache(maxsize=1)(read_training)  # the tasks of a category follow each other
+_training = lru_cache(maxsize=1)(read_training)  # tasks of one category are consecutive
 
 
 def predicted(task: BaselineTask) -> Iterator[tuple[str, NDArray[np.bool_] | NDArray[np.float16]]]:
-    """Yield each baseline's name and its prediction (n, n, n) for the pair of a task.
+    """Yield (name, prediction (n, n, n)) of each baseline of a task, for the pair of the task.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
@@ -96,14 +96,14 @@ def write_baselines(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> tuple[str, ...]:
-    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair, and method.json last.
+    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair; then method.json.
 
-    The same input gives the same bytes. method.json names the release that was predicted.
+    The same release gives the same bytes. method.json identifies the release that was predicted.
 
     Args:
         release: the release that is predicted.
         out: a folder of methods.
-        names: some of `BASELINES`; default: all that are possible.
+        names: some of `BASELINES`; default: all that the release allows.
         jobs: number of processes.
         progress: called with (pairs done, pairs in all).
 
@@ -116,7 +116,7 @@ def write_baselines(
         StorageError: the disk is full or read-only.
     """
     check_baseline_names(names or ())
-    release.of_splits(SPLITS)  # there is something to predict
+    release.of_splits(SPLITS)  # raises an error if there is no pair to predict
     possible = possible_baselines(release)
     chosen = tuple(names or possible)
     blind = [name for name in chosen if name not in possible]
@@ -131,7 +131,7 @@ def write_baselines(
             what="truth-held-back",
         )
     tasks = baseline_tasks(release, chosen, base_rates(release, jobs))
-    # Files of an earlier run, which may be of another release, must not stay where this one is stopped.
+    # If this run is stopped, no files of an earlier run, perhaps for another release, must be left.
     for name in chosen:
         _remove(out / name / MethodFile.FILE)
         for task in tasks:
@@ -151,7 +151,7 @@ def _remove(path: Path) -> None:
 
 
 def _method(name: str, release: Release) -> MethodFile:
-    """Return method.json of a baseline."""
+    """Return the method.json of a baseline for the predictions of a release."""
     return MethodFile(
         name=name, version=f"kinectbench {__version__}", benchmark_sha256=release.benchmark_sha256
     )
@@ -169,7 +169,7 @@ def check_baseline_names(names: Sequence[str]) -> None:
 
 
 def _write(out: Path, task: BaselineTask) -> None:
-    """Write one pair's predictions."""
+    """Write the prediction files of all baselines of a task for its pair."""
     for name, prediction in predicted(task):
         with replaced_file(_path(out, name, task.target)) as temporary:
             temporary.write_bytes(npz_bytes({"prediction": prediction}))

@@ -22,7 +22,7 @@ def empty(inputs: Inputs) -> NDArray[np.bool_]:
 
 
 def constant(inputs: Inputs) -> NDArray[np.float16]:
-    """Return the category's base rate everywhere: (16, 16, 16) float16, accurate to 0.05 %.
+    """Return the category's base rate in every cell: (16, 16, 16) float16, accurate to 0.05 %.
 
     Rates near 0 and 1 are clipped to what float16 can hold.
     """
@@ -35,18 +35,18 @@ def partial(inputs: Inputs) -> NDArray[np.bool_]:
 
 
 def mean_shape(inputs: Inputs) -> NDArray[np.float16]:
-    """Return the mean of the category's training shapes, which are not aligned: (64, 64, 64) float16.
+    """Return the mean occupancy of the category's training shapes: (64, 64, 64) float16.
 
-    Each shape is taken as it lies in its own pair's grid.
+    The shapes are not aligned: each is taken as it lies in the grid of its own pair.
     """
     assert inputs.training is not None
     return inputs.training.mean.astype(np.float16)
 
 
 def nearest(inputs: Inputs) -> NDArray[np.bool_]:
-    """Return the full shape of the training pair whose partial is most similar: (256, 256, 256) bool.
+    """Return the true shape of the training pair whose partial view is most similar: (256, 256, 256) bool.
 
-    Similarity is the IoU of the partials at 64^3. Of equally good ones, the first is taken.
+    Similarity is the IoU of the two partial views at 64^3. Of equally similar pairs, the first is taken.
     """
     assert inputs.training is not None
     partials = inputs.training.partials

@@ -1,9 +1,9 @@
 """Register a predicted surface to the true one by a translation, optionally with a scale and a rotation.
 
 Rule of this project: a symmetric form of point-to-plane ICP (Chen and Medioni 1992). Each sample of the
-prediction is matched to the nearest sample of the truth, and each sample of the truth to the nearest sample
-of the prediction, so that neither shape can shrink onto a part of the other. Only known parts of the truth
-are used. Starts and steps are fixed: nothing is random, and no result depends on the number of cores.
+prediction is matched to the nearest sample of the truth, and vice versa, so that neither shape can shrink
+onto a part of the other. Only known parts of the truth are used. Initial poses and numbers of steps are
+fixed: nothing is random, and no result depends on the number of cores.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,28 +18,34 @@ from kinectbench.scoring.camera.nearest import NearestOfMoving
 from kinectbench.scoring.camera.surface import Surface
 from kinectbench.scoring.camera.truth import SpaceTruth
 
-# How much is free of a step, from its begin: a shift (3), the logarithm of a scale, a rotation vector (3).
+# Number of free parameters of a step, counted from the first one. A step is a translation (3), the logarithm
+# of a scale (1) and a rotation vector (3).
 KINDS = {"t": 3, "t+s": 4, "R+t+s": 7}
-# Samples of each surface and steps: from all starts, then from the best of them (chosen here; with them the
-# tests' shapes come back to within the bounds stated in docs/scoring-in-space.md).
+# Number of samples of each surface and maximum number of steps: first from all starts, then from the best
+# result (chosen here; with these the shapes in the tests are registered to within the bounds stated in
+# docs/scoring-in-space.md).
 COARSE, FINE = (400, 12), (3000, 40)
-# A rotation by up to 30 degrees is within reach of the start without one; these reach farther (chosen here).
+# Rotation of the further starts. The start without rotation can correct a rotation of up to 30 degrees; these
+# starts can correct larger ones (chosen here).
 START_DEG = 45.0
-# How much of the distance along the surface counts beside that across it: much at first, then little.
+# Weight of the distance along the surface relative to the distance across it: large at first, then small.
 ALONG_COARSE, ALONG_FINE = 0.3, 0.01
-# The surface of cells is a staircase: a sample of it is moved along its normal to the mean of those within so
-# many cells. So sizes come back within 0.03 %; without, within 0.11 % (measured: a ball, a box, a cone and an
-# ellipsoid at 256 cells for 1.1 m).
+# The surface of cells is a staircase. So each sample is moved along its normal to the mean of the samples
+# within this many cells. With this, sizes are found to within 0.03 %; without it, to within 0.11 % (measured:
+# a ball, a box, a cone and an ellipsoid at 256 cells for 1.1 m).
 SMOOTHED_CELLS = 3
-# Steps that move no sample by more than this share of the object's size end it: 0.01 mm of 1 m. The last must
-# be below the second for the registration to be called ok (chosen here): 0.1 mm of 1 m.
+# The registration ends if a step moves no sample by more than the first share of the object's size: 0.01 mm
+# for 1 m. It is called ok if the last step was below the second share: 0.1 mm for 1 m (chosen here).
 STILL, OK_STILL = 1e-5, 1e-4
-# So many steps that neither shrink to this share of the one before, nor bring the distance along the normals
-# to this share of the least so far, end it as well: a ball turns on for ever, and comes no nearer. The
-# distance alone may rise on the way to rest, as steps also lessen that along the surface. If it is then below
-# this share of the size, points only slide along a surface at rest (chosen here; a dented ball has 0.6 %).
+# It also ends after PATIENCE successive steps that make no progress, because a ball could rotate forever
+# without coming nearer. A step makes progress if its length is below SHRINKING times that of the previous
+# step, or if it brings the distance along the normals below NEARER times the smallest so far. This distance
+# alone would not do: it may rise before convergence, as steps also reduce the distance along the surface. If
+# in the end it is below CLOSE times the size, the points only slide along a surface that fits (chosen here; a
+# dented ball has 0.6 %).
 SHRINKING, NEARER, PATIENCE, CLOSE = 0.7, 0.999, 3, 0.02
-# A registered shape of a size beyond these, in sizes of the truth, is called not ok (chosen here).
+# A registration is not ok if the size of the registered shape, relative to that of the truth, is outside this
+# range (chosen here).
 LEAST_SIZE, MOST_SIZE = 0.05, 20.0
 
 
@@ -48,9 +54,9 @@ class SurfaceRegistration:
     """The similarity that aligns a predicted surface with the true one.
 
     Attributes:
-        T: (4, 4) similarity that moves the prediction within the truth's grid frame, metres; its rotation has
-            determinant +1.
-        ok: whether the iteration converged, and the registered shape has a plausible size.
+        T: (4, 4) similarity to apply to the prediction, from the truth's grid frame to itself, metres; its
+            rotation has determinant +1.
+        ok: whether the iteration converged and the registered shape has a plausible size.
     """
 
     T: Float64
@@ -59,7 +65,7 @@ class SurfaceRegistration:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Samples of the predicted surface, unregistered (`ours`), and of the known true one (`theirs`)."""
+    """Samples of the predicted surface (`ours`), not registered, and of the known true surface (`theirs`)."""
 
     truth: SpaceTruth
     ours: Surface
@@ -67,18 +73,18 @@ class _Pair:
 
     @property
     def normals(self) -> Float64:
-        """(n, 3) normals of the true surface's samples."""
+        """Normals of the samples of the true surface: (n, 3)."""
         assert self.theirs.normals is not None
         return self.theirs.normals
 
     @cached_property
     def ways(self) -> tuple[NearestOfMoving, NearestOfMoving]:
-        """Search objects: for the nearest true sample of each predicted one, and for the reverse."""
+        """Searches for the nearest true sample of each predicted sample, and for the reverse."""
         ours, theirs = self.ours, self.theirs
         return NearestOfMoving(theirs.samples, len(ours)), NearestOfMoving(ours.samples, len(theirs))
 
     def thinned(self, most: int) -> "_Pair":
-        """Return the pair with at most `most` samples per surface; the true samples are smoothed."""
+        """Return the pair with at most `most` samples per surface; true samples are also smoothed."""
         made = self.truth.smoothed
         if most not in made:
             few = replace(self, theirs=self.theirs.thinned(most))
@@ -95,7 +101,7 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
     Args:
         truth: the truth of the view.
         surface: the predicted surface, in the truth's grid frame.
-        kind: what the registration may change: "t" a shift, "t+s" also the scale, "R+t+s" also the rotation.
+        kind: what the registration estimates: "t" a translation, "t+s" also a scale, "R+t+s" also a rotation.
     """
     return register_kinds(truth, surface, (kind,))[kind]
 
@@ -103,9 +109,9 @@ def register_surface(truth: SpaceTruth, surface: Surface, kind: str) -> SurfaceR
 def register_kinds(
     truth: SpaceTruth, surface: Surface, kinds: Sequence[str]
 ) -> dict[str, SurfaceRegistration]:
-    """Return {kind: registration}, as `register_surface` gives it for each kind; shared work is done once.
+    """Return {kind: registration}, as `register_surface` does for each kind, but do shared work only once.
 
-    Without a known true surface, each is the identity, with `ok` False.
+    If no part of the true surface is known, each registration is the identity, with `ok` False.
     """
     known = truth.known_surface
     if not len(known):
@@ -117,7 +123,7 @@ def register_kinds(
         starts = [_steps(coarse, start, kind, COARSE[1], ALONG_COARSE)[0] for start in _starts(pair, kind)]
         best = min(starts, key=lambda T: _far(coarse, T))
         T, moved = _steps(fine, best, kind, FINE[1], ALONG_FINE)
-        # Of a free size the scale itself says nothing.
+        # If the prediction's scale is free, only the resulting size can be judged.
         size = similarity_scale(T) * surface.spread_m / max(known.spread_m, 1e-9)
         rests = moved < OK_STILL * truth.size_m
         found[kind] = SurfaceRegistration(T, rests and LEAST_SIZE < size < MOST_SIZE)
@@ -125,9 +131,10 @@ def register_kinds(
 
 
 def _starts(pair: _Pair, kind: str) -> Iterator[Float64]:
-    """Yield initial similarities (4, 4): the identity; then centroids aligned.
+    """Yield initial similarities (4, 4): the identity; then one or more that align the centroids.
 
-    The latter also equalise the sizes and try fixed rotations about each axis, as far as `kind` allows.
+    If `kind` allows a scale, these also equalise the sizes; if it allows a rotation, there is one for each of
+    several fixed rotations.
     """
     yield np.eye(4)
     ours, theirs = pair.ours.center_m, pair.theirs.center_m
@@ -147,9 +154,9 @@ def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float6
     """Match samples in both directions, with the prediction moved by `T` (4, 4).
 
     Returns:
-        Moved predicted samples (k, 3), their matched true samples (k, 3) and the normals there (k, 3); the
-        mean of the moved samples (3,); a robust weight per match (k,); and the number of matches from
-        prediction to truth, which come first.
+        For the k matches: the moved predicted samples (k, 3), the matched true samples (k, 3), and the
+        normals of these (k, 3). Then the mean of the moved samples (3,), a robust weight per match (k,), and
+        the number of matches from prediction to truth; they come before those from truth to prediction.
     """
     from kinectbench.core.geometry.gauss_newton import robust_weights
     from kinectbench.scoring.camera.kernels import mapped
@@ -166,7 +173,7 @@ def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float6
 
 
 def _far(pair: _Pair, T: Float64) -> float:
-    """Return the sum of both directions' mean match distances, metres, with the prediction moved by `T`."""
+    """Return the sum of both directions' mean match distances, metres; `T` moves the prediction."""
     places, targets, *_, count = _matches(pair, T)
     distances = np.sqrt(((places - targets) ** 2).sum(axis=1))
     ways = np.split(distances, [count])
@@ -176,8 +183,9 @@ def _far(pair: _Pair, T: Float64) -> float:
 def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> tuple[Float64, float]:
     """Take up to `count` registration steps from `start`; return the similarity and the last step's length.
 
-    The length is in metres, 0 if the steps only slide or turn the shape along a surface that fits. `kind` is
-    as in `register_surface`; `along` is the weight of point-to-point beside point-to-plane distances.
+    The length is in metres; it is 0 if the shape fits and the last steps only slid or turned it along the
+    surface. `kind` is as in `register_surface`. `along` is the weight of point-to-point distances relative to
+    point-to-plane distances.
     """
     from kinectbench.core.geometry.gauss_newton import NormalEquations
     from kinectbench.scoring.camera.steps import similarity_about, step_equations
@@ -194,7 +202,7 @@ def _steps(pair: _Pair, start: Float64, kind: str, count: int, along: float) -> 
         least = min(least, far)
         step = np.zeros(7)
         step[:free] = NormalEquations(H, -g).damped().step()
-        # No step doubles a size, or turns by more than a third of a circle.
+        # No step may double the size, or rotate by more than 30 degrees per axis.
         step[3:] = np.clip(step[3:], -0.5, 0.5)
         before = moved
         moved = float(np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) * size_m / 2)

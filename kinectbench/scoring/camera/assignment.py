@@ -1,10 +1,10 @@
 """The best one-to-one assignment between two point sets. Import late: numba is slow to load.
 
 Source: the auction algorithm with decreasing eps of D. P. Bertsekas, "The auction algorithm: a distributed
-relaxation method for the assignment problem" (1988). Each point bids for the other set's point (its "place")
-with the least cost: distance plus price. Each point keeps a short list of its cheapest places. As prices only
-rise, a list stays valid until its second-best cost exceeds the cost, at the time when the list was made, of
-the cheapest place outside it.
+relaxation method for the assignment problem" (1988). The points of one set bid for those of the other, the
+"places". The cost of a place is its distance plus its price; a point bids for the place of least cost. Each
+point keeps a short list of its cheapest places. Prices only rise, so a list stays valid until its
+second-lowest cost exceeds what the cheapest place outside the list cost when the list was made.
 """
 
 import numpy as np
@@ -13,27 +13,28 @@ from numpy.typing import NDArray
 
 from kinectbench.core.types import Float64
 
-# The mean is too large by at most this share of it.
+# The returned mean is too large by at most this share.
 WITHIN = 0.005
-# Places in a list; the first eps as a share of the diagonal of both, and by what it falls. Of 16, 32, 64 and
-# 100 places and of first shares of 1/8 to 1/300 these were fastest: 5 to 7 s for 16,384 points.
+# Number of places in a list; first eps, as a share of the diagonal of both sets; factor by which eps is
+# divided each round. Of 16, 32, 64 and 100 places, and of first shares from 1/8 to 1/300, these were the
+# fastest: 5 to 7 s for 16,384 points.
 NEAR, FIRST, FALL = 32, 1 / 8, 5.0
-# Bids of a point in a round of one eps, in the mean: 16 were needed at most.
+# Maximum mean number of bids per point in a round of one eps; at most 16 were needed.
 MOST_BIDS = 100
-# Distances below this share of the diagonal say nothing.
+# Distances below this share of the diagonal do not matter.
 LEAST = 1e-6
 
 
 def assigned_mean_m(points_m: Float64, others_m: Float64) -> float | None:
-    """Return the mean distance of the best one-to-one assignment, metres, to within 0.5 %.
+    """Return the mean distance, metres, of the best one-to-one assignment of two point sets, to within 0.5 %.
 
     Args:
         points_m: (n, 3), n above `NEAR`.
-        others_m: (n, 3).
+        others_m: (n, 3), as many points.
 
     Returns:
-        The mean, which may be too large, never too small: by at most 0.5 % of it, or 1e-6 of the diagonal of
-        both sets; None if the auction does not end within a bounded number of bids.
+        The mean; it is never too small, and too large by at most 0.5 % or, if that is more, by 1e-6 of the
+        diagonal of both sets. None if the auction does not end within a bounded number of bids.
     """
     n = len(points_m)
     size_m = float(np.linalg.norm(np.ptp(np.concatenate([points_m, others_m]), axis=0)))
@@ -47,7 +48,7 @@ def assigned_mean_m(points_m: Float64, others_m: Float64) -> float | None:
         if not _round(*columns, prices, near, beyond, owner, eps, MOST_BIDS * n):
             return None
         mean_m = float(np.linalg.norm(points_m[owner] - others_m, axis=1).mean())
-        # With this eps the sum is too large by n eps at most.
+        # With this eps, the sum of distances is too large by at most n eps.
         if eps <= max(WITHIN * (mean_m - eps), LEAST * size_m):
             return mean_m
         eps /= FALL
@@ -57,16 +58,17 @@ def assigned_mean_m(points_m: Float64, others_m: Float64) -> float | None:
 def _round(  # type: ignore[no-untyped-def]
     points, places, prices, near, beyond, owner, eps: float, most: int
 ) -> bool:
-    """Auction with one eps until each place has an owner; update `prices`, `near`, `beyond` and `owner`.
+    """Run the auction with one eps until every place has an owner.
 
     Args:
         points: (3, n) the points that bid.
         places: (3, n) the points that are bid for.
-        prices: (n,) price of each place.
-        near: (n, k) each point's list of cheapest places.
-        beyond: (n,) cost of the cheapest place outside the list when the list was made; -inf: no list yet.
-        owner: (n,) the point that owns each place, initially -1.
-        eps: the least amount by which a bid raises a price, metres.
+        prices: (n,) price of each place; updated.
+        near: (n, k) each point's list of its cheapest places, as indices; updated.
+        beyond: (n,) cost of the cheapest place outside the list when the list was made; -inf if there is no
+            list yet; updated.
+        owner: (n,) the point that owns each place, initially -1; updated.
+        eps: the minimum amount by which a bid raises a price, metres.
         most: maximum number of bids.
 
     Returns:
@@ -96,7 +98,7 @@ def _round(  # type: ignore[no-untyped-def]
 def _best(  # type: ignore[no-untyped-def]
     point, places, prices, listed: NDArray[np.int64]
 ) -> tuple[float, float, int]:
-    """Return a point's lowest and second-lowest cost among the listed places, and the cheapest place."""
+    """Return a point's lowest and second-lowest cost among `listed` places, and the cheapest place."""
     best, second, place = np.inf, np.inf, -1
     for j in listed:
         x, y, z = places[0, j] - point[0], places[1, j] - point[1], places[2, j] - point[2]
@@ -110,7 +112,7 @@ def _best(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _list(point, places, prices, listed: NDArray[np.int64], costs) -> float:  # type: ignore[no-untyped-def]
-    """Fill `listed` with a point's cheapest places, `costs` with all costs; return the least of the rest."""
+    """Fill `listed` with a point's cheapest places, `costs` with all costs; return the lowest of the rest."""
     for j in range(len(prices)):
         x, y, z = places[0, j] - point[0], places[1, j] - point[1], places[2, j] - point[2]
         costs[j] = np.sqrt(x * x + y * y + z * z) + prices[j]

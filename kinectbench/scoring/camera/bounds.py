@@ -1,4 +1,4 @@
-"""Best scores that the truth's uncertainty allows, and metrics as other papers' code computes them."""
+"""Best scores that the truth's uncertainty allows, and metrics as the code of other papers computes them."""
 
 import math
 
@@ -9,28 +9,28 @@ from kinectbench.core.types import MM_PER_M, Float64
 from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera.surface import Surface
 
-# AdaPoinTr on PCN (2e53e72) and LaS-Comp (2301d7b) compare so many points of each.
+# Number of points of each surface that AdaPoinTr on PCN (2e53e72) and LaS-Comp (2301d7b) compare.
 POINTS, SEED = 16_384, 0
-# PCN and AdaPoinTr: distances x 1000, F below 0.01 of their normalised units.
+# PCN and AdaPoinTr multiply distances by 1000; the tolerance of their F-score is 0.01 normalised units.
 PCN_FACTOR, PCN_TOLERANCE = 1000.0, 0.01
 
 
 def ceiling(
     sigma_m: float, tolerances_m: dict[str, float], area_m2: float, volume_m3: float
 ) -> Ceiling | None:
-    """Return the best scores that a truth with surface error `sigma_m` allows; None if that is 0.
+    """Return the best scores that a truth with surface error `sigma_m` allows; None if `sigma_m` is 0.
 
     These are the scores of a prediction that equals the real surface. The truth deviates from that surface
     along the normal by a distance d, which is normally distributed with standard deviation sigma. So the mean
-    of |d| is sigma sqrt(2 / pi), the mean of d squared is sigma squared, and the share of the surface within
-    tau is erf(tau / (sigma sqrt 2)). The truth lacks a volume of area x mean |d| / 2, and has as much in
-    excess.
+    of |d| is sigma sqrt(2 / pi), the mean of d^2 is sigma^2, and the share of the surface within a tolerance
+    tau is erf(tau / (sigma sqrt 2)). The truth lacks a volume of area x mean |d| / 2, and has the same volume
+    in excess.
 
     Args:
         sigma_m: standard deviation of the truth's surface, metres.
         tolerances_m: {name of an F-score: its tolerance}, metres.
-        area_m2: area of the part's known true surface.
-        volume_m3: volume of the part's known true cells; if 0, there is no best IoU.
+        area_m2: area of the known true surface of the scored part.
+        volume_m3: volume of the known true cells of the part; if it is 0, the best IoU is None.
     """
     if not sigma_m > 0:
         return None
@@ -50,11 +50,12 @@ def as_papers(
     """Return metrics as the code of OctMAE, PCN and SDS-Complete computes them.
 
     Args:
-        octmae: {field of the result: value} of OctMAE's metrics, which the caller has computed.
-        ours: the predicted surface in known space, not empty.
+        octmae: OctMAE's metrics, computed by the caller: {field of `AsPapers`: value}.
+        ours: the part of the predicted surface in known space, not empty.
         theirs: the known true surface, not empty.
-        size_m: diagonal of the truth's bounding box, metres; PCN's distances are in thousandths of it.
-        emd: whether the earth mover's distance is computed, which takes seven seconds.
+        size_m: diagonal of the truth's bounding box, metres; PCN's distances are in thousandths of this
+            diagonal.
+        emd: whether to compute the earth mover's distance, which takes seven seconds.
     """
     one, other = points_by_area(ours), points_by_area(theirs)
     emd_m = None
@@ -77,7 +78,7 @@ def as_papers(
 
 
 def points_by_area(surface: Surface) -> Float64:
-    """Return 16,384 samples of a surface, (16384, 3), drawn by area with replacement and a fixed seed."""
+    """Draw 16,384 samples of a surface by area, with replacement and a fixed seed: (16384, 3), metres."""
     area = np.cumsum(surface.areas)
     places = np.sort(np.random.default_rng(SEED).random(POINTS)) * area[-1]
     found: Float64 = surface.points_m[np.minimum(np.searchsorted(area, places), len(area) - 1)]

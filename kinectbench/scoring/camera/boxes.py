@@ -1,9 +1,9 @@
-"""Search for the two nearest samples of points, in a tree of boxes. Import late: numba is slow to load.
+"""Search for the two nearest samples of points in a tree of boxes. Import late: numba is slow to load.
 
-SciPy's tree gives the same, but takes two to four times as long to build (measured with 80,000 and 190,000
-samples), and examines one point and one box at a time. Here samples are sorted along a Z curve, all samples
-of a leaf and all boxes of a node are examined together, and a search starts at the samples that the previous
-search found.
+SciPy's tree gives the same result, but takes two to four times as long to build (measured with 80,000 and
+190,000 samples), and examines one sample and one box at a time. Here, samples are sorted along a Z curve. All
+samples of a leaf, or all boxes of a node, are examined together. A search starts at the samples that the
+previous search found.
 """
 
 import numpy as np
@@ -11,11 +11,12 @@ from numba import njit
 
 from kinectbench.core.types import Float64, Int64
 
-# Samples of a leaf, and boxes of a node. Of leaves of 8, 16, 24 and nodes of 4, 8 these are as fast as any.
+# Number of samples in a leaf, and of boxes in a node. Of leaves of 8, 16, 24 and nodes of 4, 8, no
+# combination was faster.
 LEAF, BOXES = 16, 8
-# Of a squared distance, and besides: what is farther is not equally near, whatever is rounded.
+# Factor on a squared distance, and an addend: samples beyond the result are farther, whatever the rounding.
 NEARLY, TINY = 1 + 1e-11, 1e-300
-# Of half a gap, what is trusted: rounding may not decide.
+# Share of half a gap that is used, so that rounding decides nothing.
 SURE = 1 - 1e-9
 
 
@@ -25,13 +26,14 @@ def boxes_of(samples, order):  # type: ignore[no-untyped-def]
 
     Args:
         samples: (n, 3), not empty.
-        order: (n,) indices that sort the samples so that neighbours follow each other (`near_together`).
+        order: (n,) indices that sort the samples so that neighbours in space are close in the order
+            (`near_together`).
 
     Returns:
-        `groups` (leaves, 3, LEAF), the sorted samples, padded with infinity; `boxes` (nodes, 6, BOXES), the
-        lowest and highest corners of each node's boxes, padded with empty boxes; `first` (nodes,), the number
-        of each node's first child: a leaf if below the number of leaves, else a node, counted on after the
-        leaves. The last node is the root.
+        `groups` (leaves, 3, LEAF), the sorted samples, padded with infinity. `boxes` (nodes, 6, BOXES), the
+        lowest and highest corners of each node's boxes, padded with empty boxes. `first` (nodes,), the index
+        of each node's first child: indices below the number of leaves are leaves, those from there on are
+        nodes. The last node is the root.
     """
     leaves = -(-len(samples) // LEAF)
     groups = np.full((leaves, 3, LEAF), np.inf)
@@ -71,15 +73,15 @@ def _widen(node, axis, box, low, high):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def two_nearest(points, which, places, both, groups, boxes, first):  # type: ignore[no-untyped-def]
-    """Return the distances of points from their two nearest samples: (m, 2); infinity if there is no second.
+    """Return the distances of points from their two nearest samples: (m, 2); infinity if there is only one.
 
     Args:
         points: (n, 3).
         which: (m,) indices of the points to search for.
-        places: (n, 2) positions of two samples in the tree's order, where each search starts; -1 if unknown.
-            Entries of `which` are replaced by the samples found.
-        both: whether the second nearest is needed. If not, any farther sample may be returned as the second,
-            unless two samples are equally near.
+        places: (n, 2) for each point, positions in the tree's order of two samples from which its search
+            starts; -1 if unknown. The rows `which` are replaced by the samples found.
+        both: whether the second nearest sample is needed. If not, the second result may be any farther
+            sample, unless two samples are equally near.
         groups: the first result of `boxes_of`.
         boxes: the second result.
         first: the third result.
@@ -102,7 +104,7 @@ def two_nearest(points, which, places, both, groups, boxes, first):  # type: ign
                 one, two, least, second = two, one, second, least
             limit = second if both else min(second, least * NEARLY + TINY)
             stack[0], away[0], top = leaves + len(boxes) - 1, 0.0, 1
-            # All is in this loop: a call, or a part of an array, counts references, which takes longer.
+            # Everything is inlined in this loop: calls and array slices count references, which is slower.
             while top:
                 top -= 1
                 node = stack[top]
@@ -133,12 +135,12 @@ def two_nearest(points, which, places, both, groups, boxes, first):  # type: ign
                         stack[top], away[top] = first[node] + box, gaps[box]
                         nearest = top if gaps[box] < away[nearest] else nearest
                         top += 1
-                if top > begin:  # the nearest is the next
+                if top > begin:  # the nearest box is searched next
                     stack[nearest], stack[top - 1] = stack[top - 1], stack[nearest]
                     away[nearest], away[top - 1] = away[top - 1], away[nearest]
             if again or least < second:
                 break
-            # Of equally near ones the first found is taken: by a search that begins where every other would.
+            # Of equally near samples, the first found is taken. So the search is repeated from a fixed start.
             one, two, again = 0, 1, True
         places[n, 0], places[n, 1] = one, two
         far[m, 0], far[m, 1] = np.sqrt(least), np.sqrt(second)
@@ -147,10 +149,10 @@ def two_nearest(points, which, places, both, groups, boxes, first):  # type: ign
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def near_together(points: Float64) -> Int64:
-    """Return an order of points (n, 3) in which neighbours follow each other: (n,) int64 indices.
+    """Return an order of points (n, 3) in which neighbours in space are mostly close: (n,) int64 indices.
 
-    Points are sorted along a Z curve (Morton, 1966) through 2^20 cells a side of their bounding box; within a
-    cell by index.
+    The bounding cube of the points is divided into 2^20 cells a side. Points are sorted by cell along a Z
+    curve (Morton, 1966), and by index within a cell.
     """
     low, high = points[0].copy(), points[0].copy()
     for n in range(len(points)):
@@ -162,7 +164,7 @@ def near_together(points: Float64) -> Int64:
         codes[n] = 0
         for axis in range(3):
             codes[n] |= _spread(np.int64((points[n, axis] - low[axis]) * scale)) << axis
-    for shift in range(0, 60, 15):  # by 15 bits after the other, those of equal bits as they were
+    for shift in range(0, 60, 15):  # a stable radix sort, 15 bits at a time
         begin, places = np.zeros((1 << 15) + 1, np.int64), np.empty(len(points), np.int64)
         for n in range(len(codes)):
             begin[(codes[n] >> shift & 32767) + 1] += 1
@@ -180,7 +182,7 @@ def near_together(points: Float64) -> Int64:
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _spread(cell):  # type: ignore[no-untyped-def]
-    """Return a 20-bit number with two zero bits inserted between its bits."""
+    """Return a 20-bit number with two zero bits inserted after each bit."""
     cell = (cell | cell << 32) & 0x1F00000000FFFF
     cell = (cell | cell << 16) & 0x1F0000FF0000FF
     cell = (cell | cell << 8) & 0x100F00F00F00F00F
@@ -190,7 +192,7 @@ def _spread(cell):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mean_offsets(points, normals, radius, groups, boxes, first):  # type: ignore[no-untyped-def]
-    """Return the mean offset, along each point's normal, of the samples within a radius: (n,); 0 without any.
+    """Return each point's mean offset, along its normal, to the samples within a radius: (n,); 0 without any.
 
     Args:
         points: (n, 3).
@@ -239,8 +241,8 @@ def nearest_of_moving(points, asked, base, leeway, places, samples, order, group
         points: (n, 3) current positions.
         asked: (n,) bool, which points are selected.
         base: (n, 3) each point's position at its last search; updated.
-        leeway: (n,) how far a point may move from `base` before it must be searched again; -1 before the
-            first search; updated.
+        leeway: (n,) how far a point may move from `base` before its nearest sample must be searched again; -1
+            before the first search; updated.
         places: (n, 2) as in `two_nearest`; updated.
         samples: (s, 3).
         order: (s,) the samples' order in the tree.

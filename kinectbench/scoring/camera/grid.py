@@ -1,4 +1,4 @@
-"""Score a prediction in the pair's grid under the protocols camera and aligned: its cells are a solid."""
+"""Score a prediction in the pair's grid, taken as a solid, under the protocols camera and aligned."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,14 +18,14 @@ from kinectbench.scoring.prediction_file import load_hashed
 
 @dataclass(frozen=True)
 class GridJob:
-    """A view to score whose prediction is in the pair's grid.
+    """A view to score; its prediction is in the pair's grid.
 
     Attributes:
         target: the view.
         truth: the files that hold its truth.
         file: the prediction's file; None for an empty prediction.
         threshold: cells with a value above it are occupied.
-        asked: (protocol, kind of registration) of the rows to compute (`asked_rows`).
+        asked: the (protocol, kind of registration) pairs to score (`asked_rows`).
     """
 
     target: Target
@@ -36,10 +36,10 @@ class GridJob:
 
 
 def score_grid(job: GridJob) -> ViewResult | str:
-    """Score a view; return the reason instead if its prediction cannot be scored.
+    """Score a view; if its prediction cannot be scored, return the reason instead.
 
     Raises:
-        ReleaseError: the truth is missing, or not the published one.
+        ReleaseError: the truth is missing, or differs from the published one.
     """
     truth = read_space_truth(job.truth)
     if job.file is None:
@@ -59,12 +59,12 @@ def grid_result(
     asked: tuple[Asked, ...],
     digest: str | None = None,
 ) -> ViewResult:
-    """Return the result of a prediction (n, n, n) with values in [0, 1], binarised at the threshold.
+    """Score a prediction (n, n, n) with values in [0, 1]; cells with a value above the threshold are solid.
 
-    A prediction of another side than 256 is upsampled as under the grid protocols.
+    Unless n is 256, the prediction is upsampled as under the grid protocols. `digest` is that of its file.
 
     Raises:
-        PredictionError: its surface has too many faces.
+        PredictionError: its surface has too many cell faces.
     """
     cells = unpack(occupied(prediction, threshold))
     if cells.any():

@@ -1,4 +1,4 @@
-"""Score a method that predicts in the pairs' grids under the protocols camera and aligned."""
+"""Score a method under the protocols camera and aligned, if it predicts in the grids of the pairs."""
 
 from collections.abc import Sequence
 
@@ -17,17 +17,17 @@ from kinectbench.scoring.pair_result import Counting, Journal
 from kinectbench.scoring.rounds import Missing, Plan, Rounds
 from kinectbench.scoring.workers import run_tasks
 
-# Thresholds are searched by all cells; surfaces decide nothing.
+# Thresholds are searched by the IoU over all cells, so surface metrics are not needed.
 SEARCHING = Counting(("paper",), surface=False)
 
 
 def space_alone(
     protocols: Sequence[str] | None, upsampling: str, close: str | None = None
 ) -> tuple[str, ...]:
-    """Return the requested protocols that are camera or aligned; () if neither is requested.
+    """Return those of the requested protocols that are `camera` or `aligned`; () if neither is requested.
 
     Raises:
-        SettingsError: camera or aligned is mixed with other protocols, or with another upsampling than
+        SettingsError: `camera` or `aligned` is combined with other protocols, or with another upsampling than
             half-pixel; or `close` is given, which does not apply to predictions in grids.
     """
     if close is not None:
@@ -54,14 +54,14 @@ def score_grid_in_space(
     jobs: int,
     progress: Progress,
 ) -> ScoreTable:
-    """Score the test split of a method whose predictions are in the pairs' grids.
+    """Score the test split of a method whose predictions are in the grids of the pairs; return its table.
 
     Args:
         release: the release that was predicted.
-        asked: the method's files, and the thresholds or how to choose them.
+        asked: the method's files, and its thresholds or how to choose them.
         method: the method's name.
         protocols: camera, aligned or both.
-        missing: "error" or "empty", for the table's settings; `asked` already treats missing files so.
+        missing: "error" or "empty"; only stated in the table's settings, as `asked` already follows it.
         jobs: number of processes.
         progress: called with (test views done, test views in all).
 

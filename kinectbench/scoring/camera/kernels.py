@@ -3,7 +3,8 @@
 import numpy as np
 from numba import njit
 
-# Cells around a surface cell that its normal is made of, as in the grid protocols (`surface_kernels`).
+# A surface cell's normal is computed from the cells within this many cells along each axis, as in the grid
+# protocols (`surface_kernels`).
 RADIUS_CELLS = 3
 
 
@@ -15,9 +16,9 @@ def faces_of_cells(packed):  # type: ignore[no-untyped-def]
         packed: (i + 2, j + 2, b) uint8: the grid with a border of free cells, packed along k by `pack`.
 
     Returns:
-        (n, 3) int32, each face's occupied cell, with indices that leave out the border, in C order; (n,)
-        int8, the axis normal to the face; (n,) int8, 1 if the free cell has the larger index along it, else
-        -1.
+        (n, 3) int32, the occupied cell of each face, in C order, with indices that do not count the border;
+        (n,) int8, the axis normal to the face; (n,) int8, 1 if the free cell has the larger index along that
+        axis, else -1.
     """
     count = _faces(packed, np.empty((0, 3), np.int32), np.empty(0, np.int8), np.empty(0, np.int8))
     inside = np.empty((count, 3), np.int32)
@@ -28,7 +29,7 @@ def faces_of_cells(packed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _faces(packed, inside, axes, signs):  # type: ignore[no-untyped-def]
-    """Return the number of faces; write as many as the arrays can hold. Eight cells are tested at once."""
+    """Return the number of faces; write as many as fit into the arrays. Eight cells are tested at once."""
     count, last = 0, packed.shape[2] - 1
     free = np.empty(6, np.int64)
     for i in range(1, packed.shape[0] - 1):
@@ -59,9 +60,10 @@ def _faces(packed, inside, axes, signs):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def outward(packed, inside):  # type: ignore[no-untyped-def]
-    """Return each cell's outward normal: away from the centroid of the occupied cells among the 7^3 around.
+    """Return each cell's outward normal: (n, 3) float64, unit length, or 0 if it is undefined.
 
-    The result is (n, 3) float64, unit length, or 0 where these cells are symmetric.
+    It points away from the centroid of the occupied cells among the 7^3 cells around the cell. It is
+    undefined if the centroid is the cell's own centre.
 
     Args:
         packed: as in `faces_of_cells`.
@@ -69,7 +71,8 @@ def outward(packed, inside):  # type: ignore[no-untyped-def]
     """
     normals = np.zeros((len(inside), 3))
     rows, columns, last = packed.shape[0], packed.shape[1], packed.shape[2] - 1
-    # Of seven cells along k, as bits, the last one lowest: how many there are, the sum of their distances.
+    # For each pattern of seven cells along k (as bits, the last cell lowest): the number of occupied cells,
+    # and minus the sum of their offsets.
     counts, moments = np.zeros(128, np.int64), np.zeros(128, np.int64)
     for code in range(128):
         for bit in range(7):
@@ -111,7 +114,7 @@ def zero_crossings(cells, axis):  # type: ignore[no-untyped-def]
 
     Returns:
         (n, 3) float64, the positions of the crossings in cells, with cell centres at integers; (n, 3)
-        float64, the gradient there, of unit length, or 0.
+        float64, the direction of the gradient there: unit length, or 0 if the gradient is 0.
     """
     ni, nj, nk = cells.shape
     si, sj, sk = 1 if axis == 0 else 0, 1 if axis == 1 else 0, 1 if axis == 2 else 0
@@ -148,7 +151,7 @@ def zero_crossings(cells, axis):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def to_patches(points, found, corner, first, second, is_triangle):  # type: ignore[no-untyped-def]
-    """Return each point's distance to a given patch, a triangle or a rectangle: (n,) float64.
+    """Return each point's distance to a patch of its own, a triangle or a rectangle: (n,) float64.
 
     Args:
         points: (n, 3).
@@ -178,17 +181,17 @@ def to_patches(points, found, corner, first, second, is_triangle):  # type: igno
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _in_triangle(uu, uv, vv, pu, pv):  # type: ignore[no-untyped-def]
-    """Return the coordinates (u, v) of the triangle's point nearest to p.
+    """Return the coordinates (u, v) of the point u U + v V of a triangle that is nearest to the point p.
 
-    The triangle is spanned by edges U and V from the origin: `uu`, `uv`, `vv`, `pu` and `pv` are dot
-    products.
+    The triangle is spanned by edges U and V from the origin. `uu`, `uv`, `vv`, `pu` and `pv` are the dot
+    products U . U, U . V, V . V, p . U and p . V.
     """
     determinant = uu * vv - uv * uv
     if determinant > 0:
         u, v = (vv * pu - uv * pv) / determinant, (uu * pv - uv * pu) / determinant
         if u >= 0 and v >= 0 and u + v <= 1:
             return u, v
-    # On an edge: the nearest of the three; what is compared is |uU + vV - p|^2 without p^2.
+    # The nearest point is on an edge: compare the three edges by |uU + vV - p|^2 - p^2.
     best_u = min(max(pu / uu, 0.0), 1.0) if uu > 0 else 0.0
     best_v = 0.0
     least = best_u * best_u * uu - 2 * best_u * pu
@@ -207,7 +210,7 @@ def _in_triangle(uu, uv, vv, pu, pv):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mapped(points, affine):  # type: ignore[no-untyped-def]
-    """Return points (n, 3) mapped by a (3, 4) matrix; a matrix product would start threads on all cores."""
+    """Return points (n, 3) mapped by a (3, 4) matrix; numpy's product would start threads on all cores."""
     found = np.empty(points.shape, np.float64)
     for n in range(len(points)):
         x, y, z = points[n]
@@ -219,7 +222,7 @@ def mapped(points, affine):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-def]
-    """Return which points lie in known cells, and which in seen cells: (n,) bool each.
+    """Return which points lie in known cells, and which lie in seen cells: (n,) bool each.
 
     Points outside the grid count as known and not seen.
 
@@ -245,7 +248,7 @@ def known_and_seen(points, voxel_size, known, seen):  # type: ignore[no-untyped-
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def inside_cells(cells, affine, side):  # type: ignore[no-untyped-def]
-    """Return which cells of the truth's grid have their centre in an occupied cell of a prediction.
+    """Return which cells of the truth's grid have their centre in an occupied cell of the prediction.
 
     The result is (side, side, side) bool.
 
@@ -269,7 +272,7 @@ def inside_cells(cells, affine, side):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _place(affine, i, j):  # type: ignore[no-untyped-def]
-    """Return the transformed position of the point (i + 0.5, j + 0.5, 0): the start of a line of cells."""
+    """Return (i + 0.5, j + 0.5, 0), the start of a line of cells, transformed by `affine` (3, 4)."""
     x = affine[0, 0] * (i + 0.5) + affine[0, 1] * (j + 0.5) + affine[0, 3]
     y = affine[1, 0] * (i + 0.5) + affine[1, 1] * (j + 0.5) + affine[1, 3]
     return x, y, affine[2, 0] * (i + 0.5) + affine[2, 1] * (j + 0.5) + affine[2, 3]
@@ -277,10 +280,11 @@ def _place(affine, i, j):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def inside_distances(cells, affine, side):  # type: ignore[no-untyped-def]
-    """Return the cells as `inside_cells` does, from float32 signed distances: negative means inside.
+    """Return which cells of the truth's grid have their centre at a negative distance (inside).
 
-    Distances are interpolated trilinearly between cell centres, and constant from the outermost centres to
-    the grid's border. Space outside the grid is free.
+    Arguments as in `inside_cells`, but `cells` are float32 signed distances. They are interpolated
+    trilinearly between cell centres, and constant from the outermost centres to the grid's border. Space
+    outside the grid is free.
     """
     found = np.zeros((side, side, side), np.bool_)
     ni, nj, nk = cells.shape

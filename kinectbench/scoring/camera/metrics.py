@@ -21,9 +21,10 @@ from kinectbench.scoring.camera.surface import Surface, point_surface
 from kinectbench.scoring.camera.truth import PARTS, SpaceTruth
 from kinectbench.scoring.prediction_file import blake3_of
 
-# Samples of each surface whose distance is measured: a mean over so many whose spread is 10 mm is within 0.07
-# mm, and the nearest of them are found in 0.06 s each way (measured). Three registrations of each view need
-# three times the time; their means are within 0.1 mm.
+# Number of samples of each surface whose distance is measured, without and with registration. If distances
+# have a spread of 10 mm, their mean over the first number is accurate to 0.07 mm; the search takes 0.06 s in
+# each direction (measured). A view has three registrations, which take three times as long; with the second
+# number their means are accurate to 0.1 mm.
 QUERIES, QUERIES_ALIGNED = 20_000, 10_000
 # OctMAE reports 5, 10 and 20 mm; Tatarchenko et al. ("What do single-view 3D reconstruction networks
 # learn?", 2019) 1 % of the size; coarser shares are for methods of low resolution.
@@ -37,15 +38,16 @@ class PartFigures:
 
     Attributes:
         surface: surface metrics; all None if the part has no known true surface.
-        voxels: voxel metrics; all None in that case, too, and if there is no solid.
-        coverage_voxels: share of the grid's cells that are counted.
+        voxels: voxel metrics; all None if the part has no known true surface, or if there is no predicted
+            solid.
+        coverage_voxels: share of the grid's cells that are counted, that is, known and in the part.
         coverage_shape: share of the true shape's cells that are counted; 1 if the shape is empty.
-        surface_unknown_share: share of the part's true surface area that is unknown and left out; None if the
-            part has no true surface.
-        ceiling: the best scores that the truth's uncertainty allows; None if the truth states none, or no
-            true surface of the part is known.
-        as_papers: metrics as other papers compute them; only for the part "whole" under `camera`, and None if
-            no true or no predicted surface is in known space.
+        surface_unknown_share: share of the part's true surface area that is unknown and therefore left out;
+            None if the part has no true surface.
+        ceiling: the best scores that the truth's uncertainty allows; None if the truth states no uncertainty,
+            or no true surface of the part is known.
+        as_papers: metrics as other papers compute them, for the part "whole" under `camera`; None for other
+            parts and protocols, and if no true or no predicted surface is in known space.
     """
 
     surface: SurfaceMetrics
@@ -63,10 +65,11 @@ class Way:
 
     Attributes:
         distances_m: (n,) distance of each sample to the other surface.
-        cosines: (n,) |n . n'| with the nearest sample's normal; None if one surface has no normals.
+        cosines: (n,) |n . n'| of the sample's normal and the nearest sample's; None if one surface has no
+            normals.
         areas: (n,) area that each sample represents.
         seen: (n,) whether the sample lies in space that the view saw.
-        is_mesh: whether `areas` are those of a mesh's triangles, which may be close to 0.
+        is_mesh: whether the samples are on a mesh's triangles, whose `areas` may be close to 0.
     """
 
     distances_m: Float64
@@ -86,33 +89,33 @@ class Way:
     def mean(self, values: Float64, worse: Callable[[float, float], float] = min) -> float:
         """Return the area-weighted mean of values (n,).
 
-        For a mesh, return the worse of this mean and the unweighted one (`worse`: min, or max of distances).
-        Otherwise a mesh could gain by scattering tiny triangles: each has a sample that may be near the
-        truth, and has almost no area that counts as wrong.
+        For a mesh, return the worse of this mean and the unweighted mean. `worse` is min, or max if the
+        values are distances. Otherwise a mesh could gain by scattering tiny triangles: each has a sample that
+        may be near the truth, but almost no area that counts as wrong if it is not.
         """
         by_sample, area = float(values.mean()), float(self.areas.sum())
         if not area > 0:
             return by_sample
-        # Not a product of vectors, whose sum depends on how many cores share it.
+        # No dot product: its sum depends on the number of cores.
         by_area = float((self.areas * values).sum() / area)
         return worse(by_area, by_sample) if self.is_mesh else by_area
 
     def near(self, tolerance_m: float) -> float:
-        """Return the share of the area within a tolerance of the other surface; of a mesh as in `mean`."""
+        """Return the share of the area within a tolerance of the other surface, averaged as in `mean`."""
         return self.mean((self.distances_m <= tolerance_m).astype(np.float64))
 
 
 def figures_by_part(
     truth: SpaceTruth, surface: Surface | None, solid: Solid | None, in_camera: bool = True
 ) -> tuple[dict[ShapePart, PartFigures], float]:
-    """Return {part: metrics}, and the share of the predicted surface's area that lies in unknown space.
+    """Return {part: its metrics}, and the share of the predicted surface's area that lies in unknown space.
 
     Args:
         truth: the truth of the view.
         surface: the predicted surface in the truth's grid frame; None for an empty prediction.
-        solid: the predicted solid in the truth's cells; None if the prediction has no inside.
-        in_camera: whether the prediction is unregistered (protocol `camera`): then more samples are measured,
-            and metrics are also computed as other papers do.
+        solid: the predicted solid in the cells of the truth's grid; None if the prediction has no inside.
+        in_camera: whether the protocol is `camera`, without registration. Then more samples are measured, and
+            metrics are also computed as in other papers.
     """
     if surface is None:
         surface = point_surface(np.zeros((0, 3)), None)
@@ -147,9 +150,9 @@ def figures_by_part(
 
 
 def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
-    """Measure at most `most` samples of `one` against `other`; distances are infinite if either is empty.
+    """Measure distances from up to `most` samples of `one` to `other`; infinite if either is empty.
 
-    `seen` (n,) says which samples of `one` lie in space that the view saw.
+    `seen` (n,) marks the samples of `one` that lie in space that the view saw.
     """
     which = _drawn(one, most)
     queries, is_mesh = one.chosen(which), one.is_triangle
@@ -166,9 +169,9 @@ def _way(one: Surface, seen: Bools, other: Surface, most: int) -> Way:
 
 
 def _drawn(surface: Surface, most: int) -> Int64:
-    """Return the indices of at most `most` samples, drawn at random; the seed is a hash of all samples.
+    """Draw at most `most` samples at random and return their indices; the seed is a hash of all samples.
 
-    So nobody can choose which samples are measured. A transformed surface keeps the draw of the original.
+    So nobody can choose which samples are measured. For a transformed surface, the original's draw is used.
     """
     if len(surface) <= most:
         return np.arange(len(surface))
@@ -181,11 +184,11 @@ def _drawn(surface: Surface, most: int) -> Int64:
 
 
 def _metrics(truth: SpaceTruth, there: Way, back: Way) -> SurfaceMetrics:
-    """Return the surface metrics, given the distances from prediction to truth (`there`) and back."""
+    """Return the surface metrics; `there` is measured from prediction to truth, `back` the other way."""
     if not len(back.areas):
         return SurfaceMetrics()
     if not len(there.areas) or not np.isfinite(back.distances_m).all():
-        # As in the grid protocols: of one surface alone the Chamfer distance is the grid's diagonal.
+        # As in the grid protocols: if there is only one surface, the Chamfer distance is the grid's diagonal.
         far_m = math.sqrt(3) * FULL_CELLS * truth.voxel_size_m
         shares = dict.fromkeys((*F_SCORE_M, *F_SCORE_SHARES, "normal_consistency"), 0.0)
         return SurfaceMetrics(chamfer_l1_m=far_m, chamfer_l2_m2=far_m**2, **shares)
@@ -206,7 +209,7 @@ def _tolerances_m(truth: SpaceTruth) -> dict[str, float]:
 
 
 def _as_octmae(there: Way, back: Way) -> dict[str, float]:
-    """Return OctMAE's metrics by key: mean distances, and F-scores at 5 to 30 mm (its eval.py, 08c1be6)."""
+    """Return {name: value} of OctMAE's mean distances, and F-scores at 5 to 30 mm (its eval.py, 08c1be6)."""
     ways = (there, back)
     mm = MM_PER_M
     return {
@@ -220,7 +223,7 @@ def _as_octmae(there: Way, back: Way) -> dict[str, float]:
 
 
 def _f_score(precision: float, recall: float) -> float:
-    # Sums of areas may exceed the whole by rounding.
+    # By rounding, a share of the area may exceed 1.
     return min(2 * precision * recall / (precision + recall), 1.0) if precision + recall else 0.0
 
 
@@ -232,10 +235,10 @@ def counted_cells(truth: SpaceTruth, part: str) -> Packed:
 
 
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
-    """Return IoU, precision, recall and F1 over a part's known cells, and two shares of counted cells.
+    """Return the voxel metrics over the known cells of a part, and two shares of these counted cells.
 
-    These are the share of the grid's cells and the share of the true shape's cells that are counted. What is
-    predicted outside the grid counts as wrong, except for the part "visible".
+    The shares are those of the grid's cells and of the true shape's cells that are counted. Predicted volume
+    outside the grid counts as wrong, except for the part "visible".
     """
     if part not in truth.counted:
         counted = counted_cells(truth, part)
@@ -247,7 +250,7 @@ def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMet
         return VoxelMetrics(), *shares
     inside = counted & solid.cells
     ours, both = packed_count(inside), packed_count(inside & truth.full)
-    # The view saw nothing of what lies outside the grid.
+    # Space outside the grid counts as not seen by the view.
     predicted = ours + (solid.outside if part != "visible" else 0.0)
     precision = both / predicted if predicted else 0.0
     return (

@@ -1,8 +1,8 @@
-"""Find the nearest samples of fixed points, or of points that move during a registration.
+"""Find the nearest samples of points, also of points that move step by step during a registration.
 
-If a point's nearest sample is at distance d1 and the second nearest at d2, the nearest stays the same while
-the point moves less than (d2 - d1) / 2. So only points that moved farther are searched again, and the result
-is still exact.
+If a point's nearest sample is at distance d1 and the second nearest at d2, the nearest sample stays the same
+while the point moves less than (d2 - d1) / 2. So a search is repeated only for points that moved farther; the
+result is still exact.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from kinectbench.core.types import Bools, Float64, Int64
 class Samples:
     """Samples of a surface in a search tree.
 
-    If samples are equally near, the choice does not depend on earlier searches.
+    If several samples are equally near, which one is found does not depend on earlier searches.
 
     Args:
         points_m: (n, 3), at least one.
@@ -31,14 +31,15 @@ class Samples:
         from kinectbench.scoring.camera.boxes import near_together, two_nearest
 
         order, *boxes = self.boxes
-        # As many points are mostly the same ones a little farther on: the search begins where it ended.
+        # If there are as many points as in an earlier call, they are mostly the same ones, moved a little: so
+        # the search starts at the samples found then.
         places = self._places.setdefault(len(points), np.full((len(points), 2), -1))
         which, distances = near_together(points), np.empty(len(points))
         distances[which] = two_nearest(points, which, places, False, *boxes)[:, 0]
         return distances, order[places[:, 0]]
 
     def offsets(self, points: Float64, normals: Float64, radius_m: float) -> Float64:
-        """Return the mean offset, along each point's normal, of the samples within a radius: (n,), metres.
+        """Return each point's mean offset, along its normal, to the samples within a radius: (n,), metres.
 
         Args:
             points: (n, 3).
@@ -60,7 +61,8 @@ class NearestOfMoving:
 
     def __init__(self, samples: Samples, count: int) -> None:
         self._samples = samples
-        # Where each was looked for last, how far from there it may be, and what was found.
+        # For each point: its position at the last search, how far it may move from there, and the samples
+        # found.
         self._state = np.zeros((count, 3)), np.full(count, -1.0), np.full((count, 2), -1)
 
     def of(self, points: Float64, asked: Bools) -> tuple[Float64, Int64]:
@@ -71,7 +73,7 @@ class NearestOfMoving:
             asked: (n,) which points are selected.
 
         Returns:
-            (m,) distances and (m,) indices of the nearest samples, for the selected points in order.
+            Distances (m,) and indices (m,) of the nearest samples, for the m selected points in order.
         """
         from kinectbench.scoring.camera.boxes import nearest_of_moving
 

@@ -1,4 +1,4 @@
-"""Patches of cell surfaces, and samples of triangles. Import late: numba is slow to load."""
+"""Square patches on the faces of cells, and samples in triangles. Import late: numba is slow to load."""
 
 import numpy as np
 from numba import njit
@@ -6,17 +6,17 @@ from numba import njit
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def squares_of_cells(inside, axes, signs, low, size: float):  # type: ignore[no-untyped-def]
-    """Return the faces of cells as squares, in the unit of `size`.
+    """Return faces of cells as squares; coordinates are in the unit of `size`.
 
     Args:
-        inside: (n, 3) occupied cell of each face, counted from the cell `low`.
+        inside: (n, 3) index of the occupied cell of each face, relative to the cell `low`.
         axes: (n,) the axis normal to each face.
         signs: (n,) 1 if the free cell has the larger index along that axis, else -1.
         low: (3,) index of the first cell.
         size: edge of a cell.
 
     Returns:
-        (n, 3) float64 each: centres; one corner of each square; the two edges from that corner.
+        Four arrays (n, 3) float64: centres; one corner of each square; the two edges from that corner.
     """
     centers, corner = np.empty(inside.shape), np.empty(inside.shape)
     first, second = np.zeros(inside.shape), np.zeros(inside.shape)
@@ -39,10 +39,10 @@ def in_triangles(counts, corner, first, second, steps):  # type: ignore[no-untyp
         corner: (m, 3) one corner of each triangle.
         first: (m, 3) an edge from that corner.
         second: (m, 3) the other edge from that corner.
-        steps: the sequence's increments of the two edge coordinates.
+        steps: the increments (2,) of the sequence, along the two edges.
 
     Returns:
-        (n, 3) float64, the samples; (n,) int64, each sample's triangle.
+        (n, 3) float64, the samples; (n,) int64, the index of each sample's triangle.
     """
     points, owner, n = np.empty((counts.sum(), 3)), np.empty(counts.sum(), np.int64), 0
     for f in range(len(counts)):

@@ -1,4 +1,4 @@
-"""Share of the truth outside a method's volume, and share of a prediction that projects outside the mask."""
+"""Compute how much truth is outside a method's volume, and how much of a prediction is outside the mask."""
 
 import numpy as np
 
@@ -14,9 +14,10 @@ def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -
 
     Args:
         truth: the truth of the view.
-        shape: the predicted shape, camera frame; a grid of cells or distances also bounds the volume.
-        volume_m: (2, 3), lowest and highest corner of the volume in the camera frame, as method.json declares
-            it; None: not declared.
+        shape: the predicted shape, camera frame; if it is a grid of cells or distances, that grid also bounds
+            the volume.
+        volume_m: (2, 3), lowest and highest corner of the volume in the camera frame, metres, as method.json
+            declares it; None if it declares none.
 
     Returns:
         The share; None if nothing bounds the volume, or if no cell of the true solid is known.
@@ -37,7 +38,7 @@ def cut_share(truth: SpaceTruth, shape: CameraShape, volume_m: Float64 | None) -
 
 
 def outside_mask_share(truth: SpaceTruth, surface: Surface) -> float | None:
-    """Return the share of a predicted surface's area that projects outside the mask; None without a mask.
+    """Return the area share of a predicted surface that projects outside the mask; None if there is no mask.
 
     Args:
         truth: the truth of the view.
@@ -49,7 +50,7 @@ def outside_mask_share(truth: SpaceTruth, surface: Surface) -> float | None:
     points_m = surface.points_m
     before = points_m[:, 2] > 0
     depth_m = np.where(before, points_m[:, 2], 1.0)
-    # Pixel centres are integers; what is far outside must not overflow.
+    # Pixel centres are integers. Clip, so that pixels far outside do not overflow.
     u = np.clip(np.rint(truth.K[0, 0] * points_m[:, 0] / depth_m + truth.K[0, 2]), -1, width).astype(np.int64)
     v = np.clip(np.rint(truth.K[1, 1] * points_m[:, 1] / depth_m + truth.K[1, 2]), -1, height).astype(
         np.int64

@@ -61,22 +61,22 @@ def score_in_camera(
             metric.
         jobs: number of processes.
         progress: called with (views done, views in all).
-        close: how open meshes and points are made solid, one of `CLOSINGS`; None: not at all.
+        close: how open meshes and points are made solid, one of `CLOSINGS`; None if they are not.
 
     Returns:
         The table. A prediction that cannot be scored is listed in `failures`; all others are scored.
 
     Raises:
-        PredictionError: the folder cannot be looked into.
-        ReleaseError: no test pair, an object in two splits, a file is missing or changed, a truth is too
-            large (`read_space_truth`) or held back.
+        PredictionError: the folder cannot be read.
+        ReleaseError: there is no test pair, an object is in two splits, a file is missing or changed, or a
+            truth is held back or too large (`read_space_truth`).
         SettingsError: the table would have too many rows.
     """
     check_names(release.targets, str(release.folder))
     test = pairs_to_score(release, validation=False, solid=False)
     refuse_many_rows(len(test), asked_rows(protocols, declared.scale), declared.hypotheses)
     files, failures = _files(folder, test, declared, missing)
-    # What can refuse the release or the folder comes before hours of scoring.
+    # Checks that may refuse the release or the folder come first: scoring may take hours.
     looked_at = [found for target in sorted(files) for found in files[target][:1]]
     first = (*method_lines(folder, declared, release), *depth_warnings(release, looked_at, declared))
     strays = strays_in_camera(release, folder, declared)
@@ -96,13 +96,13 @@ def score_in_camera(
 
 
 def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) -> None:
-    """Refuse a table with too many rows before it is computed, which may take hours.
+    """Refuse a table that would have too many rows, before computing it, which may take hours.
 
     Args:
         views: number of views to score.
         asked: the (protocol, kind of registration) pairs to score (`asked_rows`).
-        hypotheses: number of predictions per view; if there are several, each row is repeated for the first,
-            the best and the mean.
+        hypotheses: number of predictions per view; if there are several, there are three times as many rows:
+            of the first prediction, of the best one, and of the mean.
 
     Raises:
         SettingsError: the table would have more than `MOST_ROWS_IN_SPACE` rows.
@@ -119,10 +119,10 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
 
 
 def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tuple[str, ...]:
-    """Return the protocols for predictions in the camera frame: the requested ones, else all that apply.
+    """Return the requested protocols for predictions in the camera frame; by default all that apply.
 
     Raises:
-        SettingsError: they do not fit these predictions (`unfit`).
+        SettingsError: the requested protocols do not fit these predictions (`unfit`).
     """
     if reason := unfit(asked, declared):
         raise SettingsError(reason)
@@ -132,10 +132,10 @@ def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tup
 
 
 def unfit(asked: Sequence[str] | None, declared: MethodFile) -> str | None:
-    """Return why the requested protocols do not fit predictions in the camera frame; None if they do.
+    """Return why the requested protocols do not fit a method's predictions in the camera frame; else None.
 
-    They do not if one is a protocol of the pairs' grid, or if `camera` is requested for predictions of
-    unknown scale.
+    They do not fit if one of them is a protocol of the pairs' grid, or if `camera` is requested but the scale
+    of the predictions is unknown.
     """
     if other := [name for name in asked or () if name not in IN_SPACE]:
         return (
@@ -153,14 +153,14 @@ def unfit(asked: Sequence[str] | None, declared: MethodFile) -> str | None:
 def left_out_table(
     release: Release, method: str, protocols: tuple[str, ...], missing: Missing, reason: str
 ) -> ScoreTable:
-    """Return the table of a method that is left out when several are scored: every view fails for one reason.
+    """Return the table of a method that is left out when several are scored: all views fail for one reason.
 
     Args:
         release: the release that was predicted.
         method: the method's name.
         protocols: the requested protocols.
-        missing: as in `score_in_camera`.
-        reason: the reason (`unfit`).
+        missing: "error" or "empty"; only stated in the table's settings.
+        reason: why every view fails (`unfit`).
     """
     test = pairs_to_score(release, validation=False, solid=False)
     failures, settings = dict.fromkeys(test, reason), settings_in_space(protocols, missing)
@@ -171,7 +171,7 @@ def left_out_table(
 def _files(
     folder: Path, test: Sequence[Target], declared: MethodFile, missing: Missing
 ) -> tuple[dict[Target, tuple[CameraPredictionFile, ...]], dict[Target, str]]:
-    """Return each scorable view's prediction files, and the reason for each view that cannot be scored."""
+    """Return {view: its prediction files, () if empty}, and {other view: why it cannot be scored}."""
     files: dict[Target, tuple[CameraPredictionFile, ...]] = dict.fromkeys(test, ())
     failures: dict[Target, str] = {}
     absent: dict[Target, str] = {}  # the line of the first file that is missing
@@ -182,7 +182,7 @@ def _files(
             failures.setdefault(target, found)
         else:
             line = absent.setdefault(target, missing_in_camera(name))
-            # A view of which some hypotheses are there is not empty.
+            # A view is not empty if some of its hypotheses are there.
             if missing == "error" or declared.hypotheses > 1:
                 failures.setdefault(target, line)
     for target, line in absent.items() if missing == "empty" else ():
@@ -192,7 +192,7 @@ def _files(
 
 
 def _fixed_thresholds(categories: Iterable[str]) -> Thresholds:
-    """Return placeholder thresholds for predictions without probabilities, as each row needs a threshold."""
+    """Return placeholder thresholds for predictions without probabilities: each row needs a threshold."""
     of = dict.fromkeys(sorted(categories), FIXED)
     return Thresholds(of, FIXED_SOURCE, (), dict.fromkeys(of, FIXED_SOURCE))
 
@@ -207,7 +207,7 @@ def table_in_space(
     thresholds: Thresholds,
     validation: Mapping[Target, str | None] = MappingProxyType({}),
 ) -> ScoreTable:
-    """Make a method's table from its views' results; without averages if a view could not be scored.
+    """Make a method's table from its views' results; it has no averages if a view could not be scored.
 
     Args:
         release: the release that was predicted.
@@ -217,8 +217,8 @@ def table_in_space(
         settings: see `settings_in_space`.
         empty: names of views without a prediction that were scored as empty.
         thresholds: threshold of every category.
-        validation: the validation pairs that the thresholds were chosen on, and the digest of each
-            prediction's file, if there is one.
+        validation: {validation pair that the thresholds were chosen on: digest of its prediction's file, None
+            without a file}.
     """
     rows = tuple(
         row
@@ -267,7 +267,7 @@ def _warnings(failures: Mapping[Target, str], empty: Sequence[str]) -> list[str]
 
 
 def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[ScoreRow]:
-    """Return the table's rows for one view."""
+    """Return the table's rows for one view; `threshold` is that of its category."""
     return [
         ScoreRow(
             recording=target.recording,
@@ -300,7 +300,7 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
 
 
 def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> list[str]:
-    """Return a line on open meshes and points without a solid, and a line on those that were closed."""
+    """Return a line on open meshes and points that stayed without a solid, and a line on those made solid."""
     open_ones = {t.name: of.rows[0].closed for t, of in sorted(results.items()) if of.rows[0].solid is False}
     without = [name for name, closed in open_ones.items() if closed is None]
     closed = [name for name in open_ones if name not in without]
@@ -331,7 +331,7 @@ def _open_truth(release: Release, test: Sequence[Target]) -> list[str]:
 
 
 def settings_in_space(protocols: tuple[str, ...], missing: Missing) -> ScoreSettings:
-    """Return the settings that the scores depend on, as the table states them."""
+    """Return the settings that scores under camera and aligned depend on, as the table states them."""
     return ScoreSettings(
         score_version=VERSIONS["score"],
         protocols=protocols,

@@ -1,4 +1,4 @@
-"""Convert a predicted shape to a solid in the truth's cells; measure its volume outside the grid."""
+"""Convert a predicted shape to a solid in the truth's grid; measure the solid's volume outside this grid."""
 
 from dataclasses import dataclass
 
@@ -14,8 +14,9 @@ from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import ClosedMesh, in_cells, refuse_mesh
 from kinectbench.scoring.mesh_outside import outside_share
 
-# Of Poisson reconstruction: samples, depth of its octree, side of its cube. So cells are 1/64 of the shape,
-# and what is open is closed (measured; docs/evidence/scoring.md, "Ways to close a mesh").
+# Poisson reconstruction: number of samples, depth of the octree, side of its cube relative to the shape. So
+# cells are 1/64 of the shape, and openings are closed (measured; docs/evidence/scoring.md, "Ways to close a
+# mesh").
 POISSON_SAMPLES, POISSON_DEPTH, POISSON_CUBE = 30_000, 7, 2.0
 
 
@@ -25,7 +26,7 @@ class Solid:
 
     Attributes:
         cells: (256, 256, 32) uint8, packed: the cells whose centre is inside the solid.
-        outside: volume of the solid outside the grid, in cells of the truth.
+        outside: volume of the solid outside the grid, in units of the truth's cells.
     """
 
     cells: Packed
@@ -33,13 +34,13 @@ class Solid:
 
 
 def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
-    """Return a mesh to take as the solid of an open mesh or of points; None if none can be made.
+    """Return a mesh that serves as the solid of an open mesh or of points; None if none can be made.
 
     Args:
         shape: an open mesh, or points.
         surface: the shape's surface, in the shape's frame.
-        close: one of `CLOSINGS`. "winding" returns an open mesh unchanged, for `solid_in`. "poisson"
-            reconstructs a mesh, nearly always closed, from samples that have normals.
+        close: one of `CLOSINGS`. "winding" returns an open mesh unchanged, because `solid_in` closes it.
+            "poisson" reconstructs a mesh, which is nearly always closed, from samples that have normals.
     """
     if close == "winding":
         return shape if shape.form == "mesh" else None
@@ -60,17 +61,17 @@ def solid_in(
     T_grid_prediction: Float64,
     close: str | None = None,
 ) -> Solid | None:
-    """Return a predicted solid in the truth's cells; None for points, and for open meshes without `close`.
+    """Return a predicted solid in the truth's cells; None for points, and for an open mesh without `close`.
 
-    A cell is set if its centre lies inside a mesh, in an occupied cell, or where the linearly interpolated
-    distance is negative.
+    A cell is set if its centre lies inside the mesh, in an occupied cell, or where the linearly interpolated
+    distance is negative, depending on the shape's form.
 
     Args:
         truth: the truth of the view.
         shape: the predicted shape.
-        mesh: result of `closed_mesh` for the shape.
+        mesh: result of `closed_mesh` for the shape; None if it is open or no mesh.
         T_grid_prediction: (4, 4) similarity from the shape's frame to the truth's grid frame.
-        close: if not None, an open mesh is made solid by winding numbers.
+        close: if not None, an open mesh is made solid by winding numbers, whatever the value.
 
     Raises:
         PredictionError: the mesh is too far away, or too many of its faces overlap each other.
@@ -84,7 +85,7 @@ def solid_in(
     if shape.cells is None or shape.T_camera_grid is None or shape.voxel_size_m is None:
         return None
     T = T_grid_prediction @ shape.T_camera_grid
-    # Cells of the truth, by their indices -> cells of the prediction.
+    # From cell coordinates of the truth to those of the prediction.
     T_cells = (
         np.diag([*[1 / shape.voxel_size_m] * 3, 1])
         @ np.linalg.inv(T)
@@ -111,7 +112,7 @@ def _of_mesh(truth: SpaceTruth, mesh: ClosedMesh, T_grid_mesh: Float64) -> Solid
     cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)
-    faces, volume_m3 = mesh.outward  # a similarity turns no piece
+    faces, volume_m3 = mesh.outward  # a similarity reverses no face
     volume = volume_m3 * (similarity_scale(T_grid_mesh) / truth.voxel_size_m) ** 3
     return Solid(cells, volume * outside_share(vertices, faces, FULL_CELLS))
 
@@ -126,10 +127,10 @@ def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
 
 
 def _cells_outside(truth: SpaceTruth, shape: CameraShape, T_grid_own: Float64) -> float:
-    """Return the volume, in cells of the truth, of predicted cells centred outside the truth's grid."""
+    """Return the volume of predicted cells centred outside the truth's grid, in units of its cells."""
     assert shape.cells is not None and shape.voxel_size_m is not None
     limit_m, outside = FULL_CELLS * truth.voxel_size_m, 0
-    for number, plane in enumerate(shape.cells):  # memory stays at one plane
+    for number, plane in enumerate(shape.cells):  # one plane is in memory at a time
         occupied = np.argwhere(plane if shape.form == "voxels" else plane < 0)
         cells = np.column_stack([np.full(len(occupied), number), occupied])
         centers_m = transform_points(T_grid_own, (cells + 0.5) * shape.voxel_size_m)

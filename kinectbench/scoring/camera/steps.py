@@ -18,8 +18,8 @@ def drawn_together(ours, theirs, normals, asked, found, nearest, affine):  # typ
         affine: (3, 4) transform of the predicted samples.
 
     Returns:
-        (k + m, 3) float64 each: transformed predicted samples; their matched true samples; the normals there.
-        And the mean of the first (3,).
+        Three arrays (k + m, 3) float64: the transformed predicted samples, their matched true samples, and
+        the normals of these; then the mean (3,) of the first array.
     """
     count, k = len(found), 0
     places, middle = np.empty((count + len(theirs), 3)), np.zeros(3)
@@ -43,10 +43,10 @@ def drawn_together(ours, theirs, normals, asked, found, nearest, affine):  # typ
 def step_equations(places, targets, normals, weights, middle, along, free):  # type: ignore[no-untyped-def]
     """Return the normal equations of a registration step, and the sum of squared distances along the normals.
 
-    These are H (free, free), the gradient (free,), and the weighted sum (a float). A step is a translation
-    (3), the logarithm of a scale (1) and a rotation vector (3), the last two about `middle`. The cost is the
-    weighted sum of squared point-to-plane distances plus `along` times that of squared point-to-point
-    distances.
+    The equations are H (free, free) and the gradient (free,); the sum is weighted. A step is a translation
+    (3), the logarithm of a scale (1) and a rotation vector (3); scale and rotation are about `middle`. The
+    cost is the weighted sum of squared point-to-plane distances, plus `along` times the weighted sum of
+    squared point-to-point distances.
 
     Args:
         places: (n, 3) points of the prediction.
@@ -55,7 +55,7 @@ def step_equations(places, targets, normals, weights, middle, along, free):  # t
         weights: (n,) weight of each match.
         middle: (3,) the centre of scaling and rotation.
         along: weight of the point-to-point distances.
-        free: number of free parameters: the first 3, 4 or 7.
+        free: number of free parameters, 3, 4 or 7: the first ones of a step.
     """
     H, g, squares = np.zeros((free, free)), np.zeros(free), 0.0
     row, whole = np.empty(7), np.empty(7)
@@ -88,7 +88,7 @@ def step_equations(places, targets, normals, weights, middle, along, free):  # t
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def similarity_about(step, middle):  # type: ignore[no-untyped-def]
-    """Return the similarity (4, 4) of a step (7,) about `middle` (3,).
+    """Return the similarity (4, 4) of a registration step (7,) about `middle` (3,).
 
     The step is a translation (3), the logarithm of a scale (1) and a rotation vector (3). Rodrigues' formula
     is used here because SciPy takes 17 times as long for a single rotation (measured).
@@ -97,7 +97,7 @@ def similarity_about(step, middle):  # type: ignore[no-untyped-def]
     x, y, z = step[4], step[5], step[6]
     angle = np.sqrt(x * x + y * y + z * z)
     along = np.sin(angle) / angle if angle > 0 else 1.0
-    # (1 - cos a) / a^2, without the difference.
+    # (1 - cos a) / a^2, written without the difference, which would lose digits.
     across = 0.5 * (np.sin(angle / 2) / (angle / 2)) ** 2 if angle > 0 else 0.5
     T[0, 0], T[0, 1], T[0, 2] = (
         1 - across * (y * y + z * z),

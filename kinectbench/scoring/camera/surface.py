@@ -1,8 +1,8 @@
-"""A surface as samples on small flat patches: distances of points from the surface, and area of each sample.
+"""A surface as samples with areas, on small flat patches, from which distances of points are measured.
 
-Rules of this project: the patches of a mesh are its triangles; those of occupied cells are the faces between
-occupied and free cells; those of signed distances are squares of one cell's size at the zero crossings. A
-point of a cloud has no patch.
+Rules of this project: the patches of a mesh are its triangles. The patches of occupied cells are the faces
+between occupied and free cells. The patches of signed distances are squares of one cell's size at the zero
+crossings. A point of a cloud has no patch.
 """
 
 from dataclasses import dataclass, replace
@@ -17,12 +17,13 @@ from kinectbench.core.voxels.pair_file import pack
 from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera_shape import CameraShape
 
-# Samples of a mesh beside one for each triangle: they are 5 mm apart on a chair of 1.5 m^2 (chosen here; the
-# test of a mesh has 0.05 mm between it and exact distances).
+# Number of samples of a mesh, of which each triangle has at least one. They are 5 mm apart on a chair of 1.5
+# m^2 (chosen here; in the test of a mesh, distances are within 0.05 mm of exact ones).
 MESH_SAMPLES = 60_000
-# Of the mean triangle's area. All that is smaller has at most this share of the whole.
+# Share of the mean triangle's area. All smaller triangles together have at most this share of the whole area.
 DUST = 0.01
-# Of cells, at some 250 bytes each: a cube that fills a grid of 512 a side has 1.6 M.
+# Maximum number of samples of cells, at some 250 bytes each. A cube that fills a grid of 512 a side has 1.6
+# M.
 MOST_SAMPLES = 2 << 20
 # Steps of the sequence that places samples within a triangle. Source: M. Roberts, "The unreasonable
 # effectiveness of quasirandom sequences" (2018): the inverse powers of the plastic number.
@@ -42,8 +43,8 @@ class Surface:
         second: (m, 3) the other edge from that corner.
         owner: (n,) index of each sample's patch.
         is_triangle: whether patches are triangles; otherwise they are rectangles.
-        placed: for a transformed surface, the original one, whose search tree is reused and in whose frame
-            the patches are, and the (4, 4) similarity from there; else None.
+        placed: for a transformed surface, (original surface, (4, 4) similarity from its frame), else None;
+            the patches are in the original's frame, and its search tree is reused.
     """
 
     points_m: Float64
@@ -77,8 +78,8 @@ class Surface:
         return float(np.sqrt((self.areas * squared).sum() / self.areas.sum()))
 
     def chosen(self, which: Bools | Int64) -> "Surface":
-        """Return the surface with only some of its samples (mask or indices); all patches stay."""
-        if which.dtype == np.bool_:  # rows by number take half of the time (measured)
+        """Return the surface with only the samples that a mask or indices select; all patches stay."""
+        if which.dtype == np.bool_:  # indexing by numbers takes half the time (measured)
             which = np.flatnonzero(which)
         if self.placed is not None:
             before, T = self.placed
@@ -125,7 +126,7 @@ class Surface:
     def nearest(self, points_m: Float64) -> tuple[Float64, Int64]:
         """Return each point's distance from the surface (n,), metres, and its nearest sample's index (n,).
 
-        The distance is measured to the patch that the nearest sample lies on; of a cloud, to the sample.
+        The distance is measured to the patch that the nearest sample lies on; for a cloud, to the sample.
         """
         from kinectbench.scoring.camera.kernels import mapped, to_patches
 
@@ -142,7 +143,7 @@ def surface_of(shape: CameraShape) -> Surface:
     """Return the surface of a predicted shape, in the shape's frame.
 
     Raises:
-        PredictionError: cells or distances have more than `MOST_SAMPLES` faces at the surface.
+        PredictionError: the surface of cells or distances has more than `MOST_SAMPLES` patches.
     """
     if shape.form == "mesh":
         return mesh_surface(shape.points_m, shape.faces)
@@ -156,8 +157,8 @@ def surface_of(shape: CameraShape) -> Surface:
 
 
 def point_surface(points_m: Float64, normals: Float64 | None) -> Surface:
-    """Return points (n, 3), metres, as a surface, without duplicates; normals (n, 3) may have any length."""
-    if len(points_m) > 1:  # a point that is there twice is one: a tree of equal points is slow
+    """Return points (n, 3), metres, without duplicates, as a surface; normals (n, 3) may have any length."""
+    if len(points_m) > 1:  # remove duplicates: a tree of equal points is slow
         order = np.lexsort(points_m.T)
         again = (np.diff(points_m[order], axis=0) == 0).all(axis=1)
         kept = np.sort(order[np.concatenate([[True], ~again])])
@@ -172,15 +173,15 @@ def point_surface(points_m: Float64, normals: Float64 | None) -> Surface:
 
 
 def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
-    """Return a mesh, open or closed, as a surface: one sample per triangle, or several in a large one.
+    """Return a mesh, open or closed, as a surface: one sample per triangle, several in a large triangle.
 
     Triangles smaller than `DUST` times the mean area are dropped. Otherwise a mesh could gain by scattering
-    tiny triangles: some would lie near any truth, and the others would have almost no area that counts as
-    wrong.
+    tiny triangles: some would lie near any truth, and the area of the others, which counts as wrong, would be
+    almost 0.
 
     Args:
         vertices_m: (v, 3) metres.
-        faces: (m, 3).
+        faces: (m, 3) indices of the vertices.
     """
     from kinectbench.scoring.camera.patches import in_triangles
 
@@ -194,7 +195,7 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
         corner, first, second, across = (part[kept] for part in (corner, first, second, across))
     normals = across / np.where(twice > 0, twice, 1)[:, None]
     total = twice.sum()
-    # Of a mesh without any area all triangles count alike.
+    # If a mesh has no area at all, all triangles count alike.
     areas = twice / 2 if total > 0 else np.ones(len(faces))
     most = MESH_SAMPLES if total > 0 else 0
     counts = np.maximum(1, np.rint(areas / areas.sum() * most)).astype(np.int64)
@@ -207,15 +208,15 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
 def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
     """Return the faces between occupied and free cells as a surface, in the grid's frame.
 
-    A normal points away from the occupied cells among the 7^3 around the face's cell. As faces form steps on
-    a slanted surface, a sample's area is its share of that surface, not the area of the face.
+    A normal points away from the occupied cells among the 7^3 cells around the face's cell. Faces form steps
+    on an oblique surface, so a sample's area is its share of the oblique surface, not the area of its face.
 
     Args:
         cells: (i, j, k) bool.
         voxel_size_m: edge of a cell.
 
     Returns:
-        The surface, and each face's occupied cell: (n, 3) indices.
+        The surface, and the indices (n, 3) of each face's occupied cell.
     """
     from kinectbench.scoring.camera.kernels import faces_of_cells, outward
     from kinectbench.scoring.camera.patches import squares_of_cells
@@ -231,7 +232,7 @@ def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
 
 
 def _distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
-    """Return the zero crossings of signed distances (i, j, k), negative inside, as a surface, grid frame.
+    """Return the zero crossings of signed distances (i, j, k), negative inside, as a surface: grid frame.
 
     Space outside the grid is free, so a solid that extends beyond the grid is closed at the border.
     """
@@ -241,7 +242,7 @@ def _distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
     found = [zero_crossings(padded, axis) for axis in range(3)]
     points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
     _refuse_many(len(points))
-    # Two directions across the normal: from the axis that is least along it.
+    # Two directions perpendicular to the normal, from the axis that is least parallel to it.
     least = np.eye(3)[np.abs(normals).argmin(axis=1)]
     first = np.cross(normals, least)
     first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
@@ -266,18 +267,18 @@ def _squares(
     normals: Float64,
     voxel_size_m: float,
 ) -> Surface:
-    """Return squares of a cell's size as a surface, one sample each; arguments as the fields of `Surface`.
+    """Return squares of a cell's size as a surface, one sample each; arguments as fields of `Surface`.
 
-    A sample's area is that of the slanted surface that its square stands for, not of the square.
+    A sample's area is that of the oblique surface that its square represents, not that of the square.
     """
-    # A plane with this normal has as many steps or crossings for each cell of its area.
+    # A plane with this normal has so many faces or crossings per area of a cell's face.
     steps = np.abs(normals).sum(axis=1)
     areas, owner = voxel_size_m**2 / np.where(steps > 0, steps, 1), np.arange(len(centers_m))
     return Surface(centers_m, areas, normals, corner, first, second, owner, is_triangle=False)
 
 
 def _box(cells: Bools) -> tuple[Int64, Int64]:
-    """Return the occupied cells' first index along each axis, and the last one + 1: (3,) each; 0 if none."""
+    """Return the first index of occupied cells along each axis, and the last + 1: (3,) each; 0 if none."""
     columns = np.asarray(cells.any(axis=2))
     if not columns.any():
         return np.zeros(3, np.int64), np.zeros(3, np.int64)

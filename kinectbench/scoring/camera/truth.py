@@ -20,30 +20,31 @@ from kinectbench.scoring.camera.surface import Surface, cell_surface, mesh_surfa
 from kinectbench.scoring.surface import size_cells
 from kinectbench.scoring.truth import read_parts
 
-# Of the truth's cells about so many are counted, each so-manieth: with 256 cells a side they lie 4 cells
-# apart or nearer (chosen here; of a box cut in halves 0.500 is found).
+# About this many cells of the truth are counted, at regular steps. At 256 cells a side, they are at most 4
+# cells apart (chosen here; for a box that is cut in half, the share found is 0.500).
 COUNTED = 100_000
 PARTS: tuple[ShapePart, ...] = ("whole", "visible", "occluded")
 
 
 @dataclass(frozen=True)
 class SpaceTruth:
-    """The truth of a view in its grid's frame, metres, which predictions are compared with.
+    """The truth of a view, to compare predictions with; coordinates are in its grid's frame, metres.
 
     Attributes:
         full: (256, 256, 32) uint8, packed: the true solid.
         known: (256, 256, 32) uint8, packed: cells where the truth is trusted; space outside the grid is known
             to be free.
-        seen: (256, 256, 32) uint8, packed: cells that the view saw; it saw nothing outside the grid.
-        surface: all faces of `full`, or the open mesh that is the truth.
-        is_known: (n,) whether the occupied cell of each sample of `surface` is known.
-        is_seen: (n,) whether that cell was seen.
+        seen: (256, 256, 32) uint8, packed: cells that the view saw; space outside the grid counts as not
+            seen.
+        surface: all faces of `full`; or, if `is_open`, the open mesh.
+        is_known: (n,) bool, for each sample of `surface`, whether its occupied cell is known.
+        is_seen: (n,) bool, whether that cell was seen.
         T_grid_camera: (4, 4) from the camera's frame to the grid's.
         voxel_size_m: edge of a cell.
         size_m: diagonal of the bounding box of the true shape.
         sigma_m: standard deviation of the true surface's position; 0 if it is exact or not known.
         K: (3, 3) intrinsics of the view, pixels; None where they are not needed.
-        mask: (height, width) bool, the object in the view; None if the release has no masks.
+        mask: (height, width) bool, the pixels of the object in the view; None if the release has no masks.
         is_open: whether the truth is an open mesh: then it has no inside, and `full` is empty.
     """
 
@@ -79,14 +80,14 @@ class SpaceTruth:
 
     @cached_property
     def counted(self) -> dict[str, tuple[Packed, int, int]]:
-        """Cache of `metrics`: {part: (its known cells, their number, number of solid ones among them)}."""
+        """Cache of `metrics`: {part: (its known cells, their number, the number of solid ones)}."""
         return {}
 
     @cached_property
     def some_cells_m(self) -> Float64:
-        """Centres of about `COUNTED` known cells of the solid, evenly picked: (n, 3), camera frame."""
+        """Centres of about `COUNTED` evenly chosen known cells of the solid: (n, 3), metres, camera frame."""
         cells = np.flatnonzero(unpack(self.full & self.known))
-        # No step that divides a side would always meet the same columns.
+        # The step is odd: one that divides the side would always meet the same columns.
         cells = cells[:: max(len(cells) // COUNTED, 1) | 1]
         centers_m = (np.stack(np.unravel_index(cells, (FULL_CELLS,) * 3), axis=1) + 0.5) * self.voxel_size_m
         return transform_points(invert_rigid(self.T_grid_camera), centers_m)
@@ -107,7 +108,7 @@ class SpaceTruth:
         return unknown_share(self.full, self.known)
 
     def at(self, points_m: Float64) -> tuple[Bools, Bools]:
-        """Return which points (n, 3) lie in known space, and which in space that the view saw: (n,) each."""
+        """Return which points (n, 3) lie in known space, and which in space seen by the view: bool (n,)."""
         from kinectbench.scoring.camera.kernels import known_and_seen
 
         found: tuple[Bools, Bools] = known_and_seen(points_m, self.voxel_size_m, self.known, self.seen)
@@ -121,9 +122,9 @@ class ViewFiles:
     Attributes:
         pair: the pair file.
         sha256: expected hash of the pair file.
-        mask: the mask's file and its expected hash; None if the release has no masks.
-        surface: file and expected hash of the open mesh that is the truth; None if the truth is in the pair
-            file.
+        mask: (mask's file, its expected hash); None if the release has no masks.
+        surface: (file of the open mesh that is the truth, its expected hash); None if the truth is in the
+            pair file.
     """
 
     pair: Path
@@ -145,7 +146,8 @@ def read_space_truth(files: ViewFiles) -> SpaceTruth:
     """Read the truth of a view.
 
     Raises:
-        ReleaseError: a file is missing, or not the published one; or the truth has too many faces of cells.
+        ReleaseError: a file is missing, or differs from the published one; or the truth has too many cell
+            faces.
     """
     mask = None if files.mask is None else view_images.read_mask(*files.mask)
     if files.surface is not None:
@@ -172,7 +174,7 @@ def read_space_truth(files: ViewFiles) -> SpaceTruth:
 
 
 def _open_truth(files: ViewFiles, path: Path, sha256: str) -> SpaceTruth:
-    """Read a truth that is an open mesh: all of its surface is known, and it has no inside."""
+    """Read a truth that is an open mesh: its whole surface counts as known, and it has no inside."""
     names = ("seen", "T_world_grid", "T_world_camera", "voxel_size_m", "K")
     seen, T_world_grid, T_world_camera, voxel_size_m, K = read_parts(files.pair, files.sha256, names)
     try:
@@ -201,10 +203,10 @@ def _open_truth(files: ViewFiles, path: Path, sha256: str) -> SpaceTruth:
 def space_truth(
     full: Packed, known: Packed, seen: Packed, T_grid_camera: Float64, voxel_size_m: float
 ) -> SpaceTruth:
-    """Return the truth made from packed grids (256, 256, 32), without mask, intrinsics and sigma.
+    """Return the truth of packed grids (256, 256, 32); it has no mask, no intrinsics, and a `sigma_m` of 0.
 
     Raises:
-        PredictionError: it has more than `MOST_SAMPLES` faces of cells at its surface.
+        PredictionError: it has more than `MOST_SAMPLES` cell faces at its surface.
     """
     from kinectbench.scoring.camera.kernels import known_and_seen
 

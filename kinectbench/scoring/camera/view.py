@@ -1,4 +1,4 @@
-"""Score the predictions of one view in the camera frame, both as predicted and after registration."""
+"""Score the predictions of one view in the camera frame, as predicted and after registration to the truth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -31,7 +31,7 @@ from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import closed_mesh, open_because
 from kinectbench.scoring.prediction_file import blake3_of
 
-# A protocol, and under `aligned` what the registration may change.
+# (protocol, kind of registration): see `register_surface` for the kinds; None under `camera`.
 Asked = tuple[str, str | None]
 
 
@@ -44,13 +44,16 @@ class Scored:
         part: whole, visible or occluded.
         figures: metrics of the part.
         alignment: the registration under `aligned`; None under `camera`.
-        solid: whether the prediction, before any closing, has an inside; None without a prediction.
+        solid: whether the prediction had an inside before it was closed; None without a prediction.
         predicted_unknown_share: share of the predicted surface that lies in unknown space.
-        cut: share of the known true shape outside the method's own volume; None without such a volume.
+        cut: share of the known true shape outside the volume that the method covers; None without such a
+            volume.
         silhouette: share of the predicted surface that projects outside the mask; None without a mask.
-        hypotheses: how the row combines several predictions of the view; None for a single prediction's row.
+        hypotheses: how the row combines several predictions of the view; None for the row of a single
+            prediction.
         closed: the value of `--close` by which an open mesh or points were made solid; None if they were not.
-        calibration: how well the votes of several solid predictions are calibrated; None without votes.
+        calibration: how well the votes of several predictions for solid cells are calibrated; None without
+            votes.
         open_because: why a mesh is not closed, in words; "" if it is closed, or no mesh.
     """
 
@@ -78,7 +81,7 @@ class ViewJob:
         files: its prediction files, the main one first; () for an empty prediction.
         method: the method's method.json.
         protocols: camera, aligned or both.
-        close: how open meshes and points are made solid; None: not at all.
+        close: how open meshes and points are made solid; None if they are not.
     """
 
     target: Target
@@ -94,10 +97,11 @@ class ViewResult:
     """The result of scoring a view.
 
     Attributes:
-        rows: scores, one for each protocol, kind of registration and part; of several predictions those of
-            the first, then the best and the mean.
+        rows: scores, one for each protocol, kind of registration and part. Of several predictions, the
+            first's rows come first, then the rows of the best one and of the mean.
         unknown_share: share of the true shape's cells that are not known.
-        digest: BLAKE3 of the prediction's file, or of several files' digests; None without a prediction.
+        digest: BLAKE3 of the prediction's file or, for several files, of their joined digests; None without a
+            prediction.
         cells: cells along a side of the prediction's grid; 256 in the camera frame; 0 without a prediction.
     """
 
@@ -108,10 +112,10 @@ class ViewResult:
 
 
 def score_view(job: ViewJob) -> ViewResult | str:
-    """Score a view; return the reason instead if one of its predictions cannot be scored.
+    """Score a view; if one of its predictions cannot be scored, return the reason instead.
 
     Raises:
-        ReleaseError: the truth is missing, or not the published one.
+        ReleaseError: the truth is missing, or differs from the published one.
     """
     truth = read_space_truth(job.truth)
     asked = asked_rows(job.protocols, job.method.scale)
@@ -130,7 +134,7 @@ def score_view(job: ViewJob) -> ViewResult | str:
             return line if line.startswith(file.name) else f"{file.name}{file.path.suffix}: {line}"
         except OSError as error:
             return f"{file.name}{file.path.suffix}: cannot be read ({error.strerror or error})"
-        except (ValueError, MemoryError) as error:  # one view's file does not end the others
+        except (ValueError, MemoryError) as error:  # one faulty file must not stop the other views
             return f"{file.name}{file.path.suffix}: cannot be scored ({printable(str(error), 120)})"
     digest = digests[0] if len(digests) == 1 else blake3_of("".join(digests).encode())
     return ViewResult((*found[0], *_over(truth, found, votes)), truth.unknown_share, digest)
@@ -150,13 +154,13 @@ def score_shape(
         truth: the truth of the view.
         shape: the predicted shape, camera frame.
         asked: the (protocol, kind of registration) pairs to score (`asked_rows`).
-        volume_m: (2, 3), lowest and highest corner of the volume that the method covers, camera frame; None:
-            unlimited, except by the shape's own grid.
-        close: how an open mesh or points are made solid; None: not at all.
-        votes: collects the shape's solids; None: they are not needed.
+        volume_m: (2, 3), lowest and highest corner of the volume that the method covers, metres, camera
+            frame; None if only the shape's own grid, if any, limits it.
+        close: how an open mesh or points are made solid; None if they are not.
+        votes: the shape's solids are added to it; None if they are not needed.
 
     Raises:
-        PredictionError: the shape is empty, has too many faces of cells, or its solid cannot be made in the
+        PredictionError: the shape is empty or has too many cell faces, or its solid cannot be made in the
             truth's cells.
     """
     surface, mesh = surface_of(shape), closed_mesh(shape)
@@ -182,7 +186,7 @@ def score_shape(
         if votes is not None and solid is not None:
             votes.solids.setdefault((protocol, kind), []).append(solid.cells)
         found, left_out = figures_by_part(truth, moved, solid, in_camera=kind is None)
-        # A registration moves what was predicted off its view.
+        # Only for the unregistered shape: a registration moves it away from its view.
         cut = cut_share(truth, shape, volume_m) if kind is None else None
         silhouette = outside_mask_share(truth, surface) if kind is None else None
         rows += [
@@ -209,7 +213,7 @@ def asked_rows(protocols: Sequence[str], scale: str) -> list[Asked]:
 
 
 def _alignment(surface: Surface, kind: str, found: SurfaceRegistration) -> Alignment:
-    """Return a row's report on a registration: kind, scale, angle, shift of the centroid, success."""
+    """Return what a row states about a registration: kind, scale, angle, shift of the centroid, success."""
     middle, scale = surface.center_m, similarity_scale(found.T)
     shift_m = transform_points(found.T, middle) - middle
     return Alignment(
@@ -222,7 +226,7 @@ def _alignment(surface: Surface, kind: str, found: SurfaceRegistration) -> Align
 
 
 def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
-    """Return the rows of a view with an empty prediction: each metric has its worst value."""
+    """Return the rows of a view with an empty prediction, in which each metric has its worst value."""
     nothing = None if truth.is_open else Solid(np.zeros_like(truth.full), 0.0)
     found = figures_by_part(truth, None, nothing)[0]
     return tuple(
@@ -240,10 +244,10 @@ def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
 
 
 def _over(truth: SpaceTruth, found: Sequence[tuple[Scored, ...]], votes: Votes) -> list[Scored]:
-    """Return the rows that combine several predictions of a view: the best prediction's, and the means.
+    """Return the rows that combine several predictions of a view: those of the best, and those of the mean.
 
-    The best prediction has the smallest Chamfer distance (L1) of the whole shape, under each protocol and
-    kind of registration.
+    Under each protocol and kind of registration, the best prediction is the one with the smallest Chamfer
+    distance (L1) of the whole shape. `found` has the rows of each prediction.
     """
     k = len(found)
     if k == 1:
@@ -263,9 +267,9 @@ def _over(truth: SpaceTruth, found: Sequence[tuple[Scored, ...]], votes: Votes) 
 
 
 def _mean(rows: Sequence[Scored]) -> Scored:
-    """Return a row with the mean of each metric and share, None if a row lacks it.
+    """Return a row with the mean of each metric and share; a mean is None if a row has no value.
 
-    `solid` is whether all rows are solid, `as_papers` is None; all else is from the first row.
+    `solid` is whether all rows are solid, and `as_papers` is None; everything else is from the first row.
     """
     figures = [row.figures for row in rows]
     surface = SurfaceMetrics(**_means([_vars_of(of.surface) for of in figures]))
@@ -281,7 +285,7 @@ def _mean(rows: Sequence[Scored]) -> Scored:
 
 
 def _vars_of(metrics: SurfaceMetrics | VoxelMetrics) -> dict[str, float | None]:
-    """Return {name of a metric: value} of a metrics object."""
+    """Return a metrics object as {name of a metric: value}."""
     return {field.name: getattr(metrics, field.name) for field in fields(metrics)}
 
 

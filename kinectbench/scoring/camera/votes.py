@@ -1,4 +1,4 @@
-"""Calibration of several predictions: how often a cell is truly solid if k of n predictions are."""
+"""Calibration of several predictions: how often a cell is truly solid if m of k predictions say so."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,8 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, unpack
 from kinectbench.scoring.camera.metrics import counted_cells
 from kinectbench.scoring.camera.truth import SpaceTruth
 
-# Tenths of the votes. Source: C. Guo et al., "On calibration of modern neural networks" (2017), with 15 bins.
+# Number of bins of the share of votes. Source: C. Guo et al., "On calibration of modern neural networks"
+# (2017), who use 15.
 BINS = 10
 
 
@@ -19,7 +20,8 @@ class Votes:
     """The solids of all predictions of a view, grouped by protocol and kind of registration.
 
     Attributes:
-        solids: {(protocol, kind of registration): packed cells (256, 256, 32) of each solid prediction}.
+        solids: {(protocol, kind of registration): list of packed cells (256, 256, 32), one for each
+            prediction that has an inside}.
     """
 
     solids: dict[tuple[str, str | None], list[Packed]] = field(default_factory=dict)
@@ -27,16 +29,17 @@ class Votes:
     def calibration(
         self, truth: SpaceTruth, asked: tuple[str, str | None], part: ShapePart, k: int
     ) -> Calibration | None:
-        """Return how often a part's known cells are truly solid, by the share of predictions solid there.
+        """Return how often cells are truly solid, by the share of predictions that call them solid.
 
         Args:
             truth: the truth of the view.
             asked: (protocol, kind of registration) of the solids.
-            part: whole, visible or occluded.
+            part: whole, visible or occluded; only its known cells are counted.
             k: number of predictions of the view.
 
         Returns:
-            None if a prediction has no inside, or if no counted cell is solid in any of them.
+            The calibration; None if a prediction has no inside, or if no prediction calls a counted cell
+            solid.
         """
         solids = self.solids.get(asked, [])
         if len(solids) < k:
@@ -52,13 +55,13 @@ class Votes:
 
 
 def calibration_of(cells: Int64, solid: Int64) -> Calibration | None:
-    """Return how often cells are truly solid, in ten bins of the share of predictions that are solid there.
+    """Return how often cells are truly solid, in ten bins of the share of predictions that call them solid.
 
-    Cells that no prediction calls solid are left out.
+    Cells that are solid in no prediction are left out.
 
     Args:
-        cells: (k + 1,) number of cells that are solid in 0, 1, ... k predictions.
-        solid: (k + 1,) number of these cells that are solid in the truth.
+        cells: (k + 1,), the number of cells that are solid in 0, 1, ... k predictions.
+        solid: (k + 1,), how many of these cells are solid in the truth.
 
     Returns:
         The calibration; None if no cell is solid in any prediction.

@@ -10,29 +10,33 @@ from numba import njit
 
 from kinectbench.core.types import Bools, Float64, Int32
 
-# Triangles of a leaf of the tree: 4 to 16 take the same time (chosen here).
+# Number of triangles in a leaf of the tree; 4 to 16 take the same time (chosen here).
 LEAF = 4
-# Triangles in a ball are taken together where it is farther away than twice its radius (Barill, section 4).
+# The triangles in a ball are approximated together if the ball is farther away than twice its radius (Barill,
+# section 4).
 FAR_RADII = 2.0
-# The number is harmonic off the triangles: in a ball of radius R without any it differs from that of the
-# middle by at most 1.5 r / R at a distance r, if it stays within a range of 2, as where two parts overlap.
-# Source: Schwarz's lemma for harmonic functions (Axler et al., "Harmonic Function Theory", chapter 6).
+# The winding number is harmonic away from the triangles. So in a ball of radius R without triangles, at a
+# distance r from the centre, it differs from its value at the centre by at most 1.5 r / R, if its range is at
+# most 2, as where two parts overlap. Source: Schwarz's lemma for harmonic functions (Axler et al., "Harmonic
+# Function Theory", chapter 6).
 STEEPEST = 1.5
-# Outside the grid a volume alone is asked: its blocks are at most so many along the mesh's box (chosen here).
+# Outside the grid, only the volume is needed: at most so many blocks are used along the mesh's box (chosen
+# here).
 BLOCKS_OUTSIDE = 64
-# Longest edge, in cells, and most triangles: near large ones no block is decided. A chair of 230 faces took
-# 12 s whole and 4 s in pieces of 16 cells; 8 cells gained less than a second.
+# Longest edge, in cells, and maximum number of triangles after splitting. Near large triangles, no block can
+# be decided: a chair of 230 faces took 12 s unsplit, and 4 s with edges of 16 cells; 8 cells gained less than
+# a second.
 LONGEST, MOST_HALVED = 16.0, 1 << 18
-# Nodes and triangles that are looked at, in all. Open balls, sheets, chairs, tables of 150 to 210,000 faces,
-# smooth and noisy, take 0.4 to 2 billion at 256 cells (2 to 15 s of a busy core); a soup of 20,000 triangles
-# across each other takes 30 or more.
+# Maximum number of nodes and triangles that are examined in all. Open balls, sheets, chairs, tables of 150 to
+# 210,000 faces, smooth and noisy, take 0.4 to 2 billion at 256 cells (2 to 15 s of a busy core); a soup of
+# 20,000 triangles across each other takes 30 or more.
 MOST_STEPS = 3 * 10**9
 
 
 def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, float] | None:
-    """Return the cells whose centre is inside a mesh: its winding number there is above 1/2 or below -1/2.
+    """Return the cells whose centre is inside a mesh: the winding number there is above 1/2 or below -1/2.
 
-    So a mesh may be oriented inwards.
+    So the faces of a mesh may also be oriented inwards.
 
     Args:
         vertices: (n, 3), in cells, from the corner of the grid.
@@ -40,8 +44,8 @@ def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, f
         side: number of cells of the grid along each axis.
 
     Returns:
-        (side, side, side) bool, and the volume inside the mesh but outside the grid, in cells, accurate to
-        blocks of about 1/64 of the mesh's box. None if it would take more than `MOST_STEPS` steps.
+        The cells, (side, side, side) bool; and the volume inside the mesh but outside the grid, in cells,
+        with a resolution of about 1/64 of the mesh's box. None if it would take more than `MOST_STEPS` steps.
     """
     corners = vertices[faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
@@ -54,7 +58,10 @@ def inside_winding(vertices: Float64, faces: Int32, side: int) -> tuple[Bools, f
 
 
 def _halved(corners: Float64) -> Float64:
-    """Split triangles (n, 3, 3) at their longest edge until none exceeds `LONGEST`; winding numbers stay."""
+    """Split triangles (n, 3, 3) until no edge exceeds `LONGEST`, but into at most `MOST_HALVED` triangles.
+
+    Each is split at its longest edge, which does not change any winding number.
+    """
     while True:
         lengths = np.linalg.norm(corners[:, [1, 2, 0]] - corners, axis=2)
         long = lengths.max(axis=1) > LONGEST
@@ -71,15 +78,15 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
     """Build a complete binary tree over triangles (n, 3, 3): the children of node i are 2 i and 2 i + 1.
 
     Returns:
-        The sorted triangles, padded with empty ones; and for each node (k leaves, from k on) the sum of its
-        triangles' area-weighted normals (2 k, 3), and the centre (2 k, 3) and radius (2 k,) of a ball around
-        them.
+        The sorted triangles, padded with empty ones. Then, for each node, the sum of the area-weighted
+        normals of its triangles (2 k, 3), and the centre (2 k, 3) and radius (2 k,) of a ball around them.
+        The k leaves are the nodes from k on; node 1 is the root.
     """
     leaves = 1 << max(0, int(np.ceil(np.log2(len(corners) / LEAF))))
     filling = np.broadcast_to(corners[-1, 0], (leaves * LEAF - len(corners), 3, 3))
     triangles = np.concatenate([corners, filling])
     middles, order = triangles.mean(axis=1), np.arange(len(triangles))[None]
-    while len(order) < leaves:  # across the longest side; stable, so that machines agree
+    while len(order) < leaves:  # split across the longest side; stable, so that machines agree
         at = middles[order]
         along = (at.max(axis=1) - at.min(axis=1)).argmax(axis=1)
         rank = np.take_along_axis(at, along[:, None, None], axis=2)[..., 0].argsort(axis=1, kind="stable")
@@ -90,7 +97,7 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
     weighted = areas * triangles.mean(axis=1)
     total, middle, radius = (np.zeros((2 * leaves, *end)) for end in ((3,), (3,), ()))
     count = leaves
-    while count:  # level by level, the root at last
+    while count:  # level by level, the root last
         sums = [part.reshape(count, -1, part.shape[1]).sum(axis=1) for part in (normals, areas, weighted)]
         level = slice(count, 2 * count)
         total[level], middle[level] = sums[0], sums[2] / sums[1]
@@ -102,13 +109,14 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most):  # type: ignore[no-untyped-def]
-    """Set the cells of `found` inside the mesh; return the inner volume outside the grid, in cells.
+    """Set the cells of `found` that are inside the mesh; return the mesh's volume outside the grid, in cells.
 
-    Space is processed in cubic blocks: a block is subdivided unless the winding number at its centre is sure
-    to decide for all of it. The result is NaN if this takes more than `most` steps.
+    Space is processed in cubic blocks. A block is subdivided unless the winding number at its centre is
+    certain to decide for the whole block. The result is NaN if this takes more than `most` steps.
 
     `triangles`, `total`, `middle` and `radius` are as `_tree` returns them; `low` and `high` (3,) are corners
-    of the mesh's box. `root` is the side of the largest blocks, `coarse` of the smallest outside the grid.
+    of the mesh's box. `root` is the side of the largest blocks, `coarse` that of the smallest blocks outside
+    the grid.
     """
     side, outside, steps = found.shape[0], 0.0, 0
     first, last = np.floor(low / root).astype(np.int64), np.floor(high / root).astype(np.int64)
@@ -155,7 +163,7 @@ def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _number(x, y, z, triangles, total, middle, radius, nodes):  # type: ignore[no-untyped-def]
-    """Return a point's winding number, a lower bound of its distance to any triangle, and the steps taken."""
+    """Return a point's winding number, a lower bound of its distance to the mesh, and the steps taken."""
     leaves = len(total) // 2
     found, clear, top, steps = 0.0, np.inf, 1, 0
     nodes[0] = 1
@@ -185,7 +193,9 @@ def _number(x, y, z, triangles, total, middle, radius, nodes):  # type: ignore[n
 
 @njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _solid_angle(triangle, x, y, z):  # type: ignore[no-untyped-def]
-    """Return a triangle's solid angle at a point, positive from behind, and a lower bound of its distance.
+    """Return the solid angle of a triangle seen from a point, and a lower bound of its distance to the point.
+
+    The angle is positive if the point lies behind the triangle.
 
     Source: A. van Oosterom and J. Strackee, "The solid angle of a plane triangle" (1983).
     """
@@ -199,5 +209,5 @@ def _solid_angle(triangle, x, y, z):  # type: ignore[no-untyped-def]
     below += (d * g + e * h + f * i) * one + (g * a + h * b + i * c) * two
     longest = max((a - d) ** 2 + (b - e) ** 2 + (c - f) ** 2, (d - g) ** 2 + (e - h) ** 2 + (f - i) ** 2)
     longest = max(longest, (g - a) ** 2 + (h - b) ** 2 + (i - c) ** 2)
-    # No place of a triangle is farther from all three corners than the longest edge / sqrt 3.
+    # Every point of a triangle is within longest edge / sqrt 3 of one of its corners.
     return 2 * np.arctan2(across, below), min(one, two, three) - np.sqrt(longest / 3)
