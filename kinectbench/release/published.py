@@ -1,7 +1,7 @@
 """Read the bytes of a release's file in place: from its folder, from its archive or from a URL.
 
 A path may lead into an archive: `chairs.zip/pairs/chair_01/000.npz` is a file of the release in `chairs.zip`.
-A path may also be a URL. So functions that only pass paths on work with folders, archives and URLs alike.
+A path may also be a URL. So functions that only pass paths on work with folders, archives and URLs.
 """
 
 import errno

@@ -55,7 +55,7 @@ def best_threshold(tallies: Sequence[Tally]) -> float:
     Args:
         tallies: tallies of the validation pairs of one category, at least one.
 
-    Source: the paper. Of equally good thresholds, the lowest is taken (own rule).
+    Source: the paper. Of equally good thresholds, the lowest is taken; the paper does not say which.
     """
     mean_iou = np.mean([ious(protocol_counts(tally, "paper")) for tally in tallies], axis=0)
     return THRESHOLDS[int(np.argmax(mean_iou))]
