@@ -10,7 +10,7 @@ HEAD_BYTES = 512
 TAR_AT, TAR_MAGIC = 257, b"ustar"
 
 
-class Kind(NamedTuple):
+class ForeignKind(NamedTuple):
     """A kind of file that is not read.
 
     Attributes:
@@ -30,32 +30,34 @@ ONE_A_FRAME = f"write the depth of each frame {AS_READ}; then {MOVE}"
 UNPACK = "unpack it and give the folder"
 # The first that fits is meant. First bytes: the formats' own descriptions, and file(1) of Debian 12.
 KINDS = (
-    Kind(
+    ForeignKind(
         "an OpenNI recording (.oni)",
         "record with `kinectbench record`, or play it by OpenNI 2 (in Python `openni2.Device.open_file`) and "
         f"{ONE_A_FRAME}",
         (b"NI10",),
     ),
-    Kind("an HDF5 file", ONE_A_FRAME, (b"\x89HDF\r\n\x1a\n",)),
-    Kind("a file of a NumPy array", ONE_A_FRAME, (b"\x93NUMPY",)),
-    Kind("a file of NumPy arrays (.npz)", ONE_A_FRAME, (b"PK\x03\x04",), (".npz",)),
-    Kind("a zip without a recording of a known format", UNPACK, (b"PK\x03\x04", b"PK\x05\x06")),
-    Kind(
+    ForeignKind("an HDF5 file", ONE_A_FRAME, (b"\x89HDF\r\n\x1a\n",)),
+    ForeignKind("a file of a NumPy array", ONE_A_FRAME, (b"\x93NUMPY",)),
+    ForeignKind("a file of NumPy arrays (.npz)", ONE_A_FRAME, (b"PK\x03\x04",), (".npz",)),
+    ForeignKind("a zip without a recording of a known format", UNPACK, (b"PK\x03\x04", b"PK\x05\x06")),
+    ForeignKind(
         "an archive",
         UNPACK,
         (b"\x1f\x8b", b"BZh", b"\xfd7zXZ\0", b"7z\xbc\xaf\x27\x1c", b"Rar!", b"\x28\xb5\x2f\xfd"),
     ),
-    Kind("a file of MATLAB arrays", ONE_A_FRAME, (b"MATLAB",)),
-    Kind("a ZED recording", "export its depth by the ZED SDK's SVO export", (), (".svo", ".svo2")),
-    Kind("a recording of Kinect Studio", f"play it in Kinect Studio and {ONE_A_FRAME}", (), (".xef",)),
-    Kind(
+    ForeignKind("a file of MATLAB arrays", ONE_A_FRAME, (b"MATLAB",)),
+    ForeignKind("a ZED recording", "export its depth by the ZED SDK's SVO export", (), (".svo", ".svo2")),
+    ForeignKind("a recording of Kinect Studio", f"play it in Kinect Studio and {ONE_A_FRAME}", (), (".xef",)),
+    ForeignKind(
         "a mesh or a cloud of points, without depth images",
         RECORD,
         (b"ply\n", b"ply\r\n", b"glTF", b"# .PCD"),
         (),
     ),
-    Kind("a mesh or a cloud of points, without depth images", RECORD, (), (".obj", ".stl", ".off", ".pcd")),
-    Kind(
+    ForeignKind(
+        "a mesh or a cloud of points, without depth images", RECORD, (), (".obj", ".stl", ".off", ".pcd")
+    ),
+    ForeignKind(
         "one image",
         "give the folder of the whole recording",
         (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*"),
