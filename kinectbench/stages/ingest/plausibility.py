@@ -18,7 +18,8 @@ MAX_DAMAGED = 0.05
 NEAREST_M, FARTHEST_M, TYPICAL_M = 0.15, 15.0, 1.5
 # Units per metre in public recordings: mm, TUM, 0.1 mm, m, cm, 1/256 m and 0.01 mm.
 COMMON_SCALES = (1000.0, 5000.0, 10000.0, 1.0, 100.0, 256.0, 100000.0)
-# What to do if no image has depth, and about images of two sizes.
+# What to do about too few frames, if no image has depth, and about images of two sizes.
+RECORD_MORE = "record some hundred, all around the object"
 FIND_DEPTH = "check which stream or folder holds depth"
 KEEP_SIZE, SEPARATE = "a recording must keep one size", "separate the two cameras or settings"
 RESIZE_COLOR = (
@@ -92,7 +93,8 @@ class FrameChecks:
             raise RecordingError(advised(line, self._advice), what="too-many-damaged")
         if frames - lost < MIN_FRAMES:
             raise RecordingError(
-                f"{self.recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed",
+                f"{self.recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed; "
+                f"{RECORD_MORE}",
                 what="too-few-frames",
             )
         warnings = [f"{DAMAGED_FRAME}{why}" for why in self._left_out]
