@@ -157,9 +157,9 @@ def stray_lines(stray: Sequence[str], missing: Iterable[str]) -> list[str]:
 
     Args:
         stray: names of these files, relative to the method's folder.
-        missing: `<recording>/<view>` of targets without a file. If a stray file's name differs from one of these
-            only in letter case, or in what is around the number of the view, the line says how to rename the
-            file.
+        missing: `<recording>/<view>` of targets without a file. If a stray file's name differs from one of
+            these only in letter case, or in what is around the number of the view, the line says how to
+            rename the file.
     """
     names = {_simple(name): name for name in missing}
     folders = {name.partition("/")[0].lower(): name.partition("/")[0] for name in names.values()}
