@@ -127,6 +127,10 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
         if len(left) > SHOWN_RECORDINGS:
             console.say(f"and {len(left) - SHOWN_RECORDINGS} more; --json lists all")
         console.say(in_words(rows))
+        if left:
+            built = "nothing is built yet" if not any(row.current for row in rows) else "not all is built"
+            line = f"{built}, so the exit status is {SOME_FAILED}; `kinectbench build` builds what is left"
+            console.lines("note", [line], "cyan")
     return SOME_FAILED if left else 0
 
 

@@ -153,16 +153,18 @@ def _build(common: Common, out: Path, ended_s: float, begun: "BuildProcess | Non
     `ended_s` is the time at which the recording ended; `begun` is the process that `_begun` started.
     """
     from kinectbench.cli.build import run_stage
-    from kinectbench.cli.recordings import init_command
+    from kinectbench.cli.recordings import write_benchmark
 
     if begun is not None:
         begun.ended()
     quiet, config = replace(common, as_json=False), out / DEFAULT_CONFIG
-    on_interrupt.words = f"stopped; `kinectbench build --config {quote(str(config))}` goes on from here"
-    init_command(folder=out)
+    command = f"`kinectbench build --config {quote(str(config))}`"
+    on_interrupt.words = f"stopped; {command} goes on from here"
+    _, (wrote, to_do) = write_benchmark(out, f"run {command}, which uses it")
+    console.say(wrote)
     status = run_stage(replace(quiet, config=config), "build", None, begun)
     took_s = time.monotonic() - ended_s
-    console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording"], "cyan")
+    console.lines("note", [f"{out}: the build ended {took_s:.0f} s after the recording", to_do], "cyan")
     return status
 
 

@@ -35,6 +35,21 @@ def init_command(
     force: Annotated[bool, typer.Option("--force", help="add to a benchmark.yaml what it lacks")] = False,
 ) -> None:
     """Write a commented benchmark.yaml for the recordings found in a folder."""
+    target, said = write_benchmark(folder, "run `kinectbench build`", force=force)
+    common.tell([str(target)], said)
+
+
+def write_benchmark(folder: Path, then: str, *, force: bool = False) -> tuple[Path, list[str]]:
+    """Write a benchmark.yaml for a folder's recordings; return its path, and lines to print about it.
+
+    Args:
+        folder: it and the folders below are searched.
+        then: what follows after somebody has filled in a new file, for the last line.
+        force: whether recordings are added to a file that is there.
+
+    Raises:
+        SettingsError: there is no such folder or no recording, or the file is there or has an error.
+    """
     from kinectbench.settings.reading import read_bytes
     from kinectbench.stages.ingest.readers import find_recordings, name_suffixes
 
@@ -57,14 +72,14 @@ def init_command(
         names = listed((path.relative_to(folder).as_posix() for path in left_out), SHOWN_LEFT_OUT)
         why = "`kinectbench inspect FOLDER` says why"
         console.lines("note", [f"left out, as no recording of a known format: {names}; {why}"], "yellow")
-    text, said = _benchmark_text(target, written, rows, suffixes)
+    text, said = _benchmark_text(target, written, rows, suffixes, then)
     with replaced_file(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    common.tell([str(target)], said)
+    return target, said
 
 
 def _benchmark_text(
-    target: Path, written: bytes | None, rows: Sequence[tuple[str, str]], suffixes: Sequence[str]
+    target: Path, written: bytes | None, rows: Sequence[tuple[str, str]], suffixes: Sequence[str], then: str
 ) -> tuple[str, list[str]]:
     """Return the text of a benchmark.yaml for the found recordings, and lines to print about it.
 
@@ -73,6 +88,7 @@ def _benchmark_text(
         written: content of the existing file, to which new recordings are added; None if there is no file.
         rows: (path relative to the file's folder, name of the format) of each recording.
         suffixes: endings of paths, such as ".bag", that are left out of ids.
+        then: as in `write_benchmark`.
 
     Raises:
         SettingsError: there are no recordings, or the existing file has an error.
@@ -83,7 +99,7 @@ def _benchmark_text(
     fresh = init_benchmark(target.parent, rows, suffixes)
     all_of = f"{len(rows)} recording{'s' * (len(rows) != 1)}"
     what = "category, object and underside of each, license and source"
-    said = [f"wrote {target}", f"{all_of}: fill in {what}, then run `kinectbench build`"]
+    said = [f"wrote {target}", f"{all_of}: fill in {what}, then {then}"]
     if written is None:
         return fresh, said
     try:

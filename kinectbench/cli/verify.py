@@ -67,11 +67,12 @@ def verify_command(
 
 def _brought(url: str, folder: Path) -> list[str]:
     """Download a release unchanged into `folder`; return a line for each file at the URL that it lacks."""
+    from kinectbench.release.check.verify import EXTRA
     from kinectbench.release.fetch import mirror_release
 
     with console.progress_bar("fetch") as progress:
         others = mirror_release(url, folder, progress)
-    return [f"{printable(name, 200)}: not part of the release" for name in others]
+    return [EXTRA.format(printable(name, 200)) for name in others]
 
 
 def _rebuild(

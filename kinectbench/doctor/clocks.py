@@ -15,6 +15,7 @@ from kinectbench.core.trajectory.stamps import (
 )
 from kinectbench.doctor.finding import Finding, Severity, camera_line
 from kinectbench.doctor.probe import Probe
+from kinectbench.stages.ingest.plausibility import MIN_FRAMES, RECORD_MORE
 
 # Steps that differ by more than this from whole periods are uneven; steps of several whole periods mean
 # missing frames.
@@ -22,7 +23,6 @@ OFF_PERIOD = 0.2
 EVEN_SHARE = 0.8
 DROPPED_SHARE = 0.02
 DOUBLED_SHARE = 0.01
-MIN_FRAMES = 3
 PAIRED_SHARE = 0.9
 # If at least this share of images is paired, the clocks agree, and the other images were lost.
 MOSTLY_PAIRED_SHARE = 0.5
@@ -41,6 +41,7 @@ def check_clock(probe: Probe) -> Iterator[Finding]:
             "stops",
             f"{len(recording)} frames; at least {MIN_FRAMES} are needed",
             probe.where,
+            RECORD_MORE,
         )
         return
     yield from _few(probe)

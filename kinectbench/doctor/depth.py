@@ -11,7 +11,15 @@ from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.probe import Probe
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
-from kinectbench.stages.ingest.plausibility import MAX_DAMAGED, scale_problem, suggested_scale
+from kinectbench.stages.ingest.images import advice_on
+from kinectbench.stages.ingest.plausibility import (
+    FIND_DEPTH,
+    KEEP_SIZE,
+    MAX_DAMAGED,
+    SEPARATE,
+    scale_problem,
+    suggested_scale,
+)
 
 # Range of horizontal fields of view of hand-held cameras, degrees.
 NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
@@ -86,7 +94,7 @@ def check_depth(probe: Probe) -> Iterator[Finding]:
     if not len(measured):
         yield Finding(
             "no_depth", "stops", "no pixel of the frames looked at has a depth", probe.where,
-            "check which stream or folder holds depth",
+            FIND_DEPTH,
         )  # fmt: skip
         return
     swapped = _byte_order(probe)
@@ -118,24 +126,24 @@ def is_likely(median_m: float, far_m: float) -> bool:
 
 
 def _readable(probe: Probe) -> Iterator[Finding]:
-    count = len(probe.frames) + len(probe.damaged) + len(probe.refused)
+    count = probe.looked_at
     # A build leaves out damaged frames and frames of another kind if there are few.
     few = len(probe.refused) + len(probe.damaged) < MAX_DAMAGED * count
     severity: Severity = "warning" if few else "stops"
     if probe.refused:
         what = f"{len(probe.refused)} of {count} frames looked at are of another kind: {probe.refused[0]}"
-        yield Finding("depth_format", severity, what, probe.where, "export the depth again, raw, in one kind")
+        yield Finding("depth_format", severity, what, probe.where, advice_on(probe.refused[0]))
     if probe.damaged:
         what = f"{len(probe.damaged)} of {count} frames looked at are damaged; the first: {probe.damaged[0]}"
-        yield Finding("damaged_frames", severity, what, probe.where, "copy or export them again")
+        yield Finding("damaged_frames", severity, what, probe.where, advice_on(probe.damaged[0]))
     step = probe.depth_step_px
     small = {(frame.depth_m.shape[0] * step, frame.depth_m.shape[1] * step) for frame in probe.frames}
     sizes = {frame.depth.shape for frame in probe.whole}
     if len(sizes) > 1 or len(small) > 1:
         known = sizes if len(sizes) > 1 else small
         shown = " and ".join(f"{width}x{height}" for height, width in sorted(known))
-        what = f"depth images are {shown}: a recording must keep one size"
-        yield Finding("depth_sizes", "stops", what, probe.where, "separate the two cameras or settings")
+        what = f"depth images are {shown}: {KEEP_SIZE}"
+        yield Finding("depth_sizes", "stops", what, probe.where, SEPARATE)
 
 
 def _byte_order(probe: Probe) -> list[Finding]:

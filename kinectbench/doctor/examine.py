@@ -221,6 +221,7 @@ def _facts(probe: Probe) -> dict[str, object]:
     stamps_ns = recording.stamps_ns
     duration_s = float(stamps_ns[-1] - stamps_ns[0]) / 1e9 if period_ns else None
     near_m, median_m, far_m = depth_quantiles_m(probe).tolist()
+    depth_m = {"p05": _rounded(near_m, 3), "median": _rounded(median_m, 3), "p95": _rounded(far_m, 3)}
     shares = [float((frame.depth_m > 0).mean()) for frame in probe.frames]
     colors = [frame.bgr.shape for frame in probe.whole if frame.bgr is not None]
     given = recording.given_trajectory
@@ -228,7 +229,8 @@ def _facts(probe: Probe) -> dict[str, object]:
         "path": str(recording.path),
         "format": recording.format,
         "frames": len(recording),
-        "frames_looked_at": len(probe.frames),
+        "frames_looked_at": probe.looked_at,
+        "frames_usable": None if probe.looked_at == len(probe.frames) else len(probe.frames),
         "color_images": len(color_ns) or None,
         "rate_hz": _rounded(1e9 / period_ns, 2) if period_ns else None,
         "duration_s": None if duration_s is None else _rounded(duration_s, 3),
@@ -237,7 +239,7 @@ def _facts(probe: Probe) -> dict[str, object]:
         "color_registered": recording.color_registered,
         "color_calibrated": recording.color_calibration is not None,
         "depth_scale": recording.depth_scale,
-        "depth_m": {"p05": _rounded(near_m, 3), "median": _rounded(median_m, 3), "p95": _rounded(far_m, 3)},
+        "depth_m": depth_m if math.isfinite(median_m) else None,
         "valid_share": _rounded(float(np.median(shares)), 3) if shares else None,
         "poses": None if given is None else len(given.stamps_ns),
     }

@@ -69,24 +69,29 @@ class Probe:
         recording: the opened recording.
         frames: the sampled frames at low resolution, in order, without the damaged and the refused ones.
         whole: some of these frames at full size, evenly spread.
-        damaged: one line for each sampled frame that is damaged, with the reason.
-        refused: one line for each sampled frame that is not damaged, but unreadable or of another size or
-            kind than the others, with the reason. But if 5 % of the frames or more have another size, those
-            whose depth has another size are not refused: they stay in `frames`.
+        damaged: the error of each sampled frame that is damaged.
+        refused: the error of each sampled frame that is not damaged, but unreadable or of another size or
+            kind than the others. But if 5 % of the frames or more have another size, those whose depth has
+            another size are not refused: they stay in `frames`.
         depth_step_px: the stride n of the small depth images.
     """
 
     recording: Recording
     frames: tuple[SmallFrame, ...]
     whole: tuple[WholeFrame, ...]
-    damaged: tuple[str, ...]
-    refused: tuple[str, ...]
+    damaged: tuple[RecordingError, ...]
+    refused: tuple[RecordingError, ...]
     depth_step_px: int
 
     @property
     def where(self) -> str:
         """The recording's path, as findings name it."""
         return str(self.recording.path)
+
+    @property
+    def looked_at(self) -> int:
+        """The number of sampled frames, those that cannot be used included."""
+        return len(self.frames) + len(self.damaged) + len(self.refused)
 
     @property
     def small_camera(self) -> Camera:
@@ -147,7 +152,10 @@ class ProbeBuilder:
             self._whole.append(WholeFrame(index, raw.depth, bgr))
 
     def probe(
-        self, damaged: Sequence[str] = (), refused: Sequence[str] = (), without: Collection[int] = ()
+        self,
+        damaged: Sequence[RecordingError] = (),
+        refused: Sequence[RecordingError] = (),
+        without: Collection[int] = (),
     ) -> Probe:
         """Return the probe of the gathered frames, without those whose index is in `without`."""
         frames = tuple(frame for frame in self._frames if frame.index not in without)
@@ -163,10 +171,10 @@ def probe_recording(recording: Recording, few: bool = False) -> Probe:
     count = len(recording)
     indices = evenly(count, FEW_FRAMES) if few else frames_to_read(count)
     gathering = ProbeBuilder(recording, indices)
-    damaged: list[str] = []
-    refused: list[str] = []
-    odd: dict[int, str] = {}
-    odd_color: dict[int, str] = {}
+    damaged: list[RecordingError] = []
+    refused: list[RecordingError] = []
+    odd: dict[int, RecordingError] = {}
+    odd_color: dict[int, RecordingError] = {}
     for index in indices.tolist():
         try:
             frame = recording.frame(index)
@@ -175,10 +183,10 @@ def probe_recording(recording: Recording, few: bool = False) -> Probe:
                 try:
                     check(frame, recording)
                 except OddImageError as error:
-                    found[index] = str(error)
+                    found[index] = error
         except RecordingError as error:
             whole = isinstance(error, OddImageError) or not isinstance(error, DamagedImageError)
-            (refused if whole else damaged).append(str(error))
+            (refused if whole else damaged).append(error)
     if len(odd.keys() | odd_color.keys()) >= MAX_DAMAGED * len(indices):
         odd = {}  # too many for a build to leave out; the depth check reports their sizes
     return gathering.probe(damaged, [*refused, *(odd_color | odd).values()], [*odd, *odd_color])

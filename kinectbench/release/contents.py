@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from kinectbench.core import IMAGE_BYTES, ReleaseError, decoded, listed_below, open_plain, untrusted_text
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
 from kinectbench.core.artefacts.targets import SHA256SUMS
+from kinectbench.core.store.address import shown, url_of
 from kinectbench.core.voxels.npz import UNREADABLE, open_npz
 from kinectbench.core.voxels.pair_file import MAX_BYTES as PAIR_BYTES
 from kinectbench.core.zip_files import DAMAGED_ZIP
@@ -34,6 +36,8 @@ SURFACES = "surfaces"
 LICENSE = "LICENSE"
 CITATION = "CITATION.cff"
 CHANGELOG = "CHANGELOG.md"
+# What to do about a file that is not the published one.
+AGAIN = "make or download it again"
 EMPTY_FOLDER = "an empty folder"
 LINK = "a link; in an archive only plain files are read"
 # Largest text or other file of a release that is read at once.
@@ -89,6 +93,16 @@ def refuse_large(folder: Path) -> None:
                     pass
             except UNREADABLE as error:
                 raise ReleaseError(f"{name}: {error}; {advice}") from error
+
+
+def no_release(path: Path) -> ReleaseError:
+    """The error for a folder, a file, a URL or a missing path in place of a release."""
+    if url_of(path) is None and not path.exists():
+        return ReleaseError(f"{path}: there is no such file or folder; correct the path", what="not-one")
+    advice = "give the folder that `publish` wrote, or that was downloaded"
+    return ReleaseError(
+        f"{shown(path)}: no release there ({BENCHMARK_JSON} is missing); {advice}", what="not-one"
+    )
 
 
 def release_files(folder: Path, *, with_empty: bool = False) -> Iterator[Path]:
@@ -153,9 +167,9 @@ class Contents:
         """
         entry = self.entries.get(name)
         if entry is None:
-            raise ReleaseError(f"{name}: missing; make or download it again", what="missing-file")
+            raise ReleaseError(f"{name}: missing; {AGAIN}", what="missing-file")
         if entry.problem:
-            raise ReleaseError(f"{name}: {entry.problem}; make or download it again")
+            raise ReleaseError(f"{name}: {entry.problem}; {AGAIN}")
         if entry.size > (most_bytes(name) if limit is None else limit):
             raise ReleaseError(
                 f"{name}: {entry.size} bytes are more than such a file can have", what="too-large"
@@ -181,10 +195,10 @@ class Contents:
                 yield file
         except OSError as error:
             reason = error.strerror or error
-            raise ReleaseError(f"{name}: cannot be read ({reason}); make or download it again") from error
+            raise ReleaseError(f"{name}: cannot be read ({reason}); {AGAIN}") from error
         except DAMAGED as error:
             # Errors while the caller reads the stream arrive here, too.
-            raise ReleaseError(f"{name}: damaged ({error}); make or download it again") from error
+            raise ReleaseError(f"{name}: damaged ({error}); {AGAIN}") from error
 
     def text(self, name: str, limit: int = MAX_READ_BYTES) -> str:
         """Return the text of a UTF-8 file.
@@ -196,7 +210,7 @@ class Contents:
             return decoded(self.read(name, limit), limit, name)
         except (OSError, UnicodeDecodeError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise ReleaseError(f"{name}: cannot be read ({reason}); make or download it again") from error
+            raise ReleaseError(f"{name}: cannot be read ({reason}); {AGAIN}") from error
 
 
 def release_json(text: str, where: str) -> Any:
@@ -208,4 +222,4 @@ def release_json(text: str, where: str) -> Any:
     try:
         return untrusted_text.strict_json(text)
     except (ValueError, RecursionError) as error:
-        raise ReleaseError(f"{where}: not valid JSON ({error}); make or download it again") from error
+        raise ReleaseError(f"{where}: not valid JSON ({error}); {AGAIN}") from error

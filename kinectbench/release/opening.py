@@ -37,6 +37,7 @@ from kinectbench.release.contents import (
     MOST_FILES,
     Contents,
     Entry,
+    no_release,
     release_files,
 )
 from kinectbench.release.unpack import TarMember
@@ -70,7 +71,7 @@ def open_contents(path: Path) -> Iterator[Contents]:
         raise SettingsError(problem, what="bad-url")
     contents = _folder(path)
     if not any(name in contents.entries for name in (BENCHMARK_JSON, SHA256SUMS)):
-        raise ReleaseError(f"{path}: no release there; run publish or download one", what="not-one")
+        raise no_release(path)
     yield contents
 
 

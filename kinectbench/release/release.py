@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.targets import Target as Target
 from kinectbench.core.store.address import other_scheme, shown
-from kinectbench.release.contents import MAX_READ_BYTES
+from kinectbench.release.contents import MAX_READ_BYTES, no_release
 from kinectbench.release.published import is_there, published_bytes, release_text
 
 FIRST_LINE = 2  # first line of targets.csv with a target
@@ -179,10 +179,7 @@ def open_release(path: Path) -> Release:
     if not is_there(path / BENCHMARK_JSON):
         if refusal := other_scheme(path):
             raise SettingsError(refusal, what="bad-url")
-        raise ReleaseError(
-            f"{shown(path)}: no release there ({BENCHMARK_JSON} is missing); run publish or download one",
-            what="not-one",
-        )
+        raise no_release(path)
     stated = release_text(path / BENCHMARK_JSON)
     metadata = ReleaseInfo.parse(stated, shown(path / BENCHMARK_JSON))
     sums_text = release_text(path / SHA256SUMS)

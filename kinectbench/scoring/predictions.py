@@ -2,9 +2,10 @@
 
 import contextlib
 import os
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from kinectbench.core import PredictionError, lies_below, listed_paths, name_problem, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
@@ -61,8 +62,7 @@ def find_predictions(folder: Path, targets: Iterable[Target]) -> FoundPrediction
         PredictionError: the folder is missing, cannot be listed or holds more than `MOST_FILES` files, or its
             method.json is refused (`read_method`).
     """
-    if not folder.is_dir():
-        raise PredictionError(f"{folder}: no such folder of predictions", what="no-folder")
+    _check_there(folder)
     with _readable(folder):
         return _matched(folder, targets, read_method(folder))
 
@@ -112,10 +112,13 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
 def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
     """Return the unexpected files in a folder, relative to it, sorted; hidden files are left out.
 
+    A link to a folder is listed like a file, unless files in it are expected: those are checked one by one.
+
     Raises:
         PredictionError: the folder has more than `MOST_FILES` files, or a folder cannot be listed.
     """
     strays, waiting, seen = list[str](), [(folder, "")], 0
+    folders = {name.rpartition("/")[0] for name in expected}
     while waiting:
         inside, way = waiting.pop()
         with _readable(inside), os.scandir(inside) as entries:
@@ -130,7 +133,7 @@ def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
                     continue
                 if entry.is_dir(follow_symlinks=False):
                     waiting.append((Path(entry.path), f"{name}/"))
-                elif name not in expected:
+                elif name not in expected and not (name in folders and entry.is_dir()):
                     strays.append(name)
     return tuple(sorted(strays))
 
@@ -147,24 +150,43 @@ def _readable(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def stray_lines(stray: Sequence[str], missing: Iterable[Target]) -> list[str]:
+def stray_lines(stray: Sequence[str], missing: Iterable[str]) -> list[str]:
     """Return a line for each of the first 20 files that match no target, and one with the number of others.
+
+    Files in a folder whose name differs from a recording's only in letter case have one line together.
 
     Args:
         stray: names of these files, relative to the method's folder.
-        missing: targets without a file. If a stray file's name differs from that of such a target only in
-            letter case, the line says how to rename the file.
+        missing: `<recording>/<view>` of targets without a file. If a stray file's name differs from one of
+            these only in letter case, or in what is around the number of the view, the line says how to
+            rename the file.
     """
-    meant = {
-        f"{target.name}{suffix}".lower(): target.name + suffix for target in missing for suffix in SUFFIXES
-    }
-    lines = []
-    for name in stray[:NAMED]:
-        advice = f"rename it to {meant[name.lower()]}" if name.lower() in meant else "remove it"
-        lines.append(f"{printable(name)}: answers no target of the benchmark; {advice}")
-    if len(stray) > NAMED:
-        lines.append(f"and {len(stray) - NAMED} more files that answer no target of the benchmark")
-    return lines
+    names = {_simple(name): name for name in missing}
+    folders = {name.partition("/")[0].lower(): name.partition("/")[0] for name in names.values()}
+    lines = dict[str, int]()
+    for name in stray:
+        top, suffix = name.partition("/")[0], PurePosixPath(name).suffix
+        meant = names.get(_simple(name.removesuffix(suffix)))
+        if folders.get(top.lower(), top) != top:
+            wanted = folders[top.lower()]
+            line = f"{printable(top)}/: its letter case is not that of the benchmark; rename it to {wanted}/"
+        elif name in folders.values():
+            line = f"{printable(name)}: no folder; put a folder of this name there, with its predictions"
+        else:
+            is_meant = meant and suffix.lower() in (*SUFFIXES, *OTHER_MESHES)
+            advice = f"rename it to {meant}{suffix.lower()}" if is_meant else "move it away"
+            line = f"{printable(name)}: answers no target of the benchmark; {advice}"
+        if line in lines or len(lines) < NAMED:
+            lines[line] = lines.get(line, 0) + 1
+    more = len(stray) - sum(lines.values())
+    return [*lines, *[f"and {more} more files that answer no target of the benchmark"] * (more > 0)]
+
+
+def _simple(name: str) -> str:
+    """Return `<folder>/<file>` in lower case, with the file's number alone if it has just one."""
+    folder, _, file = name.lower().rpartition("/")
+    numbers = re.findall(r"\d+", file)
+    return f"{folder}/{numbers[0].lstrip('0') if len(numbers) == 1 else file}"
 
 
 def missing_line(target: Target) -> str:
@@ -185,18 +207,21 @@ def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
             folder is a link out of the folder, or its name cannot be a method's name.
     """
     check_folder(folder)
+    targets = list(targets)
     recordings = frozenset(target.recording for target in targets)
     with _readable(folder):
         if _answers(folder, recordings):
             return {folder.resolve().name: folder}
-        methods = [
-            path for path in sorted(listed_paths(folder)) if path.is_dir() and _answers(path, recordings)
-        ]
+        found = [path for path in sorted(listed_paths(folder)) if path.is_dir()]
+        methods = [path for path in found if _answers(path, recordings)]
     if not methods:
-        raise PredictionError(
-            f"{folder}: no predictions there; expected {EXPECTED}, or a folder of these per method",
-            what="none",
-        )
+        advice = f"expected {EXPECTED}{_such(targets)}, or a folder of these per method"
+        names = {name.lower(): name for name in recordings}
+        for path in found:
+            if (name := names.get(path.name.lower(), path.name)) != path.name:
+                advice = f"rename {printable(path.name)}/ to {name}/ (letter case matters)"
+                break
+        raise PredictionError(f"{folder}: no predictions there; {advice}", what="none")
     for path in methods:
         if not lies_below(path, folder.resolve()):
             raise PredictionError(
@@ -224,8 +249,8 @@ def lines_without(folder: Path, methods: Mapping[str, Path], targets: Iterable[T
             for path in listed_paths(folder)
             if path.is_dir() and path.name not in methods and not path.name.startswith(".")
         )
-    such = next((f", such as {target.name}.npy" for target in targets if target.split == "test"), "")
-    lines = [f"{printable(name)}/: no prediction there; expected {EXPECTED}{such}" for name in others[:NAMED]]
+    expected = f"{EXPECTED}{_such(targets)}"
+    lines = [f"{printable(name)}/: no prediction there; expected {expected}" for name in others[:NAMED]]
     return lines + [f"and {len(others) - NAMED} more folders without a prediction"] * (len(others) > NAMED)
 
 
@@ -241,14 +266,24 @@ def declared_folders(folder: Path) -> list[Path]:
         return sorted(path for path in listed_paths(folder) if (path / MethodFile.FILE).is_file())
 
 
+def _such(targets: Iterable[Target]) -> str:
+    return next((f", such as {target.name}.npy" for target in targets if target.split == "test"), "")
+
+
+def _check_there(folder: Path) -> None:
+    if not folder.is_dir():
+        fault = "a file, not a folder" if folder.exists() else "there is no such folder"
+        advice = f"give the folder of your predictions, with {EXPECTED}"
+        raise PredictionError(f"{folder}: {fault}; {advice}", what="no-folder")
+
+
 def check_folder(folder: Path) -> None:
     """Refuse a folder that cannot hold predictions of any release.
 
     Raises:
         PredictionError: the folder is missing, is a release, or lies directly in one.
     """
-    if not folder.is_dir():
-        raise PredictionError(f"{folder}: no such folder of predictions", what="no-folder")
+    _check_there(folder)
     if any((path / BENCHMARK_JSON).is_file() for path in (folder, folder.resolve().parent)):
         raise PredictionError(
             f"{folder}: belongs to a release; give the folder of your predictions", what="no-folder"
@@ -319,7 +354,7 @@ def check_grids(
         progress(done, len(release.targets))
     if line := axes_problem(_looked_at(release, predictions, list(readable))):
         problems.append(line)
-    problems += stray_lines(predictions.stray, predictions.missing)
+    problems += stray_lines(predictions.stray, (target.name for target in predictions.missing))
     return problems, list(same_lines({target.name: of for target, of in sorted(readable.items())}))
 
 

@@ -107,7 +107,7 @@ def _with_warnings(
     more = (
         *method_lines(predictions, method, release),
         *_changed(method, asked.files, table),
-        *stray_lines(asked.found.stray, asked.found.missing),
+        *stray_lines(asked.found.stray, (target.name for target in asked.found.missing)),
     )
     update: dict[str, object] = {"warnings": (*table.warnings, *more)}
     if method is not None and method.run_sha256 is not None:

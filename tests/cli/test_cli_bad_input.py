@@ -115,7 +115,7 @@ floor_only = in_front_of(lambda x, y: 1.2 * np.sqrt(2) / np.maximum(1 + y, 0.2),
 LAYOUTS = "rosbag1, |tum, |7scenes, |, folder|kinectbench formats"
 BAD_RECORDINGS = {
     "no such recording": (lost, "recordings/chair: no such recording|correct `path`|'chair'"),
-    "empty folder": (empty_folder, f"recordings/chair: the folder is empty|{LAYOUTS}"),
+    "empty folder": (empty_folder, "recordings/chair: the folder is empty"),
     "unknown layout": (unknown_layout, f"recordings/chair: not a recording of a known format|{LAYOUTS}"),
     "colour of another size": (color_of_another_size, "colour is 320x240|depth is 160x120"),
     "depth of 8 bits": (depth_of_8_bits, "/depth/|.png: depth is 8-bit|16-bit|export"),

@@ -24,6 +24,10 @@ def test_what_is_built_is_done(command: Command, small: Path, tmp_path: Path) ->
     assert states(result) == {"chair": ("done", None), "table": ("done", None)}
     assert command(root, "build", "--status").out == "2 of 2 done, 0 failed, 0 missing\n"
     assert hashes(root) == before
+    shutil.rmtree(root / "build")
+    nothing = command(root, "build", "--status")
+    assert nothing.status == 3 and nothing.out.endswith("0 of 2 done, 0 failed, 2 missing\n")
+    assert "note: nothing is built yet" in nothing.err and "status is 3" in nothing.err
 
 
 def test_what_is_missing_failed_or_out_of_date_is_listed(

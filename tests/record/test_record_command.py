@@ -254,6 +254,11 @@ def test_ctrl_c_ends_the_recording_and_then_it_is_built(source: Path, tmp_path: 
     process.send_signal(signal.SIGINT)
     printed, err = process.communicate(timeout=300)
     assert f"wrote {out}:" in printed and "goes on from here" not in err, err
+    # What is to fill in is said after the build, with the command for this folder.
+    assert (
+        f"run `kinectbench build --config {out}/benchmark.yaml`" in err
+        and "`kinectbench build`" not in printed
+    )
     # Whether these frames make an object matters to the last stages alone.
     assert process.returncode != 130 and (out / "build" / "out" / "sequence").is_dir(), err
 

@@ -121,7 +121,7 @@ def test_pairs_that_are_no_files(copy: Path, tmp_path: Path, odd: Callable[[Path
     odd(copy / PAIR)
     with within(10):
         refused_everywhere(release, tmp_path, "not a plain file")
-        assert verify(copy) == [f"{PAIR}: not a plain file"]
+        assert [line.partition("; ")[0] for line in verify(copy)] == [f"{PAIR}: not a plain file"]
 
 
 @pytest.mark.parametrize("name", ["LICENSE", MESH, PAIR, "index.html", "SHA256SUMS"])
@@ -214,7 +214,7 @@ def test_a_release_of_links_is_as_good(copy: Path, tmp_path: Path) -> None:
     assert export_bop(release, tmp_path / "bop") == len(release.targets)
     (copy / PAIR).unlink()
     (copy / PAIR).symlink_to(tmp_path / "nowhere")
-    assert verify(copy) == [f"{PAIR}: a link that leads nowhere"]
+    assert [line.partition("; ")[0] for line in verify(copy)] == [f"{PAIR}: a link that leads nowhere"]
 
 
 def test_recordings_that_benchmark_json_does_not_have(copy: Path) -> None:

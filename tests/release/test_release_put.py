@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.targets import SHA256SUMS, benchmark_sha256
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.store.store import Store
-from kinectbench.release.check.verify import verify_checksums
+from kinectbench.release.check.verify import MISSING, verify_checksums
 from kinectbench.release.fetch import fetch_release
 from kinectbench.release.put import PutSummary, put_release
 from kinectbench.release.release import Release
@@ -89,7 +89,7 @@ def test_a_put_that_was_stopped_is_no_release(
     with raises(ReleaseError, "release.not-one"):
         fetch_release(s3, tmp_path / "no")
     assert not (tmp_path / "no").exists()
-    assert f"{BENCHMARK_JSON}: missing" in verify_checksums(s3, tmp_path / "mirror")
+    assert MISSING.format(BENCHMARK_JSON) in verify_checksums(s3, tmp_path / "mirror")
     put_release(release.folder, Store(s3))
     fetch_release(s3, tmp_path / "got")
     assert hashes(tmp_path / "got") == hashes(release.folder)

@@ -24,6 +24,7 @@ from kinectbench.core.errors import KinectBenchError, ReleaseError, SettingsErro
 from kinectbench.core.storage import sha256_file
 from kinectbench.core.store.address import shown
 from kinectbench.core.store.store import Store
+from kinectbench.release.check.verify import CHANGED, EXTRA, MISSING
 from kinectbench.release.fetch import (
     ReleasePart,
     cached_release,
@@ -257,8 +258,8 @@ def test_verify_says_of_a_url_what_it_says_of_a_folder(
     result = command(tmp_path, "verify", "--json", s3)
     problems = json.loads(result.out)
     assert result.status == 1
-    assert f"{first}: changed since it was published (SHA-256 differs)" in problems
-    assert f"{second}: missing" in problems and "extra.txt: not part of the release" in problems
+    assert CHANGED.format(first) in problems
+    assert MISSING.format(second) in problems and EXTRA.format("extra.txt") in problems
 
 
 def test_checksums_of_a_url_need_little_room(

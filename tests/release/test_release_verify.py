@@ -16,7 +16,7 @@ from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.core.voxels.pair_file import Pair, pack
 from kinectbench.release.check.pair_check import pair_problems
-from kinectbench.release.check.verify import verify
+from kinectbench.release.check.verify import CHANGED, EXTRA, MISSING, verify
 from kinectbench.release.release import Release
 
 
@@ -57,24 +57,24 @@ def link(folder: Path) -> None:
 DAMAGE: dict[str, tuple[Callable[[Path], object], list[str]]] = {
     "flipped bit in a pair": (
         lambda folder: flip(folder / "pairs/chair_01/001.npz"),
-        ["pairs/chair_01/001.npz: changed since it was published (SHA-256 differs)"],
+        [CHANGED.format("pairs/chair_01/001.npz")],
     ),
     "flipped bit in a mesh": (
         lambda folder: flip(folder / "objects/chair_01/mesh.ply"),
-        ["objects/chair_01/mesh.ply: changed since it was published (SHA-256 differs)"],
+        [CHANGED.format("objects/chair_01/mesh.ply")],
     ),
     "missing pair": (
         lambda folder: (folder / "pairs/table_01/000.npz").unlink(),
-        ["pairs/table_01/000.npz: missing"],
+        [MISSING.format("pairs/table_01/000.npz")],
     ),
     "extra file": (
         lambda folder: (folder / "views/notes.txt").write_text("hello"),
-        ["views/notes.txt: not part of the release"],
+        [EXTRA.format("views/notes.txt")],
     ),
     "changed target": (
         change_target,
         [
-            "targets.csv: changed since it was published (SHA-256 differs)",
+            CHANGED.format("targets.csv"),
             "targets.csv, line 4: category 'sofa' where benchmark.json has 'chair'",
         ],
     ),
@@ -83,21 +83,21 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], list[str]]] = {
             "".join((folder / "targets.csv").read_text().splitlines(keepends=True)[:-1])
         ),
         [
-            "targets.csv: changed since it was published (SHA-256 differs)",
+            CHANGED.format("targets.csv"),
             "targets.csv: no line for pairs/table_02/000.npz",
             "targets.csv: 0 pairs of table_02 where benchmark.json has 1",
         ],
     ),
-    "link": (link, ["README.md: changed since it was published (SHA-256 differs)"]),
+    "link": (link, [CHANGED.format("README.md")]),
     "missing card and a link more": (
         card_lost_and_a_link_more,
-        ["README.md: missing", "out: not part of the release"],
+        [MISSING.format("README.md"), EXTRA.format("out")],
     ),
     "benchmark.json": (
         lambda folder: (folder / "benchmark.json").write_text("{"),
-        ["benchmark.json: changed since it was published (SHA-256 differs)"],
+        [CHANGED.format("benchmark.json")],
     ),
-    "no targets": (lambda folder: (folder / "targets.csv").unlink(), ["targets.csv: missing"]),
+    "no targets": (lambda folder: (folder / "targets.csv").unlink(), [MISSING.format("targets.csv")]),
 }
 
 
@@ -264,7 +264,7 @@ def test_pair_problems(name: str) -> None:
 def test_checksums_alone_find_every_changed_missing_or_new_file(name: str, copy: Path) -> None:
     damage, expected = DAMAGE[name]
     damage(copy)
-    of_bytes = ("(SHA-256 differs)", ": missing", "not part of the release")
+    of_bytes = tuple(words.format("") for words in (CHANGED, MISSING, EXTRA))
     assert verify(copy, checksums_only=True) == [line for line in expected if line.endswith(of_bytes)]
 
 

@@ -48,7 +48,7 @@ def test_everything_wrong_at_once(folder: Path, release: Release, tmp_path: Path
         "chair_01/001: both .npy and .npz are there; keep one",
         "chair_02/000: no prediction; expected chair_02/000.npy, .npz, .ply or .obj",
         "table_01/000.npy: the file is empty",
-        "table_01/0.npy: answers no target of the benchmark; remove it",
+        "table_01/0.npy: answers no target of the benchmark; move it away",
     ]
 
 
@@ -81,6 +81,25 @@ def test_links(folder: Path, release: Release, tmp_path: Path) -> None:
     found = find_predictions(folder, release.split("test"))
     assert [target.name for target in found.problems] == ["chair_01/000", "chair_01/001", "table_01/000"]
     assert [target.name for target in found.files] == ["chair_02/000"]
+    # Of the linked folder each prediction has a line, so that the link itself is none to move away.
+    assert found.stray == ("chair_02/real.npy",)
+
+
+def test_names_that_nearly_fit_are_told_what_to_become(folder: Path, release: Release) -> None:
+    (folder / "chair_01" / "000.npy").rename(folder / "chair_01" / "view_0.NPY")
+    (folder / "chair_02").rename(folder / "Chair_02")
+    (folder / "table_01" / "000.npy").rename(folder / "table_01" / "step1_0.npy")
+    strays = check(release, folder)[3:]
+    assert [line.partition(": ")[0] for line in strays] == [
+        "Chair_02/", "chair_01/view_0.NPY", "table_01/step1_0.npy"
+    ]  # fmt: skip
+    assert [line.rpartition(" ")[2] for line in strays] == ["chair_02/", "chair_01/000.npy", "away"]
+    shutil.rmtree(folder / "chair_01")
+    shutil.rmtree(folder / "table_01")
+    with raises(PredictionError, "prediction.none", match="Chair_02/.* chair_02/"):
+        split_methods(folder, release.targets)
+    (folder / "chair_02").symlink_to("nowhere")
+    assert check(release, folder)[-1].startswith("chair_02: no folder")
 
 
 def test_split_methods(folder: Path, release: Release, tmp_path: Path) -> None:
@@ -108,3 +127,6 @@ def test_no_predictions(release: Release, tmp_path: Path) -> None:
     for function in (split_methods, find_predictions):
         with raises(PredictionError, "prediction.no-folder"):
             function(tmp_path / "nowhere", release.targets)
+        (tmp_path / "file").touch()
+        with raises(PredictionError, "prediction.no-folder", match="a file"):
+            function(tmp_path / "file", release.targets)

@@ -37,13 +37,14 @@ from kinectbench.release.check.object_check import object_problems, recording_of
 from kinectbench.release.check.pair_check import input_problems, pair_problems
 from kinectbench.release.check.truth_check import TruthCheck
 from kinectbench.release.check.view_check import StatedView, image_names, no_decoder, view_lines
-from kinectbench.release.contents import GLB, OBJECT_FILES, VIEW_IMAGES, Contents
+from kinectbench.release.contents import AGAIN, GLB, OBJECT_FILES, VIEW_IMAGES, Contents
 from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents
 from kinectbench.release.release import FIRST_LINE, recording_problems, sum_problems
 
-MISSING = "{}: missing"
-CHANGED = "{}: changed since it was published (SHA-256 differs)"
+MISSING = f"{{}}: missing; {AGAIN}"
+CHANGED = f"{{}}: changed since it was published (SHA-256 differs); {AGAIN}"
+EXTRA = "{}: not part of the release; move it away"
 
 
 def verify(path: Path, progress: Progress = no_progress, *, checksums_only: bool = False) -> list[str]:
@@ -162,7 +163,7 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
     if entry is None:
         return MISSING.format(name)
     if entry.problem:
-        return f"{name}: {entry.problem}"
+        return f"{name}: {entry.problem}; {AGAIN}"
     try:
         with contents.stream(name) as file:
             digest = hashlib.file_digest(cast(io.BufferedIOBase, file), "sha256").hexdigest()
@@ -181,7 +182,7 @@ def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
 
 
 def _extra(name: str) -> str:
-    return f"{printable(name, 200)}: not part of the release"
+    return EXTRA.format(printable(name, 200))
 
 
 def _object_lines(

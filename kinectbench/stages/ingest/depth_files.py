@@ -74,7 +74,9 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
         image_header(data, name)
         pixels = decode_unchanged(data, name)
         if pixels.ndim != 3 or pixels.dtype != np.uint8:
-            raise OddImageError(f"{name}: is no PNG of 8-bit channels, as other depth here: keep one kind")
+            raise OddImageError(
+                f"{name}: is no PNG of 8-bit channels, as other depth here: keep one kind", advice=""
+            )
         return joined_channels(pixels, channels)
     return decode_depth_png(data, name)
 
@@ -152,11 +154,14 @@ def _as_depth(pixels: NDArray[np.generic], name: str) -> UInt16 | Float32:
             return pixels.astype(np.float32)
     if pixels.ndim == 2 and pixels.dtype.kind in "ui" and pixels.dtype.itemsize == 1:
         raise OddImageError(
-            f"{name}: depth is 8-bit ({pixels.dtype}): export the raw depth again, not a picture of it"
+            f"{name}: depth is 8-bit ({pixels.dtype}): export the raw depth again, not a picture of it",
+            advice="",
         )
     if pixels.ndim == 2 and pixels.dtype.kind in "ui":
         if pixels.size and (pixels.min() < 0 or pixels.max() > np.iinfo(np.uint16).max):
-            raise OddImageError(f"{name}: its whole numbers do not fit into 16 bits: write metres as floats")
+            raise OddImageError(
+                f"{name}: its whole numbers do not fit into 16 bits: write metres as floats", advice=""
+            )
         return pixels.astype(np.uint16)
     raise OddImageError(
         f"{name}: depth is {pixels.dtype} of shape {pixels.shape}, not one channel of floats or of 16-bit "
@@ -201,7 +206,8 @@ def _of_npz(data: bytes, name: str) -> NDArray[np.generic]:
         shapes = ", ".join(f"'{key}' {array.shape}" for key, array in sorted(arrays.items()))
         raise OddImageError(
             f"{name}: holds {printable(shapes, 200) or 'no arrays'}: which one is depth? give it the key "
-            f"'{KEY}', (height, width)"
+            f"'{KEY}', (height, width)",
+            advice="",
         )
     return images[0]
 

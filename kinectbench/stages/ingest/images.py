@@ -12,15 +12,37 @@ FLOAT_SCALE = 5000.0
 
 
 class DamagedImageError(RecordingError):
-    """One image is missing or damaged; if only a few are, their frames are left out."""
+    """One image is missing or damaged; if only a few are, their frames are left out.
+
+    Attributes:
+        advice: what to do if many are; "" if the message says it.
+    """
 
     what = "damaged-image"
+    advice = "copy or export them again"
+
+    def __init__(self, *lines: object, advice: str | None = None) -> None:
+        """Keep the class's advice unless `advice` is given."""
+        super().__init__(*lines)
+        if advice is not None:
+            self.advice = advice
 
 
 class OddImageError(DamagedImageError):
     """One image is intact, but of another kind or size than the recording's depth."""
 
     what = "other-image"
+    advice = "export the depth again, raw, in one kind"
+
+
+def advice_on(error: RecordingError) -> str:
+    """What to do about an image that cannot be used; "" if the error's message says it."""
+    return error.advice if isinstance(error, DamagedImageError) else ""
+
+
+def advised(line: str, advice: str) -> str:
+    """A message with advice (of `advice_on`) at its end."""
+    return f"{line}; {advice}" if advice else line
 
 
 def image_header(data: bytes, name: str) -> tuple[str, int, int]:
@@ -62,7 +84,8 @@ def decode_depth_png(data: bytes, name: str) -> NDArray[np.uint16]:
         joined = "; or, if its channels are bytes of depth, join them by the data set's own tool"
         raise OddImageError(
             f"{name}: depth is {head.bits}-bit (uint{max(head.bits, 8)}) with {channels}, not 16-bit grey "
-            f"(uint16): export the raw depth again, not a picture of it{joined if packed else ''}"
+            f"(uint16): export the raw depth again, not a picture of it{joined if packed else ''}",
+            advice="",
         )
     return np.asarray(decode_unchanged(data, name), dtype=np.uint16)
 

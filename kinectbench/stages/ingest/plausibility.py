@@ -7,7 +7,7 @@ import numpy as np
 from kinectbench.core import RecordingError
 from kinectbench.core.artefacts.sequence import DAMAGED_FRAME
 from kinectbench.core.trajectory.stamps import format_stamp
-from kinectbench.stages.ingest.images import OddImageError, image_header
+from kinectbench.stages.ingest.images import OddImageError, advised, image_header
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 # `track` needs at least this many poses.
@@ -18,6 +18,14 @@ MAX_DAMAGED = 0.05
 NEAREST_M, FARTHEST_M, TYPICAL_M = 0.15, 15.0, 1.5
 # Units per metre in public recordings: mm, TUM, 0.1 mm, m, cm, 1/256 m and 0.01 mm.
 COMMON_SCALES = (1000.0, 5000.0, 10000.0, 1.0, 100.0, 256.0, 100000.0)
+# What to do about too few frames, if no image has depth, and about images of two sizes.
+RECORD_MORE = "record some hundred, all around the object"
+FIND_DEPTH = "check which stream or folder holds depth"
+KEEP_SIZE, SEPARATE = "a recording must keep one size", "separate the two cameras or settings"
+RESIZE_COLOR = (
+    "bring colour to depth's size; or, where it is not registered, leave it out, or state `color_registered: "
+    "false`, with the calibration if it is known, in camera.json (of TUM and plain folders)"
+)
 # Number of frames, and stride along rows and columns, for the median depth.
 SAMPLED_FRAMES, SAMPLED_EVERY_PX = 50, 4
 
@@ -35,6 +43,7 @@ class FrameChecks:
         """Start before the first frame."""
         self.recording = recording
         self._left_out: list[str] = []
+        self._advice = ""
         self._seen = 0
         self._empty: list[str] = []
         self._medians: list[float] = []
@@ -58,8 +67,14 @@ class FrameChecks:
         self._look_at_depth(frame)
         return suffix
 
-    def leave_out(self, why: str) -> None:
-        """Record that the caller leaves out a damaged frame; `why` names the frame and the damage."""
+    def leave_out(self, why: str, advice: str = "") -> None:
+        """Record that the caller leaves out a damaged frame.
+
+        Args:
+            why: names the frame and the damage.
+            advice: what to do, as `advice_on` returns it.
+        """
+        self._advice = self._advice if self._left_out else advice
         self._left_out.append(why)
 
     def verdict(self) -> list[str]:
@@ -71,20 +86,22 @@ class FrameChecks:
         """
         lost, frames = len(self._left_out), len(self.recording)
         if lost and lost >= MAX_DAMAGED * frames:
-            raise RecordingError(
+            line = (
                 f"{self._left_out[0]} ({lost} of {frames} frames cannot be used; "
-                f"fewer than {MAX_DAMAGED:.0%} may be left out)",
-                what="too-many-damaged",
+                f"fewer than {MAX_DAMAGED:.0%} may be left out)"
             )
+            raise RecordingError(advised(line, self._advice), what="too-many-damaged")
         if frames - lost < MIN_FRAMES:
             raise RecordingError(
-                f"{self.recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed",
+                f"{self.recording.path}: usable frames: {frames - lost}; at least {MIN_FRAMES} are needed; "
+                f"{RECORD_MORE}",
                 what="too-few-frames",
             )
         warnings = [f"{DAMAGED_FRAME}{why}" for why in self._left_out]
         if len(self._empty) == self._seen:
             raise RecordingError(
-                f"{self._empty[0]}: this and all {self._seen} depth images are empty (no pixel has a depth)",
+                f"{self._empty[0]}: this and all {self._seen} depth images are empty (no pixel has a depth); "
+                f"{FIND_DEPTH}",
                 what="empty-depth",
             )
         self._check_scale()
@@ -144,7 +161,8 @@ def check_size(frame: RawFrame, recording: Recording) -> None:
     if (width, height) != (camera.width, camera.height):
         raise OddImageError(
             f"{frame.name}: depth is {width}x{height}, but the first frame's is "
-            f"{camera.width}x{camera.height}: a recording must keep one size"
+            f"{camera.width}x{camera.height}: {KEEP_SIZE}",
+            advice=SEPARATE,
         )
 
 
@@ -162,7 +180,8 @@ def check_color(frame: RawFrame, recording: Recording) -> str | None:
     if recording.color_registered and (width, height) != size_px:
         raise OddImageError(
             f"{frame.name}: its colour is {width}x{height}, but its depth is {size_px[0]}x{size_px[1]}; in a "
-            f"recording whose colour is registered to depth (format {recording.format}) the sizes must agree"
+            f"recording whose colour is registered to depth (format {recording.format}) the sizes must agree",
+            advice=RESIZE_COLOR,
         )
     return suffix
 

@@ -23,6 +23,7 @@ from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
     OddImageError,
+    advised,
     decode_mask,
     image_header,
     quantised,
@@ -391,5 +392,6 @@ def first_depth_size(files: Sequence[FrameFiles]) -> tuple[int, int]:
         )
     except DamagedImageError as error:
         raise RecordingError(
-            f"{error}; none of the {tried(len(files))} depth images is usable", what="no-frame"
+            advised(f"{error}; none of the {tried(len(files))} depth images is usable", error.advice),
+            what="no-frame",
         ) from error

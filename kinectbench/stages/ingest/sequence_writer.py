@@ -14,7 +14,7 @@ from kinectbench.core.sequence import depth_in_metres
 from kinectbench.core.threads import ahead
 from kinectbench.core.types import Progress
 from kinectbench.stages.ingest.depth_code import encode_depth
-from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr, encode_png
+from kinectbench.stages.ingest.images import DamagedImageError, advice_on, decode_color_bgr, encode_png
 from kinectbench.stages.ingest.plausibility import FrameChecks
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 from kinectbench.stages.ingest.registration import ColorRegistration
@@ -80,7 +80,7 @@ class SequenceWriter:
         for packed in ahead(partial(_packed, self._register), checked):
             self.taken += 1
             if isinstance(packed, _Damaged):
-                self.checks.leave_out(packed.why)
+                self.checks.leave_out(packed.why, packed.advice)
                 continue
             self.rows.append(_write_packed(packed, len(self.rows), self.folder))
             if watch:
@@ -111,9 +111,10 @@ def _registered(register: ColorRegistration, depth_scale: float, frame: RawFrame
 
 @dataclass(frozen=True)
 class _Damaged:
-    """A frame that is left out; `why` names the frame and the damage."""
+    """A frame that is left out; `why` names the frame and the damage, `advice` is that of `advice_on`."""
 
     why: str
+    advice: str
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ def _checked_frames(
             frame = recording.frame(index)
             checked: _Checked | _Damaged = _Checked(index, frame, checks.check(frame), frame)
         except DamagedImageError as error:
-            checked = _Damaged(str(error))
+            checked = _Damaged(str(error), advice_on(error))
         yield checked
         if progress:
             progress(index + 1, len(recording))
@@ -166,7 +167,7 @@ def _packed(
         if frame.color is not None:
             decode_color_bgr(frame.color[1], f"colour of {frame.name}")
     except DamagedImageError as error:
-        return _Damaged(str(error))
+        return _Damaged(str(error), advice_on(error))
     return replace(checked, depth=depth)
 
 

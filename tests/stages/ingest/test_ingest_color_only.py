@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ingest_writers import color_image, depth_image, jpeg, png
+from ingest_writers import color_image, depth_image, jpeg, png, write_folder
+from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.settings.models import CameraSettings
@@ -42,6 +43,36 @@ def test_videos(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"chair{suffix}"
     path.write_bytes(b"\0\0\0\x20ftypisom")
     assert "is a video, which holds colour only: record with a camera that measures depth" in refusal(path)
+
+
+OTHERS = {
+    "a.oni": (b"NI10\0\0", "OpenNI.*`kinectbench record`.*depth/"),
+    "a.bin": (b"\x89HDF\r\n\x1a\n\0", "HDF5.*depth/"),
+    "a.npz": (b"PK\x03\x04\0", r"NumPy arrays \(.npz\).*depth/"),
+    "a.zip": (b"PK\x03\x04\0", "zip.*unpack it"),
+    "a.tgz": (b"\x1f\x8b\x08", "archive; unpack it"),
+    "a.tar": (b"r/".ljust(257, b"\0") + b"ustar\0", "archive; unpack it"),
+    "a.SVO2": (b"SVO", "ZED"),
+    "a.png": (b"\x89PNG\r\n\x1a\n", "one image; give the folder"),
+    "a.txt": (b"", "the file is empty"),
+    "b.txt": (b"nothing known\n", "`kinectbench formats`"),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_files_are_named_with_what_to_do(tmp_path: Path, name: str) -> None:
+    content, words = OTHERS[name]
+    (tmp_path / name).write_bytes(content)
+    with raises(RecordingError, "recording.unknown-format", match=rf"{name}: .*{words}"):
+        open_recording(tmp_path / name)
+
+
+def test_a_file_of_a_recording_leads_to_its_folder(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r", ("0", "1", "2"))
+    for file in (folder / "depth/1.png", folder / "notes.txt"):
+        file.touch()
+        with raises(RecordingError, "recording.unknown-format", match=f"give its folder, {folder}$"):
+            open_recording(file)
 
 
 def test_a_stray_picture_is_no_recording(tmp_path: Path) -> None:

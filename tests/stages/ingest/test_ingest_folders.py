@@ -293,7 +293,7 @@ def test_find_recordings_and_source_files(tmp_path: Path) -> None:
     assert len(files) == 2 * 5 + 4
     bag = write_bag(tmp_path / "r.bag")
     assert source_files(bag) == [bag]
-    with raises(RecordingError, "recording.unknown-format", match="not a recording of a known format"):
+    with raises(RecordingError, "recording.unknown-format", match="give its folder"):
         source_files(files[0])
 
 

@@ -16,6 +16,8 @@ from raising import raises
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.untrusted import read_plain
 from kinectbench.doctor import Diagnosis, inspect
+from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.plausibility import FIND_DEPTH
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.recording import FileRecording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
@@ -191,10 +193,11 @@ def test_several_frames_of_another_kind_stop_build_and_inspect(tmp_path: Path, n
     suffix, odd, words = ODD[name]
     right = [npy(metres(i)) if suffix == ".npy" else png(depth_image(i, 1000.0)) for i in range(24)]
     folder = recorded(tmp_path / "r", suffix, [*right[:7], odd, odd, *right[9:]])
-    with raises(RecordingError, "recording.too-many-damaged", match=rf"{words}.*2 of 24"):
+    with raises(RecordingError, "recording.too-many-damaged", match=rf"{words}.*2 of 24") as error:
         write_sequence(open_recording(folder), tmp_path / "out")
     diagnosis, severities = looked_over(folder)
     assert severities == ["stops"] and diagnosis.stops
+    assert str(error.value).endswith(diagnosis.findings[0].advice)
 
 
 def test_colour_of_another_size_stops_build_and_inspect(tmp_path: Path) -> None:
@@ -202,10 +205,29 @@ def test_colour_of_another_size_stops_build_and_inspect(tmp_path: Path) -> None:
     small = np.zeros((HEIGHT // 2, WIDTH // 2, 3), np.uint8)
     for number in range(7, 12):
         (tmp_path / f"r/color/{number}.jpg").write_bytes(jpeg(small))
-    with raises(RecordingError, "recording.too-many-damaged", match="5 of 24"):
+    with raises(RecordingError, "recording.too-many-damaged", match="5 of 24") as error:
         write_sequence(open_recording(tmp_path / "r"), tmp_path / "out")
     diagnosis, _ = inspect(tmp_path / "r")
-    assert diagnosis.stops and any("its colour is" in found.what for found in diagnosis.findings)
+    (found,) = (found for found in diagnosis.findings if found.severity == "stops")
+    assert "its colour is" in found.what and str(error.value).endswith(found.advice)
+    assert "color_registered" in found.advice
+
+
+@pytest.mark.parametrize("kind", ["empty-depth", "no-frame", "too-many-damaged"])
+def test_a_fault_of_all_frames_gets_the_same_advice_of_build_and_inspect(tmp_path: Path, kind: str) -> None:
+    """Depth without a measured pixel, cut off depth, and cut off colour."""
+    folder = write_folder(tmp_path / "r", MANY)
+    for file in (folder / ("color" if kind == "too-many-damaged" else "depth")).iterdir():
+        empty = png(np.zeros((HEIGHT, WIDTH), np.uint16))
+        file.write_bytes(empty if kind == "empty-depth" else file.read_bytes()[:60])
+    with raises(RecordingError, f"recording.{kind}") as error:
+        write_sequence(open_recording(folder), tmp_path / "out")
+    diagnosis, _ = inspect(folder)
+    found = diagnosis.findings[0]
+    assert found.severity == "stops" and str(error.value).endswith(found.advice or found.what)
+    assert (found.advice or found.what).endswith((FIND_DEPTH, DamagedImageError.advice))
+    if kind == "too-many-damaged":
+        assert (diagnosis.facts["frames_looked_at"], diagnosis.facts["frames_usable"]) == (len(MANY), 0)
 
 
 def test_what_the_machine_cannot_read_now_is_no_damage(

@@ -39,6 +39,7 @@ from kinectbench.stages.ingest.gravity import up_at_rest
 from kinectbench.stages.ingest.images import (
     FLOAT_SCALE,
     DamagedImageError,
+    advised,
     decode_color_bgr,
     encode_png,
     image_header,
@@ -225,7 +226,8 @@ def _first_depth_size(bag: RosBag, depth: ImageTopic) -> tuple[int, int]:
     try:
         return first_whole(size_px, range(len(depth.topic.messages)))
     except DamagedImageError as error:
-        raise RecordingError(f"{error}; none of the depth images is usable", what="no-frame") from error
+        line = advised(f"{error}; none of the depth images is usable", error.advice)
+        raise RecordingError(line, what="no-frame") from error
 
 
 def _pair(

@@ -19,6 +19,7 @@ from kinectbench.settings.pick import PICK_FILE
 from kinectbench.stages.ingest.depth_codes import SAMPLED_IMAGES, find_pattern
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
 from kinectbench.stages.ingest.readers.color_only import without_depth
+from kinectbench.stages.ingest.readers.foreign_files import foreign_file
 from kinectbench.stages.ingest.recording import OF_SOME_FORMATS, FileRecording, Recording, read_image_file
 from kinectbench.stages.ingest.sources import check_count, check_link, check_there, files_below
 
@@ -258,10 +259,15 @@ def _with_delays(recording: Recording, camera: CameraSettings) -> Recording:
 def _unknown(path: Path) -> str:
     known = f"the formats that are read are {', '.join(FORMATS)}; `kinectbench formats` says what each needs"
     if path.is_dir() and not any(path.iterdir()):
-        return f"{path}: the folder is empty; {known}"
+        return f"{path}: the folder is empty; give the folder or the file of a recording"
     inside = find_recordings(path, LOOKED_AT_FOR_HINT) if path.is_dir() else []
+    above = next((folder for folder in path.parents[:2] if path.is_file() and format_of(folder)), None)
+    if above is not None:
+        return f"{path}: is one file of a recording; give its folder, {above}"
     reason = None if inside else without_depth(path)
     if reason is not None:
+        return reason
+    if path.is_file() and (reason := foreign_file(path)) is not None:
         return reason
     hint = f". Did you mean {inside[0][0]}?" if inside else ""
     return f"{path}: not a recording of a known format; {known}{hint}"

@@ -29,7 +29,8 @@ MOVE = (
     "put depth alone into a folder depth/ and colour into color/, with the same number in the names of one "
     "frame, and intrinsics.json beside them"
 )
-CONVERT = "write it as 16-bit PNG in mm, or as .npy in metres"
+AS_READ = "as 16-bit PNG in mm, or as .npy in metres"
+CONVERT = f"write it {AS_READ}"
 PACKED = (
     "or, if its channels are bytes of depth, as those of RLBench and TartanAir, join them by the data set's "
     f"own tool, and {CONVERT}"

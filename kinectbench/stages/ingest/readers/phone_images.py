@@ -91,7 +91,8 @@ def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int], name: str) -> t
     height, width = bgr.shape[:2]
     if not _same_shape((width, height), size_px):
         raise OddImageError(
-            f"{name}: colour is {width}x{height}, another shape than depth's {size_px[0]}x{size_px[1]}"
+            f"{name}: colour is {width}x{height}, another shape than depth's {size_px[0]}x{size_px[1]}",
+            advice="export colour again in the shape of depth, or leave it out",
         )
     if (width, height) != size_px:
         bgr = np.asarray(cv2.resize(bgr, size_px, interpolation=cv2.INTER_AREA), np.uint8)

@@ -64,7 +64,9 @@ class TumRecording(FileRecording):
         (depth_list, color_list), warnings = _lists(path)
         depth_rows = _read_rows(depth_list)
         if not depth_rows:
-            raise RecordingError(f"{depth_list}: lists no images", what="no-depth")
+            raise RecordingError(
+                f"{depth_list}: lists no images; export the recording again", what="no-depth"
+            )
         color_rows = _read_rows(color_list) if color_list.is_file() else []
         why = no_times([stamp_ns for stamp_ns, _ in depth_rows])
         if why:
