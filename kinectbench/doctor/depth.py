@@ -232,6 +232,8 @@ def range_by_look(
 ) -> DepthRangePart:
     """Return the depth range that a build would fuse, and the share of depth beyond it.
 
+    It is found from the depth of the sampled frames and the distance that their cameras look at.
+
     Args:
         probe: the probe of the recording.
         T_world_camera: (n, 4, 4), poses of the probe's frames that have one; None: only depth is used.

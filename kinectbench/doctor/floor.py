@@ -214,10 +214,11 @@ def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
 
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
-    """Find the floor in one frame, in its camera's axes; None without a floor.
+    """Find the floor in one frame. Return None if no floor is found.
 
-    The search runs on depth scaled to a median of 1.5 m. In its result, only `plane_world` is scaled back to
-    metres.
+    World axes in the returned Floor are the axes of this frame's camera. The search scales all points to a
+    median depth of 1.5 m, so that a wrong depth unit does not hide the floor. `plane_world` is converted back
+    to metres. All other lengths of the returned Floor stay scaled.
     """
     from kinectbench.stages.segment.find.floor import find_floor
     from kinectbench.stages.segment.find.gravity import hint_of

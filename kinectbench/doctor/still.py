@@ -17,9 +17,11 @@ PLAIN = "nothing but the object gives depth, so that it does not matter whether 
 
 
 def check_still(probe: Probe) -> Iterator[Finding]:
-    """Report a static camera, before a moving object or a static scene; or a background without depth.
+    """Report a static camera, or a background without depth.
 
-    Nothing is reported for fewer than six frames.
+    A static camera is reported as `turntable` if something moves in front of it, and as `one_view` if nothing
+    does. A background without depth is reported as `plain_background`, and then nothing else is. Nothing is
+    reported for fewer than six frames.
     """
     frames = [probe.frames[index] for index in some_of(len(probe.frames))]
     shape = (probe.small_camera.height, probe.small_camera.width)

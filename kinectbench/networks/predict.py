@@ -258,8 +258,9 @@ def _prediction_bytes(probability: NDArray[np.float16], run: UnfinishedFile) -> 
 def notes(trained: Trained, release: Release) -> list[str]:
     """Return caveats about the scores, one line each.
 
-    They name test objects that the network was trained on, and test categories and a framing that it was not
-    trained on.
+    A line is returned if the network was trained on test objects (it states how many and names one), if the
+    test split has categories that the network was not trained on, or if the release has a framing (`object`
+    or `view`) that the network was not trained on.
     """
     training = trained.training
     lines = []

@@ -59,7 +59,7 @@ def read_weights(path: Path) -> Arrays:
 def _slabs(path: Path, most_bytes: int) -> Iterator[tuple[str, int, NDArray[np.generic]]]:
     """Yield the values of a file in flat parts: (name of the array, index of the first value, values (n,)).
 
-    So the file is never in memory as a whole. Errors as in `read_weights`.
+    In this way, the whole file is never in memory at once. It raises the errors of `read_weights`.
     """
     with _opened(path, most_bytes) as archive:
         for entry in archive.infolist():

@@ -60,8 +60,9 @@ class PaperTable:
     Attributes:
         title: states the scored pairs, such as those of one set of viewing angles.
         categories: categories with pairs: first the paper's in its order, then others by name.
-        pairs: number of scored pairs of the first method; methods with the same truth have the same number.
-        rows: the methods, highest mean IoU over the categories first; then the published methods.
+        pairs: number of scored pairs of each method, taken from one method. All are scored on the same truth.
+        rows: scored methods, by descending mean IoU over the categories, then the rows that the paper
+            published.
     """
 
     title: str

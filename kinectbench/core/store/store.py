@@ -391,5 +391,5 @@ def _opened(url: str, make: bool, process: int) -> "ObjectStore":
 def fetch_all(
     store: Store, files: Iterable[tuple[str, Path, int]], done: Callable[[int], None] = lambda count: None
 ) -> None:
-    """Download files in parallel; each is given as (name in the store, local path, most bytes)."""
+    """Download files in parallel; each is given as (name in the store, local path, limit in bytes)."""
     in_parallel((partial(store.fetch, name, path, most) for name, path, most in files), done)

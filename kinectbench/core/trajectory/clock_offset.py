@@ -86,7 +86,7 @@ def _best_ns(squares: Float64) -> int | None:
 
 
 def steps_to_vertex(values: Float64, best: int) -> float:
-    """Return the distance, in steps, from the extremum of evenly spaced values to the vertex of a parabola.
+    """Return the signed offset, in steps, from the extremum of evenly spaced values to a parabola's vertex.
 
     The parabola passes through the extremum and its two neighbours.
 

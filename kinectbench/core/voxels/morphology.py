@@ -137,10 +137,12 @@ def opened(mask: Bools, size: Sequence[int]) -> Bools:
 
 
 def broad(mask: Bools, cells: int) -> Bools:
-    """Return the parts of a mask at least `cells` thick: its opening by a cube, with the corners restored.
+    """Return the parts of a mask that are at least `cells` thick.
+
+    The mask is opened by a cube, then grown by half the cube within the mask, which restores corners.
 
     Args:
-        mask: bool, of any shape.
+        mask: (nx, ny, nz) bool.
         cells: edge of the cube, cells.
 
     Returns:

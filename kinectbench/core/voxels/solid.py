@@ -110,10 +110,18 @@ def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
 # Inlined, because a call counts references to its arrays, which takes longer than the work.
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _cross(corners, i0, i1, j0, j1, nv, touching, count, lines, heights, signs):  # type: ignore[no-untyped-def]
-    """Write one triangle's crossings with the lines i0..i1 along u, j0..j1 along v; return the new count.
+    """Write one triangle's crossings with the lines (i, j), i from i0 to i1, j from j0 to j1, both inclusive.
 
-    `corners` is the result of `_upward`; the crossings go to `lines`, `heights` and `signs` from index
-    `count` on. `nv` and `touching` are as in `crossings`.
+    The lines run along w; i counts them in direction u, j in direction v. Return the number of crossings
+    written so far.
+
+    Args:
+        corners: the result of `_upward`.
+        i0, i1, j0, j1: the first and the last i, the first and the last j.
+        nv: number of lines in direction v. Line (i, j) is written as i nv + j.
+        touching: whether a face also crosses lines through its border, as in `crossings`.
+        count: number of crossings already in the arrays. New ones are written from this index on.
+        lines, heights, signs: the arrays to write to, as `crossings` returns them, but longer.
     """
     ax, ay, az, bx, by, bz, cx, cy, cz, area, sign = corners
     if area == 0:

@@ -104,7 +104,9 @@ def displace(seen_m, around_m, right, down, cosine, noise):  # type: ignore[no-u
 def sense(seen_m, around_m, source, surface, device, drawn):  # type: ignore[no-untyped-def]
     """Return the depth that the sensor reports: (height, width) float32, metres, 0 = none.
 
-    Some pixels are lost or mixed. Then depth is distorted, gets axial noise, and is quantised in disparity.
+    A pixel is lost if it is out of range, if its signal is too weak, or if it lies in the sensor's blind
+    strip. At depth edges some pixels get a mix of near and far depth. After this, the depth of every
+    remaining pixel is distorted, gets axial noise, and is quantised in disparity.
 
     Args:
         seen_m: (height, width) float32, metres, 0 where the sensor sees nothing.

@@ -363,11 +363,12 @@ def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorP
 def _public_settings(
     settings: BenchmarkSettings, hold_back: Sequence[str], removals: list[Removed], isolate: bool = False
 ) -> dict[str, Any]:
-    """Return the settings for benchmark.json, without this machine's paths and private facts.
+    """Return the settings for benchmark.json, without private facts and without paths of this machine.
 
-    Recordings of the splits `hold_back` lack the keys that reveal their truth; with `isolate` they have only
-    `SETTINGS_KEYS`. The defaults of categories are not published, so each recording states its underside
-    (closed or open). Removed private facts are appended to `removals`.
+    Each recording whose truth is published states its underside (closed or open), because the category that
+    may set it is not published. Recordings of the splits `hold_back` lack all keys that reveal their truth,
+    including `underside`. With `isolate`, these recordings keep only `SETTINGS_KEYS`. Each private fact that
+    is removed is appended to `removals`.
     """
     public = settings.model_dump(mode="json", exclude={"name", "license", "publish", "categories"})
     for recording, own in zip(public["recordings"], settings.recordings, strict=True):

@@ -30,10 +30,10 @@ def boxes_of(samples, order):  # type: ignore[no-untyped-def]
             (`near_together`).
 
     Returns:
-        `groups` (leaves, 3, LEAF), the sorted samples, padded with infinity. `boxes` (nodes, 6, BOXES), the
-        lowest and highest corners of each node's boxes, padded with empty boxes. `first` (nodes,), the index
-        of each node's first child: indices below the number of leaves are leaves, those from there on are
-        nodes. The last node is the root.
+        groups: (leaves, 3, LEAF), the sorted samples, padded with infinity.
+        boxes: (nodes, 6, BOXES), the lowest and highest corners of each node's boxes, padded with empty boxes.
+        first: (nodes,), index of each node's first child. Leaves and nodes share one numbering: index i is
+            leaf i if i < leaves, otherwise node i - leaves. The last node is the root.
     """
     leaves = -(-len(samples) // LEAF)
     groups = np.full((leaves, 3, LEAF), np.inf)

@@ -79,7 +79,11 @@ class Way:
     is_mesh: bool = False
 
     def of(self, part: str) -> "Way":
-        """Return the samples of one part: "whole", "visible" or "occluded"."""
+        """Return the comparison restricted to the samples of one part.
+
+        Args:
+            part: "whole", "visible" (samples that are `seen`) or "occluded" (the others).
+        """
         if part == "whole":
             return self
         which = self.seen if part == "visible" else ~self.seen

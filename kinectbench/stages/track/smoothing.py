@@ -69,7 +69,10 @@ def second_differences(times_s: Float64) -> list[Float64]:
 
 
 def _spans(times_s: Float64) -> tuple[Float64, Float64, Float64]:
-    """Return seconds (n - 2,) before and after each inner frame, and their mean; short ones are raised."""
+    """Return the time before each inner frame, the time after it, and the mean of both: (n - 2,) each, s.
+
+    A time step shorter than a tenth of the median step is replaced by that tenth.
+    """
     steps = np.diff(times_s)
     steps = np.maximum(steps, LEAST_STEP * max(float(np.median(steps)), 1e-6))
     return steps[:-1], steps[1:], (steps[:-1] + steps[1:]) / 2

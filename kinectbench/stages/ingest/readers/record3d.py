@@ -130,7 +130,10 @@ class Record3dRecording(Recording):
         return RawFrame(name, place.stamp_ns, depth, self._color(f"{stem}.jpg"))
 
     def _color(self, member: str) -> tuple[str, bytes] | None:
-        """Return colour at depth's size: as encoded if it has this size, else a PNG; or None."""
+        """Return a frame's colour image at depth's size: (suffix, encoded image). None if the archive lacks it.
+
+        An image that already has depth's size is returned as it is. Any other is scaled and encoded as PNG.
+        """
         if member not in self.members:
             return None
         data, size_px = self.archive.read(member), (self.camera.width, self.camera.height)

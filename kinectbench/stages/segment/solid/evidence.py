@@ -56,7 +56,7 @@ class FloorLayers:
 
     @property
     def cut(self) -> int:
-        """Index of the lowest layer that holds no surface of the floor."""
+        """Index of the lowest layer above the floor that holds no surface of the floor."""
         return self.first + self.low
 
 
