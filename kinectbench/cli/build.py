@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
     from kinectbench.release.release import Release
 
-# Most rows in the table of `build` and of `build --status`; nobody reads more.
+# Largest number of rows in the table of `build` and of `build --status`; nobody reads more.
 SHOWN_RECORDINGS = 100
 STILL_FAILS = (
     "left out: it failed before, and nothing it depends on has changed since; `kinectbench build {id}` says "

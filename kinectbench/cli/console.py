@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
 
 PLAIN_WIDTH = 160
-# Most characters of a message: a library's message may quote much of a file. Our own have up to 400.
+# Limit in characters of a message: a library's message may quote much of a file. Our own have up to 400.
 LONGEST = 900
-# Most lines of one kind: nobody reads more; untrusted files may cause hundreds of thousands.
+# Largest number of lines of one kind: nobody reads more; untrusted files may cause hundreds of thousands.
 MOST_LINES = 1000
 # Parts of a message that differ from file to file: a voxel with its value, a decimal, a length. Other numbers
 # are sizes or counts.

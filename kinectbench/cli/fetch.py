@@ -10,7 +10,7 @@ from kinectbench.cli.common import Common, takes
 from kinectbench.core import SettingsError
 from kinectbench.core.store.address import shown, url_of
 
-# Most files that `gc` lists one by one: a screenful.
+# Largest number of files that `gc` lists one by one: a screenful.
 SHOWN = 20
 
 

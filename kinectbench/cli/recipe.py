@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from kinectbench.release.recipe import FetchedScan, Recipe
     from kinectbench.settings.sources import Scan
 
-# Most bytes of disk that `--stream` uses at any time, built files included.
+# Largest number of bytes of disk that `--stream` uses at any time, built files included.
 STREAM_BYTES = 5_000_000_000
 # Bytes that the build of a scan needs besides its archive: at most this multiple of the archive, plus a
 # constant. Measured: 114 MB for 300 frames of 640x480 (archive of 43 MB): a copy of the frames, and files of

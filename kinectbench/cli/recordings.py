@@ -23,7 +23,7 @@ EVIDENCE = {
 }
 # Files that mark a folder as no recording: a simulation's truth, a benchmark, a release, an export, results.
 MARKS = ("truth.json", "benchmark.yaml", "benchmark.json", "export.json", "scores.json", "triage.json")
-# Most folders left out by `init` that are named: three lines of a terminal.
+# Largest number of folders left out by `init` that are named: three lines of a terminal.
 SHOWN_LEFT_OUT = 12
 STYLES = {"stops": "red", "warning": "yellow", "note": "dim"}
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 # 3D-RecGAN++, Sec. 3.6: 50 views of each real object, the cube around its full shape. `--set` overrides this.
 COUNT = 50
-# Most characters of a name or a source in the table (chosen here).
+# Largest number of characters of a name or a source in the table (chosen here).
 LONGEST_NAME = 200
 PAPER_REAL = (f"views.count={COUNT}", "pairs.framing=object")
 

@@ -6,7 +6,7 @@ from kinectbench.cli import console
 from kinectbench.cli.build import SHOWN_RECORDINGS, build_recordings, built, exit_status
 from kinectbench.cli.common import Common, Ids, takes
 
-# Most letters of a reason in the table, so that it fits beside the decision; the page has the full text.
+# Limit in letters of a reason in the table, so that it fits beside the decision; the page has the full text.
 REASON = 60
 COLUMNS = {"recording": "recording", "decision": "decision", "reason": "first reason"}
 

@@ -179,7 +179,7 @@ class _Element:
 
     @property
     def width(self) -> int:
-        """Least number of array elements of a row, that is, with empty lists."""
+        """Smallest number of array elements of a row, that is, with empty lists."""
         return sum(one.width if one.count is None else one.count_width for one in self.properties)
 
 

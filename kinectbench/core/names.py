@@ -12,7 +12,7 @@ from kinectbench.core.storage import name_problem
 
 # The mean over all categories has these names in tables, scores.json and `compare`.
 RESERVED = ("overall", "all")
-# Most names to list: more than a section has keys, but fewer than a thousand recordings.
+# Largest number of names to list: more than a section has keys, but fewer than a thousand recordings.
 LISTED = 40
 
 

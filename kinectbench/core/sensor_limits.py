@@ -19,7 +19,7 @@ class SensorLimits:
             pixels of a Kinect at 1.6 m, the width of its matching window.
         near_m: minimum range; 0.4 m is that of a Kinect v1 in near mode.
         camera_size_m: diameter of the ball that stands for a hand-held camera; it must not cross the object.
-        camera_height_m: least height of the ball's centre above the plane that the object stands on.
+        camera_height_m: smallest height of the ball's centre above the plane that the object stands on.
     """
 
     line_width_m: float = 0.03

@@ -13,7 +13,7 @@ from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.threads import ahead
 from kinectbench.core.types import Bools, Float32
 
-# Number of frames to compare, and the least number.
+# Number of frames to compare, and the smallest number.
 FRAMES, MIN_FRAMES = 24, 6
 # Width of the compared images: enough to find objects of 4 % of the width.
 COLUMNS = 160
@@ -21,7 +21,7 @@ COLUMNS = 160
 SEEN_SHARE = 0.6
 # With noise alone, four fifths of a pixel's values lie within 2.6 standard deviations.
 STILL_SIGMAS, MOVED_SIGMAS = 4.0, 6.0
-# Least depth change of a moving object; the quantisation of depth is smaller at 2 m.
+# Smallest depth change of a moving object; the quantisation of depth is smaller at 2 m.
 MOVED_M = 0.012
 # Grey levels, after correction for exposure; measured on real recordings.
 STILL_GRAY = 8.0

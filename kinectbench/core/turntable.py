@@ -17,7 +17,7 @@ FRAMES, FRAME_PX, QUALITY = 20, 160, 75
 # The height from which people look at furniture; each pixel is the mean of two by two.
 ELEVATION_DEG = 20.0
 SUPERSAMPLING = 2
-# Most triangles to draw, and the share of a picture that the object fills.
+# Largest number of triangles to draw, and the share of a picture that the object fills.
 MOST_TRIANGLES, FILLED = 60_000, 0.94
 # Coordinates are rounded to this many decimals, so that their last bits do not matter.
 MICROMETRES = 6

@@ -27,9 +27,9 @@ HEAD_BYTES = 64 << 10
 TEXT_BYTES = 100 << 20
 # Characters of an untrusted text that a message quotes.
 QUOTED = 80
-# Most pixels of a side and of an image: the largest side that `camera:` in benchmark.yaml allows, and twice
-# the pixels of a 4K camera (chosen here). Checking depth or colour takes 14 bytes a pixel: 360 MB for the
-# largest.
+# Largest number of pixels of a side and of an image: the largest side that `camera:` in benchmark.yaml
+# allows, and twice the pixels of a 4K camera (chosen here). Checking depth or colour takes 14 bytes a pixel:
+# 360 MB for the largest.
 MOST_SIDE_PX, MOST_PIXELS = 8192, 1 << 24
 # Largest encoded image: four bytes for each pixel of the largest image.
 IMAGE_BYTES = 4 * MOST_PIXELS
@@ -39,9 +39,9 @@ UNPACKED_BYTES = 80 << 20
 # Largest ratio of a whole file's unpacked to its packed size, and bytes that are always allowed: bags and
 # releases shrink to a third or a tenth, rendered depth to a thirtieth.
 MOST_RATIO, ALWAYS_BYTES = 100, 64 << 20
-# Most characters of a path that an index names, and most bytes of a name in it: the limit of Linux.
+# Largest number of characters of a path that an index names, and of bytes of a name in it: Linux's limits.
 MOST_NAME, MOST_PART_BYTES = 1024, 255
-# Most files and folders in a folder: four for each frame of the longest recording.
+# Largest number of files and folders in a folder: four for each frame of the longest recording.
 MOST_LISTED = 1_000_000
 # Bytes per read and write: so many that the cost of a call does not matter.
 COPIED_BYTES = 1 << 20

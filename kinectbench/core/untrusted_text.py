@@ -14,12 +14,12 @@ from typing import Any, NoReturn
 
 from kinectbench.core.untrusted import printable
 
-# Most values in a text: those of targets.csv with a quarter of a million lines, or of a benchmark.json with
-# eleven thousand recordings. In a model a value takes 150 bytes, and an object 700: it counts as three
-# values.
+# Largest number of values in a text: those of targets.csv with a quarter of a million lines, or of a
+# benchmark.json with eleven thousand recordings. In a model a value takes 150 bytes, and an object 700: it
+# counts as three values.
 MOST_VALUES = 2_000_000
 OBJECT_VALUES = 3
-# Most different keys: ids of recordings or pairs. A new key takes 330 bytes.
+# Largest number of different keys: ids of recordings or pairs. A new key takes 330 bytes.
 MOST_KEYS = 300_000
 # Limit of texts with wide characters: one escaped character beyond U+FFFF makes a string four bytes wide.
 WIDE_CHARACTERS = 16 << 20

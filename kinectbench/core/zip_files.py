@@ -39,7 +39,7 @@ def open_zip(
         most_files: a zip of more files is refused before its directory is read.
         most_bytes: a zip with a larger unpacked total, as it states, is refused; None: the caller limits what
             it reads.
-        row_bytes: most bytes that the directory may have per file.
+        row_bytes: limit of the directory's size per file, bytes.
 
     Raises:
         ValueError: the zip exceeds a limit; the message says which.

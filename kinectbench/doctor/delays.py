@@ -16,7 +16,7 @@ from kinectbench.doctor.probe import END_RUN, Probe, SmallFrame
 
 LONGEST_NS = 500_000_000
 STEP_NS = 2_000_000
-# Least correlation of a valid lag; chance maxima are lower.
+# Smallest correlation of a valid lag; chance maxima are lower.
 LEAST_CORRELATION = 0.6
 LEAST_SAMPLES = 20
 SMALL_PX = (80, 60)

@@ -21,7 +21,7 @@ from kinectbench.stages.ingest.sequence_writer import onto_depth
 from kinectbench.stages.track import track
 from kinectbench.stages.track.track import MIN_GOOD_FRAMES
 
-# Most frames that are compared, evenly spread: 5.4 CPU seconds at 640 x 480.
+# Largest number of frames that are compared, evenly spread: 5.4 CPU seconds at 640 x 480.
 MOST_FRAMES = 150
 
 

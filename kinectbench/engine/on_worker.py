@@ -16,7 +16,7 @@ PACKAGES = (
     *("numpy", "scipy", "numba", "open3d", "opencv-python-headless", "manifold3d", "trimesh"),
     *("zlib-ng", "zstandard", "lz4"),
 )
-# Least seconds between two progress messages of a task: the scheduler receives those of all tasks.
+# Shortest time, seconds, between two progress messages of a task: the scheduler receives those of all tasks.
 SAY_S = 1.0
 # glibc's numbers of two options of mallopt(3), and the values up to which glibc raises them itself on 64-bit
 # machines.

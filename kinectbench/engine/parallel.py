@@ -45,7 +45,7 @@ UNKNOWN_VOXELS = 13e6
 # Other formats give an overestimate, so at most a thousand frames of 640 x 480 are assumed.
 BYTES_OF_FILE_PER_PIXEL = 0.4
 UNKNOWN_PIXELS = 1000 * 640 * 480
-# Most files of a folder to count (a thousand frames have some thousands).
+# Largest number of files of a folder to count (a thousand frames have some thousands).
 MOST_FILES = 10_000
 
 

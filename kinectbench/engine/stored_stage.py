@@ -20,7 +20,7 @@ from kinectbench.engine.artefact import Artefact
 
 ARCHIVE = "files.tar"
 PACKED = ("ingest", "sample-views", "pairs")
-# Most bytes of a tar besides the files' content: two blocks of 512 bytes for each file, and its end.
+# Limit in bytes of a tar besides the files' content: two blocks of 512 bytes for each file, and its end.
 TAR_BYTES = 1024
 REBUILD = "remove the folder and build again"
 

@@ -22,8 +22,8 @@ from kinectbench.stages.ingest.readers.tum import DEPTH_AXES
 # 640x480 with uncompressed colour takes 21 ms of a processor: two threads do 30 Hz; two more wait for the
 # disk.
 THREADS = 4
-# Most bytes of frames that wait to be written: five seconds of 640x480 with uncompressed colour, two of
-# 1280x720.
+# Largest number of bytes of frames that wait to be written: five seconds of 640x480 with uncompressed colour,
+# two of 1280x720.
 BACKLOG_BYTES = 256 << 20
 HEADERS = {
     "depth": "# timestamp filename",

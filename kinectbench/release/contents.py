@@ -42,12 +42,12 @@ EMPTY_FOLDER = "an empty folder"
 LINK = "a link; in an archive only plain files are read"
 # Largest text or other file of a release that is read at once.
 MAX_READ_BYTES = 64 << 20
-# Most files and folders of a release: 70,000 pairs of 1,400 recordings; listing them takes 300 MB.
+# How many files and folders a release may have: 70,000 pairs of 1,400 recordings; listing them takes 300 MB.
 MOST_FILES = 300_000
 # Largest file of a release; larger files are not hashed. The largest kind, an object's volume, may unpack to
 # 1.25 GiB, and compresses to a tenth or less.
 MOST_FILE_BYTES = 256 << 20
-# Most bytes that an object's volume may unpack to: 5 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm.
+# Limit in bytes to which an object's volume may unpack: 5 bytes a cell, of 3 m at 5 mm, or 1.9 m at 3 mm.
 VOLUME_BYTES = 5 << 28
 # Largest size by the end of a name, for files that are written, checked and rebuilt. A mesh of 128 MB has 3
 # million vertices and 6 million triangles; checking it takes 320 MB (measured).

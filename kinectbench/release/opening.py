@@ -43,9 +43,9 @@ from kinectbench.release.contents import (
 from kinectbench.release.unpack import TarMember
 
 ZIP, GZIP = b"PK", b"\x1f\x8b"
-# Most bytes of a tar member's headers: its block, names of 4096 characters, times, attributes.
+# Largest number of bytes of a tar member's headers: its block, names of 4096 characters, times, attributes.
 MOST_HEADER_BYTES = 128 << 10
-# Most global headers of a tar; git writes one.
+# Largest number of global headers of a tar; git writes one.
 MOST_GLOBALS = 64
 
 

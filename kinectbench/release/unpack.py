@@ -23,8 +23,8 @@ from kinectbench.core import (
 )
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 
-# Most bytes of a header before a member, such as a long name: tarfile reads it as a whole. Linux paths have 4
-# kB.
+# Largest number of bytes of a header before a member, such as a long name: tarfile reads it as a whole. Linux
+# paths have 4 kB.
 HEADER_BYTES = 1 << 20
 # First bytes of a gzip file, RFC 1952, section 2.3.1.
 GZIP = b"\x1f\x8b"

@@ -21,7 +21,7 @@ COLORS = 8  # in the style sheet; dashes distinguish further methods
 TICKS = (0.05, 0.1, 0.2, 0.25, 0.5)
 # Pairs are sorted by visible share and averaged in groups, which gives the line through the points.
 GROUP_PAIRS, MAX_GROUPS = 6, 8
-# Most points of a method in a chart, at 13 bytes each: more would hide each other.
+# Largest number of points of a method in a chart, at 13 bytes each: more would hide each other.
 MOST_DOTS = 500
 
 

@@ -32,7 +32,7 @@ TITLES = {125: "same viewing angles", 216: "cross viewing angles", None: "all pa
 OF_SHELL = ", the surface alone as truth"
 _ENDING = re.compile(r".+-(125|216|sv|cv)")
 NOT_KNOWN = "–"
-# Most characters of a cell; the longest published row has 93.
+# Largest number of characters of a cell; the longest published row has 93.
 LONGEST_CELL = 100
 
 

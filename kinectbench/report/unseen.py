@@ -21,7 +21,7 @@ LOOKS_DEG = ((-50.0, 24.0), (70.0, 24.0), (190.0, 24.0))
 # pictures).
 ELEVATIONS_DEG = (-40.0, 62.0)
 LEVEL_COSINE = 0.2
-# Most arrows: more would hide the object.
+# Largest number of arrows: more would hide the object.
 MARKED = 4
 # Length of an arrow as a share of the object's longest edge; an arrow that appears shorter than the second
 # share of its length is drawn as a ring.

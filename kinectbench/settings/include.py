@@ -12,7 +12,8 @@ from kinectbench.settings.reading import MOST_BYTES, as_text, matching, read_byt
 from kinectbench.settings.recording_table import ENDINGS, table_entries
 
 INCLUDE, RECORDINGS = "include", "recordings"
-# Most included files: one for each recording of the largest benchmark; each takes a tenth of a millisecond.
+# Largest number of included files: one for each recording of the largest benchmark; each takes a tenth of a
+# millisecond.
 MOST_FILES = 20_000
 ACCEPTED = f"names of YAML files with `{RECORDINGS}:`, or of tables, {' or '.join(ENDINGS)}"
 # JSON is valid YAML. Files with other suffixes are read as YAML, too.

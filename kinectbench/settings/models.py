@@ -28,7 +28,7 @@ Vector3 = Annotated[tuple[float, float, float], Field(strict=False)]
 Vector4 = Annotated[tuple[float, float, float, float], Field(strict=False)]
 BOX_KEYS = ("center_m", "size_m", "yaw_rad")
 Vector7 = Annotated[Pose, Field(strict=False)]
-# Limits as for rows of a trajectory: the farthest camera, and the least length of a quaternion.
+# Limits as for rows of a trajectory: the farthest camera, and the smallest length of a quaternion.
 FARTHEST_M, LEAST_TURN = 1e6, 1e-6
 # Seconds, twice from 1970 to today: a clock may count from its start. Added to a stamp it fits 64 bits in ns.
 MOST_DELAY_S = 4e9

@@ -9,7 +9,7 @@ from kinectbench.settings.base import Settings
 
 # File beside a recording, with the point that was clicked while recording.
 PICK_FILE = "pick.json"
-# Most bytes; the file has 40. A much larger file is from another program.
+# Limit in bytes; the file has 40. A much larger file is from another program.
 PICK_BYTES = 10_000
 # A column or row of an image.
 Place = Annotated[int, Field(ge=0, lt=MOST_SIDE_PX)]

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 CSV, PARQUET = ".csv", ".parquet"
 ENDINGS = (CSV, PARQUET)
-# Most rows of a Parquet file, which may hold a million in a few bytes (ten times the largest benchmark).
+# Largest number of rows of a Parquet file, which may hold a million in a few bytes (ten times the largest
+# benchmark).
 MOST_ROWS = 100_000
 INSTALL = "reading it needs the package pyarrow; run `pip install 'kinectbench[tables]'`, or save it as CSV"
 

@@ -190,7 +190,7 @@ def chosen_scans(
         sources: the recipe.
         listed: {category as the source names it: ids of its scans}; unused if the recipe has `scans`.
         categories: categories of the benchmark to choose from; empty: all.
-        limit: most scans of each category.
+        limit: largest number of scans of each category.
 
     Raises:
         SettingsError: the recipe has no such category, no scan is left, or an id is listed twice.

@@ -15,7 +15,7 @@ from kinectbench.settings.words import WHAT_OF_TYPE, field_at, model_of, suggest
 Model = TypeVar("Model", bound=Settings)
 # Largest file: it has some thirty keys, or a row of 200 bytes for each of 5,000 scans.
 MOST_BYTES = 1 << 20
-# Most lines about errors; each takes as long as reading all keys.
+# Largest number of lines about errors; each takes as long as reading all keys.
 SHOWN = 20
 
 

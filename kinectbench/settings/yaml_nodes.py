@@ -24,12 +24,12 @@ STR_TAG = "tag:yaml.org,2002:str"
 SEQ_TAG = "tag:yaml.org,2002:seq"
 MAP_TAG = "tag:yaml.org,2002:map"
 OVERRIDE = "in --set "
-# Most keys and values of a text: ten thousand recordings of fifteen lines, read in four seconds.
+# Largest number of keys and values of a text: ten thousand recordings of fifteen lines, read in four seconds.
 MOST_VALUES = 400_000
 TOO_MANY = f"more than the {MOST_VALUES} keys and values that such a file may have"
 # Characters of a line's start in which a tab is searched.
 MOST_INDENT = 1000
-# Most bytes that PyYAML's own parser reads, in about two seconds.
+# Largest number of bytes that PyYAML's own parser reads, in about two seconds.
 SPELT_OUT = 1 << 20
 
 # The core schema of YAML 1.2: `5e-3` is a number; `yes`, `010` and dates are text.

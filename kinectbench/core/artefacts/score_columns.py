@@ -31,7 +31,7 @@ MOST_ROWS = 500_000
 # Rows of predictions in space state up to 1,020 bytes of JSON more (measured, of ten votes a view), and may
 # state 1,440: 16,000 views under both protocols, 5,500 of several hypotheses.
 MOST_ROWS_IN_SPACE = 200_000
-# Of the most rows: 360 bytes each, and as much again for long names.
+# For the largest number of rows: 360 bytes each, and as much again for long names.
 MOST_BYTES = 2 * 360 * MOST_ROWS
 (CURVE,) = fields_of(ByThreshold)
 TEXTS = tuple(name for name in fields_of(ScoredPair) if name != "threshold")

@@ -1,8 +1,9 @@
 """Gauss-Newton: the steps of every registration, from weighted residuals to convergence.
 
-A step s reduces residuals r, with weights w, by J s. The step with the least sum of w r^2 solves the normal
-equations (sum w J J^T) s = sum w J r (Nocedal & Wright, "Numerical Optimization", 2006, chapter 10). A prior
-acts as one more measurement. The caller chooses units, limits of a step, and the threshold of convergence.
+A step s reduces residuals r, with weights w, by J s. The step with the smallest sum of w r^2 solves the
+normal equations (sum w J J^T) s = sum w J r (Nocedal & Wright, "Numerical Optimization", 2006, chapter 10). A
+prior acts as one more measurement. The caller chooses units, limits of a step, and the threshold of
+convergence.
 """
 
 from collections.abc import Callable
@@ -144,7 +145,7 @@ def projective_residuals(points, normals, depth, facing, intrinsics, T, gate_m, 
         intrinsics: fx, fy, cx, cy of depth.
         T: (4, 4) from the points' frame to the frame of depth's camera.
         gate_m: largest difference to the measured depth along z; the residual is NaN beyond it.
-        min_facing: least cosine between the two normals; the residual is NaN below it.
+        min_facing: smallest cosine between the two normals; the residual is NaN below it.
     """
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics

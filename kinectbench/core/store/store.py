@@ -40,7 +40,8 @@ PART_BYTES, PARTS_AT_ONCE = 8 << 20, 4
 AT_ONCE = 8
 # Calls that wait for a thread; each takes 1.7 kB of memory.
 WAITING = 256
-# Most objects in a listing: twice those of a benchmark of ten thousand recordings; each takes 500 bytes.
+# Largest number of objects in a listing: twice those of a benchmark of ten thousand recordings; each takes
+# 500 bytes.
 MOST_OBJECTS = 1_000_000
 # Largest file of a recording or a stage (chosen here: S3 allows 5 TB, and no recording comes near).
 MOST_OBJECT_BYTES = 1 << 40

@@ -46,7 +46,7 @@ def associate(
     """Give each depth frame at most one colour frame, and each colour frame at most one depth frame.
 
     Stamps may be paired if they differ by `tolerance_ns` at most. The result has the largest number of pairs,
-    and among those the least sum of differences. Optimal pairs never need to cross, so dynamic programming
+    and among those the smallest sum of differences. Optimal pairs never need to cross, so dynamic programming
     over the sorted stamps finds them. The default tolerance of 0.02 s is that of TUM RGB-D.
 
     Args:

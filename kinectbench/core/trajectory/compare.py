@@ -70,8 +70,8 @@ def match_stamps(estimate_ns: Int64, reference_ns: Int64) -> tuple[Int64, Int64]
     """Pair the stamps of two trajectories one to one.
 
     Equal stamps are paired first. The others are paired if they differ by half a frame at most: as many pairs
-    as possible, and among those the least sum of differences (`association.associate`). Half a frame is half
-    the smaller of the two median intervals, so that a stamp is never paired with one of the next frame.
+    as possible, and among those the smallest sum of differences (`association.associate`). Half a frame is
+    half the smaller of the two median intervals, so that a stamp is never paired with one of the next frame.
 
     Args:
         estimate_ns: (k,) int64, any order.

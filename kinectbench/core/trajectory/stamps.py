@@ -18,7 +18,8 @@ NS_PER_S = 10**9
 LIMIT_NS = 2**63
 # Range of stamps that count from 1970: seconds from 2001 to 2096.
 TODAY_NS = (10**9 * NS_PER_S, 4 * 10**9 * NS_PER_S)
-# The likely unit of stamps since 1970 by their power of ten, and of others by the least step between frames.
+# The likely unit of stamps since 1970 by their power of ten, and of others by the smallest step between
+# frames.
 UNITS_OF_TODAY = {12: "milliseconds", 15: "microseconds", 18: "nanoseconds"}
 UNITS_OF_STEPS = {3e6: "nanoseconds", 3e3: "microseconds", 3.0: "milliseconds"}
 # A pause longer than this is a jump of the clock, not a few dropped frames.

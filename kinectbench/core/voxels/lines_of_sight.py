@@ -48,8 +48,8 @@ class Space:
         heights_m: (nz,) float32, heights of the layers' middles above the floor, metres; infinite without
             a floor.
         voxel_size_m: edge of a voxel, metres.
-        near_m: least distance from a camera at which it sees, metres.
-        least_height_m: least height above the floor of a camera outside the grid, metres.
+        near_m: smallest distance from a camera at which it sees, metres.
+        least_height_m: smallest height above the floor of a camera outside the grid, metres.
     """
 
     state: NDArray[np.uint8]
@@ -188,7 +188,7 @@ def beyond_grid_m(height, up, least):  # type: ignore[no-untyped-def]
     """Return the distance, metres, to the farthest camera outside the grid; negative: there is none.
 
     The line starts at `height`; `up` is the vertical component of the unit vector to the camera, and `least`
-    the least height of a camera, metres.
+    the smallest height of a camera, metres.
     """
     if up > LEVEL:
         return _FAR
@@ -213,8 +213,8 @@ def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m,
             if no camera sees along the line, 2 at a camera, and grows by 1 a voxel until the camera is
             `near_m` away.
         voxel_m: edge of a voxel, metres.
-        near_m: least distance from a camera at which it sees, metres.
-        least_m: least height of a camera outside the grid, metres.
+        near_m: smallest distance from a camera at which it sees, metres.
+        least_m: smallest height of a camera outside the grid, metres.
     """
     n0, n1, n2 = shape
     entering, enough = np.empty((len(ways), len(heights_m)), lines.dtype), np.empty(len(ways), lines.dtype)

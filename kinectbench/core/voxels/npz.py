@@ -66,8 +66,8 @@ def open_npz(file: IO[bytes], most_bytes: int, most_arrays: int = MOST_ARRAYS) -
 
     Args:
         file: open to read; it stays open.
-        most_bytes: the most bytes that its arrays may claim together, unpacked.
-        most_arrays: the most arrays that it may hold.
+        most_bytes: limit in bytes of its arrays together, unpacked.
+        most_arrays: the largest number of arrays that it may hold.
 
     Raises:
         NpyError: an entry breaks one of these rules; the message says which.
@@ -99,7 +99,7 @@ def load_arrays(path: Path, most_bytes: int = BUILD_BYTES) -> Arrays:
 
     Args:
         path: the file.
-        most_bytes: the most bytes that its arrays may take together, unpacked.
+        most_bytes: limit in bytes of its arrays together, unpacked.
 
     Raises:
         UNREADABLE: one of these exceptions, if the file is missing, damaged, no npz, or claims to unpack to
@@ -119,7 +119,7 @@ def arrays_of(
 
     Args:
         file: open to read; it stays open.
-        most_bytes: the most bytes that its arrays may take together, unpacked.
+        most_bytes: limit in bytes of its arrays together, unpacked.
         names: names of the arrays to read; the others are not unpacked.
         absent: default, by name, of arrays that the file does not hold.
 

@@ -47,7 +47,7 @@ def seen_from_outside(
         obstacle: bool (nx, ny, nz), what lines and cameras do not cross; its last axis points up.
         heights_m: (nz,) float32, heights of the layers' middles above the obstacle's plane, metres; or None.
         voxel_size_m: edge of a voxel, metres.
-        limits: width of lines of sight, and size, least height and least distance of cameras.
+        limits: width of lines of sight, and size, smallest height and smallest distance of cameras.
         seen: the result for wider lines, if known: narrower lines reach those voxels, too.
 
     Returns:
@@ -136,7 +136,7 @@ def seeable_solid(
     Args:
         mesh_world: closed mesh, world frame, metres.
         T_world_upright: (4, 4), from the upright frame to the world: z is up, the object stands on z = 0.
-        limits: width of lines of sight, and size, least height and least distance of cameras.
+        limits: width of lines of sight, and size, smallest height and smallest distance of cameras.
         stands: whether the object stands on a plane; if not, cameras may be anywhere around it.
 
     Raises:

@@ -79,7 +79,7 @@ def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _tiles(reach):  # type: ignore[no-untyped-def]
-    """Return the least and the greatest `reach` (layers that a pixel sees) in each tile of 4 x 4 pixels."""
+    """Return the smallest and the largest `reach` (layers that a pixel sees) in each tile of 4 x 4 pixels."""
     height, width = reach.shape
     least = np.full(((height - 1) // TILE_PX + 1, (width - 1) // TILE_PX + 1), 65535, np.uint16)
     greatest = np.zeros_like(least)
@@ -124,7 +124,7 @@ def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _ranges(pixels):  # type: ignore[no-untyped-def]
-    """Return the least and the greatest pixel coordinate of each block of 8 x 8 cells."""
+    """Return the smallest and the largest pixel coordinate of each block of 8 x 8 cells."""
     first = np.empty((pixels.shape[0] // BLOCK, pixels.shape[1] // BLOCK), np.int64)
     last = np.empty_like(first)
     for i in range(first.shape[0]):

@@ -72,7 +72,7 @@ def swept_from_outside(
         heights_m: (nz,) float32, heights of the layers' middles above the plane that the obstacle stands on,
             metres; None: no plane.
         voxel_size_m: edge of a voxel, metres.
-        limits: width of lines of sight, and size, least height and least distance of cameras.
+        limits: width of lines of sight, and size, smallest height and smallest distance of cameras.
         count: number of directions, evenly spread.
         closer: limits of the lines that are tried along more directions behind gaps; None: none are.
     """

@@ -200,7 +200,7 @@ def _crossable(vertices, faces, shape):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _columns(a, b, c, most):  # type: ignore[no-untyped-def]
-    """Return the least and the greatest of three coordinates as cells, at least -1 and at most `most`."""
+    """Return the smallest and the largest of three coordinates as cells, at least -1 and at most `most`."""
     low, high = np.floor(min(a, b, c)), np.floor(max(a, b, c))
     return np.int64(min(max(low, -1.0), most)), np.int64(min(max(high, -1.0), most))
 

@@ -58,7 +58,7 @@ def _cube(centre_rotated: Float64, side_m: float, T_world_camera: Float64) -> Gr
 
 @numba.njit(cache=True, nogil=True)
 def _extent(points_world, T_world_camera):  # type: ignore[no-untyped-def]
-    """Return the least and the largest coordinates (3,) of points (n, 3), rotated into the view's axes."""
+    """Return the smallest and the largest coordinates (3,) of points (n, 3), rotated into the view's axes."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for n in range(len(points_world)):
         x, y, z = points_world[n, 0], points_world[n, 1], points_world[n, 2]

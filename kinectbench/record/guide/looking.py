@@ -29,7 +29,7 @@ from kinectbench.stages.track.keyframe_graph import KeyframeGraph
 
 # Number of voxels along the object's longest edge: an opening of a twentieth of it is two voxels wide.
 VOXELS_ALONG, FINEST_M = 40, 0.006
-# Most keyframes that are fused, spread over the path: 60 take 2 s beside the tracker on one core.
+# How many keyframes are fused at most, spread over the path: 60 take 2 s beside the tracker on one core.
 MOST_KEYFRAMES = 60
 LEAST_KEYFRAMES = 3
 # Triangles that the page draws. 30,000 take 65 ms of software rendering (912x688 pixels, Chromium beside ten

@@ -34,7 +34,7 @@ def pair_problems(
 
     Args:
         pair: a pair whose keys, shapes and dtypes are checked already.
-        min_containment: least share of the partial inside the full shape, from the benchmark's settings.
+        min_containment: smallest share of the partial inside the full shape, from the benchmark's settings.
         framing: the framing in benchmark.json: cubes are fitted to the "object" or to the "view".
         partial_rule: the rule for partials in benchmark.json, "any" or "majority".
         unknown_shares: {file name: unknown share of the true shape that this file states}. Early releases

@@ -31,7 +31,8 @@ SLACK_CELLS = 1e-6
 MOST_OTHER_SHARE = 0.001
 # A cube farther from its camera, in cells, is compared with nothing.
 MOST_FAR_CELLS = 1e9
-# Most cells that the pixels of one view may reach: 8,300,000 pixels of 4K, of 60 cells each. It takes 1 s.
+# Largest number of cells that the pixels of one view may reach: 8,300,000 pixels of 4K, of 60 cells each. It
+# takes 1 s.
 MOST_REACHED = 500_000_000
 
 

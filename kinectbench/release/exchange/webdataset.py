@@ -36,7 +36,7 @@ def export_webdataset(
         release: the opened release.
         out: a new folder, or an earlier export, which is replaced.
         progress: called with (pairs done, pairs in all).
-        pairs_per_shard: most pairs in one file.
+        pairs_per_shard: largest number of pairs in one file.
 
     Returns:
         The number of pairs.

@@ -17,7 +17,7 @@ from kinectbench.release.contents import GLB, MOST_GLB_BYTES, OBJECT_FILES
 
 # The mesh of the whole scene in a build folder.
 SCENE = "reconstruction/mesh.ply"
-# Most triangles: 24 bytes each in a closed mesh, 1.44 MB in all. Fewest: the smallest closed mesh.
+# Largest number of triangles: 24 bytes each in a closed mesh, 1.44 MB in all. Smallest: of a closed mesh.
 MOST_TRIANGLES, LEAST_TRIANGLES = 60_000, 4
 # Keeps x; z becomes y.
 T_GLTF_FLOOR = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])

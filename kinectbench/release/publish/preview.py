@@ -30,7 +30,7 @@ from kinectbench.release.publish.view_pictures import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
 
 VIEWS = 3
-# Most warnings at the page's head; a large release has one for each recording.
+# Largest number of warnings at the page's head; a large release has one for each recording.
 MOST_WARNINGS = 8
 LISTED = ("recording", "object", "category", "split", "verdict", "estimated IoU", "pairs", "passed over")
 FILTERS = (2, 3, 4)

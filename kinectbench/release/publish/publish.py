@@ -77,8 +77,8 @@ class PublishSummary:
         return self.private or self.folder
 
 
-# Most files of recordings that lineage.json lists one by one: 100,000 take 11 MB there, and count as many
-# JSON keys; a JSON file may have three times as many.
+# Largest number of files of recordings that lineage.json lists one by one: 100,000 take 11 MB there, and
+# count as many JSON keys; a JSON file may have three times as many.
 MOST_NAMED_FILES = 100_000
 # Files and folders of a recording in a release, besides its pairs' files: three folders, mesh, volume, GLB,
 # floor, quality and views.json.

@@ -41,7 +41,7 @@ JSON_FILES: dict[str, tuple[str, type[Stored]]] = {
 }
 TABLE_SCHEMA = "targets.csv.json"
 PAIR_SCHEMA = "pair.npz.json"
-# Most characters of an error message, and most errors that are reported for one file.
+# Largest number of characters of an error message, and of errors that are reported for one file.
 MOST_CHARACTERS, MOST_FAULTS = 200, 50
 PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}
 

@@ -59,7 +59,7 @@ def _row(each: Judged, settings: BenchmarkSettings, quality: QualityFile | None)
 
 
 def _severity(row: TriageRow) -> tuple[int, float, int, str]:
-    """Return the sort key of a row: worst decision, lowest `estimated_iou_low`, most reasons, id.
+    """Return the key that sorts rows by worst decision, lowest `estimated_iou_low`, most reasons, then id.
 
     Among rows with the same decision, those without an estimate come first.
     """

@@ -31,7 +31,8 @@ def boxes_of(samples, order):  # type: ignore[no-untyped-def]
 
     Returns:
         groups: (leaves, 3, LEAF), the sorted samples, padded with infinity.
-        boxes: (nodes, 6, BOXES), the lowest and highest corners of each node's boxes, padded with empty boxes.
+        boxes: (nodes, 6, BOXES), the lowest and highest corners of each node's boxes, padded with empty
+            boxes.
         first: (nodes,), index of each node's first child. Leaves and nodes share one numbering: index i is
             leaf i if i < leaves, otherwise node i - leaves. The last node is the root.
     """

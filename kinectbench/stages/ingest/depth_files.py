@@ -33,7 +33,7 @@ Channels = tuple[int, int]
 ZIP_MAGIC, KEY = b"PK", "depth"
 ARRAYS = frozenset({".npy", ".npz"})
 TIFF_MAGICS = {b"II*\x00": "<", b"MM\x00*": ">"}
-# Numbers of tags in TIFF 6.0, and most tags to read: images have some thirty.
+# Numbers of tags in TIFF 6.0, and how many tags to read at most: images have some thirty.
 TIFF_WIDTH, TIFF_HEIGHT, MOST_TIFF_TAGS = 256, 257, 1000
 SUFFIXES = frozenset({".png", ".tif", ".tiff"}) | ARRAYS
 # Larger floats are not metres of a room, but millimetres.

@@ -20,7 +20,7 @@ GRAVITY_MPS2 = 9.80665
 # evenly: a sensor's bias and scale are off by up to 2 %. The remaining acceleration of the hand has no
 # preferred direction.
 REACH_NS, STILL_MPS2 = 100_000_000, 0.5
-# Most frames, and most and least measurements at each frame: enough for a mean.
+# Largest number of frames, and largest and smallest number of measurements at each: enough for a mean.
 FRAMES, SAMPLES, LEAST_SAMPLES = 100, 20, 3
 
 

@@ -26,13 +26,13 @@ DATE = re.compile(
     r"(?<!\d)((?:19[7-9]|20\d)\d)(\D?)(\d\d)\2(\d\d)\D{0,2}(\d\d)(\D?)(\d\d)\6(\d\d)"
     r"(?:\D(\d{1,9})|(\d{3}|\d{6}|\d{9})|)(?!\d)"
 )
-# Most numbers in a name, and most digits of a stamp: nanoseconds with decimals have no more.
+# How many numbers a name, and how many digits a stamp may have: nanoseconds with decimals have no more.
 MOST_NUMBERS, MOST_DIGITS = 16, 30
 # Units of time in nanoseconds: s, ms, us, ns.
 UNITS_NS = (NS_PER_S, NS_PER_S // 10**3, NS_PER_S // 10**6, 1)
-# Most digits of a fraction of a second. A fraction is read as a count if its largest step is then this many
-# times smaller than as decimals. If it is a count, reading it as decimals leaves a gap of two frames or more,
-# from 10 Hz on, in the first tenth of each second.
+# Largest number of digits of a fraction of a second. A fraction is read as a count if its largest step is
+# then this many times smaller than as decimals. If it is a count, reading it as decimals leaves a gap of two
+# frames or more, from 10 Hz on, in the first tenth of each second.
 PART_DIGITS, MORE_REGULAR = 9, 1.5
 # Fractions closer to each other are counts of frames (333 Hz, as below).
 LEAST_PART_STEP_NS = 3 * NS_PER_S // 10**3

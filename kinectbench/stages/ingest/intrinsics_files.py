@@ -35,7 +35,7 @@ MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam
 LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt")
 # Cameras as OpenCV and ROS write them; RTAB-Map exports a file for each image.
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
-# Most bytes of a camera's file, which has a few kB, and most files to read of many, such as RTAB-Map's.
+# Limit in bytes of a camera's file, which has a few kB; and how many files to read of many, as of RTAB-Map.
 YAML_BYTES, MOST_YAML = 64 << 10, 200
 YAML_MATRICES = ("camera_matrix", "cam_K", "intrinsic_matrix", "K", "k", "intrinsics")
 # Other programs use these keys for other things: they count only with as many numbers as a camera has.
@@ -54,7 +54,7 @@ OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
 YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
 # Characters that may stand between the numbers of a value.
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
-# Files that may state a unit, and most of them to read: some programs write one for each image.
+# Files that may state a unit, and how many to read at most: some programs write one for each image.
 UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)"), 20
 # Units per metre of 16-bit depth, 10 to 0.01 mm, that are believed of a file without intrinsics.
 LEAST_UNITS, MOST_UNITS = 100.0, 100_000.0
@@ -63,7 +63,7 @@ LIKE_INTRINSICS = re.compile(
     r"(?=.*(?:intrin|calib|camera|cam_?k|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
     re.IGNORECASE,
 )
-# Most names in a message, and most entries of a folder to look at.
+# Largest number of names in a message, and of entries of a folder to look at.
 MOST_NAMED, LOOKED_AT = 4, 20_000
 
 

@@ -29,8 +29,8 @@ from kinectbench.stages.ingest.images import (
     quantised,
 )
 
-# Most damaged images or messages to try until an undamaged one: five minutes at 30 frames a second. An index
-# may start long before the images that were kept.
+# Largest number of damaged images or messages to try until an undamaged one: five minutes at 30 frames a
+# second. An index may start long before the images that were kept.
 MOST_TRIED = 10_000
 # What a path is may keep a file from being read, for ever; any other reason is the machine's, and may pass.
 NO_IMAGE_FILE = {errno.EINVAL, errno.EFBIG, errno.EISDIR, errno.ENOTDIR, errno.ELOOP, errno.ENAMETOOLONG}

@@ -5,13 +5,13 @@ from pathlib import Path
 
 from kinectbench.core import RecordingError, printable, scanned
 
-# Most frames: two hours at 30 frames a second.
+# Largest number of frames: two hours at 30 frames a second.
 MOST_FRAMES = 250_000
-# Most files: depth, colour, a mask and a confidence image for each frame.
+# Largest number of files: depth, colour, a mask and a confidence image for each frame.
 MOST_FILES = 4 * MOST_FRAMES
 # Deepest nesting of folders; recordings have less.
 MOST_DEPTH = 32
-# Most links to folders to follow: a few that link to each other form an endless tree.
+# Largest number of links to folders to follow: a few that link to each other form an endless tree.
 MOST_LINKED = 1000
 MISSING = "there is no such file or folder; correct the path"
 # Characters of a path that a message quotes.

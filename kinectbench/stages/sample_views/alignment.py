@@ -39,7 +39,7 @@ MIN_POINTS = 100
 MUST_FALL_TO = 0.9
 # Depth farther than this from the rendered object does not count as the object's.
 NEAR_M = 0.06
-# Least uncertainty of a pose, however well it agrees with the depth.
+# Smallest uncertainty of a pose, however well it agrees with the depth.
 LEAST_SIGMA_M = 0.001
 # A pose that is off by 10 mm at the object is also off by about 0.01 rad, at a metre.
 RAD_PER_M = 0.75

@@ -42,7 +42,7 @@ def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float,
     Args:
         measured_m: (height, width) metres, 0 = none.
         rendered_m: (height, width) metres, 0 = not on the object.
-        tolerance_m: least tolerance, metres.
+        tolerance_m: smallest tolerance, metres.
         beside_px: a pixel may agree with any rendered pixel up to this many rows and columns away.
     """
     allowed_m = np.maximum(AGREEMENT_SIGMAS * depth_sigma_m(rendered_m), tolerance_m).astype(np.float32)
@@ -87,7 +87,7 @@ def object_mask(
         measured_m: (height, width) metres, 0 = none.
         rendered_m: (height, width) metres, 0 = not on the object.
         heights_m: (height, width) metres, height of the measured points above the floor.
-        tolerance_m: least tolerance, metres.
+        tolerance_m: smallest tolerance, metres.
         clear_m: points outside the silhouette that are lower than this may be the floor, metres.
     """
     on_object = rendered_m > 0

@@ -107,8 +107,8 @@ def sample_views(
         model: the object: floor and closed mesh.
         settings: number of views, strategy and seed; and whether to use the masks that came with the
             recording, in the frames that have one.
-        segmentation: tolerance of the masks, and their least height above the floor.
-        pairs: least containment, largest residual, least visible share.
+        segmentation: tolerance of the masks, and their smallest height above the floor.
+        pairs: smallest containment, largest residual, smallest visible share.
         masks: the user's masks, or None.
         progress: called with (views found, views wanted).
 

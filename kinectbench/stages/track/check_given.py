@@ -25,7 +25,7 @@ from kinectbench.stages.track.tracked import Constraint, State, Tracked
 NO_POSE = "the given trajectory has no pose at its time"
 NO_DEPTH = f"it has no depth between {MIN_DEPTH_M:g} and {MAX_DEPTH_M:g} m"
 CAUSES = "are the poses camera to world, in optical axes, on the frames' clock, and is depth_scale right"
-# Most jumps to describe; further jumps are only counted.
+# Largest number of jumps to describe; further jumps are only counted.
 MAX_JUMPS_REPORTED = 5
 # If a larger ratio of frames disagrees, the cause affects all frames.
 MANY = 0.2

@@ -22,7 +22,7 @@ POINTS = 200
 TOLERANCE_M, TOLERANCE_SHARE = 0.15, 0.05
 # Only keyframes whose point centroids lie within this ratio of the mean depth are compared.
 NEAR_SHARE = 0.8
-# Most keyframes to compare with, the nearest ones; more would cost time.
+# Largest number of keyframes to compare with, the nearest ones; more would cost time.
 MAX_NEIGHBOURS = 60
 
 

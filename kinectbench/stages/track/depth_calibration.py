@@ -41,7 +41,7 @@ PRIOR_PER_M = 0.0025
 GATE_M, MIN_FACING, HUBER_SIGMAS = 0.06, 0.7, 1.5
 # With fewer pairs, validating one half by the other is unreliable.
 MIN_PAIRS = 6
-# Least shared view of a pair of frames, and the largest number of pairs.
+# Smallest shared view of a pair of frames, and the largest number of pairs.
 MIN_SHARED_VIEW, MAX_PAIRS = 0.3, 400
 # A correction is used with given poses only if it lowers the squared residuals to this ratio or less.
 POSED_FALLS_TO = 0.98

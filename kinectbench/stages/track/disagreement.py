@@ -28,12 +28,12 @@ MIN_OVERLAP = 0.05
 AS_MANY, AS_CLOSE, WELL_BELOW_NOISE, AS_SIMILAR = 0.03, 1.1, 0.5, 0.1
 # Points used to measure how far a motion moves the visible surface.
 MOVED_POINTS = 1000
-# Residuals: largest distance along the ray between a point and its measurement, and the least cosine between
-# their normals.
+# Residuals: largest distance along the ray between a point and its measurement, and the smallest cosine
+# between their normals.
 GATE_M, MIN_FACING = 0.1, 0.5
 # Largest number of registered pairs, in total and per frame; pairs farthest apart in time come first.
 MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
-# Least distance in time of two distant frames, as a ratio of the recording's length.
+# Smallest distance in time of two distant frames, as a ratio of the recording's length.
 MIN_APART = 1 / 6
 # Frames with a smaller predicted shared view are not registered.
 MIN_SHARED_VIEW = 0.3

@@ -33,7 +33,7 @@ COMPARED_FRAMES = 60
 RECHECK_TIMES = 2.0
 # A frame that disagrees is compared with this many agreeing frames before it and after it.
 NEXT_IN_TIME = 3
-# Least inlier ratio at any pose; a frame below it shows a different scene.
+# Smallest inlier ratio at any pose; a frame below it shows a different scene.
 MIN_INLIERS = 0.65
 # Typical quality is this percentile over the frames, minus these margins.
 TYPICAL_PERCENTILE, INLIER_SLACK, CORRELATION_SLACK = 10, 0.03, 0.1

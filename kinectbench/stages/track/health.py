@@ -44,7 +44,7 @@ from kinectbench.stages.track.verdict import judge, recommend
 # Share of loops that may themselves be wrong; and three standard deviations of the systematic error of a loop
 # between equal views, metres. Chosen by hand.
 MAY_BE_OFF, OWN_ERROR_M = 0.05, 0.003
-# Most keyframes for the covisibility, which is only reported; pairs of more would cost time.
+# Largest number of keyframes for the covisibility, which is only reported; pairs of more would cost time.
 COVISIBLE_KEYFRAMES = 60
 
 

@@ -32,7 +32,7 @@ REFERENCE_OVERLAP, INLIER_SLACK, CORRELATION_SLACK = 0.4, 0.008, 0.03
 # It is accepted after a search with at most this margin below the reference quality, or with an overlap of at
 # least SAME_VIEW (something in view may have moved).
 MUCH_FEWER_INLIERS, SAME_VIEW = 0.03, 0.7
-# Least inlier ratio, overlap and intensity correlation of any accepted registration.
+# Smallest inlier ratio, overlap and intensity correlation of any accepted registration.
 ENOUGH_INLIERS, ENOUGH_OVERLAP, ENOUGH_CORRELATION = 0.9, 0.25, 0.3
 # A frame becomes the next keyframe below this overlap, or beyond this turn or shift (ratio of the depth).
 KEYFRAME_OVERLAP, KEYFRAME_TURN_RAD, KEYFRAME_SHIFT = 0.7, 0.26, 0.2

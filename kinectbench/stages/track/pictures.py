@@ -27,7 +27,7 @@ BLUE, ORANGE, RED, GREEN = "#0072b2", "#e69f00", "#d55e00", "#009e73"
 TIME_COLORS = "viridis"
 # Largest numbers to draw: more would cover one another.
 ARROWS, MAX_LOOPS_DRAWN, MAX_KEYFRAMES_DRAWN = 24, 200, 150
-# Least half-width of the axes, so that the noise of a camera that hardly moves does not fill the picture.
+# Smallest half-width of the axes, so that the noise of a camera that hardly moves does not fill the picture.
 MIN_REACH_M = 0.25
 NOTHING = "no frame has a pose"
 TIME, FRAME = "time, s", "frame"

@@ -35,8 +35,8 @@ HELD = 1e12
 KERNEL = 30.0
 # Information of the priors: standard deviations of 30 mrad and 50 mm.
 PRIOR = np.diag([0.03**-2] * 3 + [0.05**-2] * 3)
-# Most steps with the last kernel; with each kernel before it, which need not converge; and the final step
-# size.
+# Largest number of steps with the last kernel; with each kernel before it, which need not converge; and the
+# final step size.
 ITERATIONS, COARSE_ITERATIONS, STEP_ENOUGH = 40, 4, 1e-6
 # Number of kernels, from one that keeps every constraint to the last, evenly spaced by the logarithm.
 TIGHTENINGS = 8

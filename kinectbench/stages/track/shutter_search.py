@@ -22,7 +22,7 @@ from kinectbench.stages.track.registration import Registration, measure, registe
 # then 4.5 mrad off, one pixel at working resolution. No pair of simulated slow orbits (0.4 to 0.8 m/s) is
 # informative, and one of 150 in a recording that pans over a room.
 INFORMATIVE_RAD_PER_S = 0.3
-# Least number and ratio of informative frames (for a single jolt the odometry is not repeated); pairs to use.
+# Minimum number and ratio of informative frames (for one jolt the odometry is not repeated); pairs to use.
 MIN_INFORMATIVE, MIN_INFORMATIVE_RATIO, PAIRS = 16, 0.05, 12
 # Image positions at which flow is evaluated: x and y at z = 1.
 FLOW_AT = np.array([(x, y, 1.0) for x in (-0.3, 0.0, 0.3) for y in (-0.25, 0.0, 0.25)])
@@ -169,7 +169,7 @@ class _Search:
 
 
 def _least(value_at: Callable[[float], float], start_s: float) -> float:
-    """Return the time (s) with the least value: descend in 10 ms steps, then fit a parabola."""
+    """Return the time (s) with the smallest value: descend in 10 ms steps, then fit a parabola."""
     values: dict[int, float] = {}
 
     def at(step: int) -> float:

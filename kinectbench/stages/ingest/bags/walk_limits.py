@@ -7,7 +7,8 @@ from typing import BinaryIO
 from kinectbench.core import UNPACKED_BYTES, RecordingError, open_plain, unpacked_bound
 from kinectbench.stages.ingest.bags.message_decoding import DamagedRecordError, MessagePlace
 
-# Least bytes of a bag's file per record, however well it is compressed; and records that are always allowed.
+# Smallest size of a bag's file per record, bytes, however well compressed; and records that are always
+# allowed.
 LEAST_RECORD_BYTES, ALWAYS_RECORDS = 8, 100_000
 # Limits in steps of SQLite's virtual machine: a message takes about ten steps, and more than ten bytes.
 ALWAYS_STEPS, STEPS_A_BYTE, STEPS_AT_ONCE = 1_000_000, 2, 10_000

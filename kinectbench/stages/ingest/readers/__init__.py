@@ -50,7 +50,8 @@ FORMATS = {
 TRUTH = "truth.json"
 # Limits of native units of 16-bit depth per metre: the range of depth is then from 6.5 cm to kilometres.
 LEAST_DEPTH_SCALE, MOST_DEPTH_SCALE = 1e-3, 1e6
-# Most files and folders to search for recordings, and for a hint beside a path that is no recording.
+# Largest number of files and folders to search for recordings, and for a hint beside a path that is no
+# recording.
 LOOKED_AT, LOOKED_AT_FOR_HINT = 1_000_000, 1000
 # Units per metre: depth with rotated bits is in millimetres.
 MM_SCALE = 1000.0

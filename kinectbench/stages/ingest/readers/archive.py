@@ -12,7 +12,8 @@ from kinectbench.stages.ingest.images import DamagedImageError
 
 # Signature of a zip archive's first local header (APPNOTE.TXT 4.3.7).
 MAGIC = b"PK\x03\x04"
-# Most members: three for each frame of an hour at 30 frames a second; and bytes per row of the directory.
+# Largest number of members: three for each frame of an hour at 30 frames a second; and bytes per row of the
+# directory.
 MOST_MEMBERS, ROW_BYTES = 350_000, 128
 # Largest image or JSON of a recording: 16-bit depth of 4096x4096 pixels has 32 MB.
 LARGEST_MEMBER_BYTES = 64 << 20

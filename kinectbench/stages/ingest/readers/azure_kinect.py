@@ -42,7 +42,7 @@ TRACKS = ("DEPTH", "COLOR", "IR")
 # The id of Matroska's segment. Its size is written when the file is closed; before, it consists of ones.
 SEGMENT = b"\x18\x53\x80\x67"
 UNKNOWN_SIZE = (1 << 56) - 1
-# Most bytes between the start of a block and its image (Matroska: id, size, track, time).
+# Largest number of bytes between the start of a block and its image (Matroska: id, size, track, time).
 BLOCK_HEAD_BYTES = 64
 # OpenCV's conversions of the formats that are not JPEG.
 RAW_COLOR = {"NV12": "COLOR_YUV2BGR_NV12", "YUY2": "COLOR_YUV2BGR_YUY2", "BGRA": "COLOR_BGRA2BGR"}

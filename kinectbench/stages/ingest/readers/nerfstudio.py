@@ -196,7 +196,7 @@ def _color(path: Path, frame: Frame) -> Path | None:
 
 
 def _no_color(path: Path, files: tuple[FrameFiles, ...], frames: list[tuple[str, Frame]]) -> list[str]:
-    """Return a warning about colour images that transforms.json names, but that are missing; [] if none is."""
+    """Return a warning about missing colour images that transforms.json names, else []."""
     pairs = zip(files, frames, strict=True)
     missing = [f["file_path"] for file, (_, f) in pairs if f.get("file_path") and file.color is None]
     if not missing:

@@ -130,9 +130,10 @@ class Record3dRecording(Recording):
         return RawFrame(name, place.stamp_ns, depth, self._color(f"{stem}.jpg"))
 
     def _color(self, member: str) -> tuple[str, bytes] | None:
-        """Return a frame's colour image at depth's size: (suffix, encoded image). None if the archive lacks it.
+        """Return a frame's colour image at depth's size: (suffix, encoded image).
 
         An image that already has depth's size is returned as it is. Any other is scaled and encoded as PNG.
+        The result is None if the archive lacks the image.
         """
         if member not in self.members:
             return None

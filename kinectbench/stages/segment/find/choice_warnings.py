@@ -154,14 +154,14 @@ def large_neighbours(selection: Selection) -> Float64:
 
 
 def _gap_within_m(points: Float64, others: Float64, most_m: float) -> float:
-    """The least distance between two sets of points (n, k) and (m, k); inf if it exceeds `most_m`."""
+    """The smallest distance between two sets of points (n, k) and (m, k); inf if it exceeds `most_m`."""
     from scipy.spatial import cKDTree
 
     return nearest_within(cKDTree(points), others, most_m)[0] if len(points) else np.inf
 
 
 def _distance_m(points: Float64, point: Float64) -> float:
-    """The least distance between points (n, 3) and one (3,); inf if n is 0."""
+    """The smallest distance between points (n, 3) and one (3,); inf if n is 0."""
     return float(np.linalg.norm(points - point, axis=1).min(initial=np.inf))
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Float64
 
-# From the first distance on the rules hold as they were chosen. Below the second, the least distance of most
-# depth cameras, nothing shrinks further.
+# From the first distance on the rules hold as they were chosen. Below the second, the smallest distance of
+# most depth cameras, nothing shrinks further.
 REFERENCE_DISTANCE_M = 1.0
 NEAREST_DISTANCE_M = 0.3
 # Neighbouring vertices lie in cells that touch if these are so many times as wide as the spacing (chosen by
@@ -29,7 +29,7 @@ def distance_scale(T_world_camera: Float64, focus_world: Float64) -> float:
 
 
 def cell_scale(scale: float, spacing_m: float, cell_m: float) -> float:
-    """Return the least scale >= `scale` at which neighbouring vertices of a surface lie in touching cells.
+    """Return the smallest scale >= `scale` at which neighbouring vertices of a surface lie in touching cells.
 
     The vertices are `spacing_m` apart. The edge of a cell is `cell_m` times the result.
     """

@@ -81,7 +81,7 @@ def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
 
 
 def nearest_within(tree: "cKDTree", points: Float64, most_m: float) -> tuple[float, int | None]:
-    """Return the least distance from points (n, k) to the points of a tree, and the index of that tree point.
+    """Return the smallest distance from points (n, k) to a tree's points, and the index of that tree point.
 
     They are inf and None if no point is within `most_m`. A search without a bound would visit most of the
     tree.

@@ -246,7 +246,7 @@ def _signed_distance_m(observation: Observation, ray_width_m: float) -> Float32:
 
 
 def _least_free_votes(observation: Observation) -> int:
-    """Return the least number of frames that make a voxel free by seeing through it.
+    """Return the smallest number of frames that make a voxel free by seeing through it.
 
     It applies to voxels without a measured surface nearby.
     """

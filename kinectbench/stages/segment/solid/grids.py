@@ -24,7 +24,7 @@ FLOOR_LAYERS = 4
 SURROUND_FACTOR = 4
 # Half the side of the coarse grid, in radii of the ball around the fine one's cube, so that no ray misses it.
 SURROUND_RADII = 1.1
-# Most voxels of the fine grid, and most cells of the coarse one along an axis: a laptop's memory.
+# Largest number of voxels of the fine grid, and of cells of the coarse one along an axis: a laptop's memory.
 MAX_VOXELS, MAX_SURROUND_CELLS = 1 << 26, 400
 # The sides of both grids are multiples of it: fusion works in blocks of 8.
 CUBE_VOXELS = 16

@@ -17,7 +17,7 @@ from kinectbench.stages.segment.solid.labels import voxel_labels
 
 # A wider Gaussian thins slats, a narrower one leaves the sensor's noise.
 SMOOTHING_VOXELS = 0.7
-# Of a voxel, the least absolute value of the field before it is smoothed, and after: an exact 0 would make
+# Of a voxel, the smallest absolute value of the field before it is smoothed, and after: an exact 0 would make
 # triangles without area.
 LEAST_FIELD, LEAST_SMOOTHED = 0.1, 0.02
 # Probability of a voxel that a rule calls solid, or air, against what was measured there.
