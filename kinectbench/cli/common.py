@@ -153,7 +153,7 @@ class Common:
 
     @contextmanager
     def executor(self) -> Iterator["Executor | None"]:
-        """Connect to the requested cluster during a `with` block and yield it; yield None without one.
+        """Connect to the requested cluster during a `with` block and yield it (None if none is requested).
 
         Raises:
             SettingsError, ClusterError: the address is invalid, or nothing answers there.

@@ -115,7 +115,7 @@ def read_ply_surface(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.in
 def _read_ply(
     content: bytes, most_vertices: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int64] | None, Normals]:
-    """Read vertices, triangles (None without faces), and normals (None without normals)."""
+    """Read vertices, triangles (None if there are no faces), and normals (None if there are none)."""
     order, elements, offset = _header(content, most_vertices)
     data = numbers_of(content, offset) if order == "" else np.frombuffer(content, np.uint8)[offset:]
     position, vertices, normals = 0, None, None

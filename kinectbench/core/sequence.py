@@ -45,7 +45,7 @@ class FrameStore(Protocol):
         ...
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Encoded colour of one frame: (suffix such as ".jpg", bytes), or None."""
+        """Encoded colour of one frame: (suffix such as ".jpg", bytes); None if it has no colour."""
         ...
 
 
@@ -115,7 +115,7 @@ class Sequence:
         return replace(self, depth_correction_per_m=correction)
 
     def color_rgb(self, index: int) -> NDArray[np.uint8] | None:
-        """Colour of one frame: (height, width, 3) uint8 RGB; None without colour.
+        """Colour of one frame: (height, width, 3) uint8 RGB; None if it has no colour.
 
         Raises:
             StorageError: the image is missing or damaged.

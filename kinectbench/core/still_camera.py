@@ -93,7 +93,7 @@ def watch(depths_m: Sequence[Float32], grays: Sequence[NDArray[np.uint8] | None]
 
     Args:
         depths_m: k frames from the whole recording, (height, width) metres each, 0 = none.
-        grays: for each frame a grey image of about the same view, of any size; None without colour.
+        grays: for each frame a grey image of about the same view, of any size; None if it has no colour.
 
     Returns:
         None if there are fewer than six frames.

@@ -47,7 +47,10 @@ class UprightFrames:
         return upright_depth(native, self.depth_scale, self.camera, shutter.motion[index], shutter.readout_s)
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Colour of one frame, corrected if registered to depth and undamaged: (suffix, bytes), or None."""
+        """Colour of one frame: (suffix, bytes); None if it has no colour.
+
+        Colour that is registered to depth is corrected, unless the image is damaged.
+        """
         import cv2
 
         encoded, shutter = self.frames.color_encoded(index), self.shutter
@@ -91,7 +94,7 @@ def upright_masks(sequence: Sequence, masks: Callable[[int], Bools | None]) -> C
         return masks
 
     def moved(index: int) -> Bools | None:
-        """The corrected mask of a frame: (height, width) bool, or None without mask."""
+        """The corrected mask of a frame: (height, width) bool; None if it has no mask."""
         mask = masks(index)
         return None if mask is None else frames.mask(index, mask)
 

@@ -180,7 +180,10 @@ def clock_ns(probe: Probe, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
 
 
 def _color_delay_ns(probe: Probe, run: tuple[SmallFrame, ...], stamps_ns: NDArray[np.int64]) -> int | None:
-    """Return colour's delay, ns, by motion; if that fails, by edges if colour is registered; or None."""
+    """Return colour's delay, ns, found by motion, or by edges if motion fails and colour is registered.
+
+    The result is None if no method finds a delay.
+    """
     delay_ns = _motion_delay_ns(run, stamps_ns)
     if delay_ns is None and probe.recording.color_registered:
         return _edge_delay_ns(run, stamps_ns)

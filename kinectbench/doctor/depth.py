@@ -232,7 +232,7 @@ def range_by_look(
 ) -> DepthRangePart:
     """Return the depth range that a build would fuse, and the share of depth beyond it.
 
-    It is found from the depth of the sampled frames and the distance that their cameras look at.
+    The range follows from the depth of the sampled frames and from the point that their cameras look at.
 
     Args:
         probe: the probe of the recording.

@@ -141,7 +141,10 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
 
 
 def _place(probe: Probe) -> ColorPlace | None:
-    """Find the zoom and shift of colour that fit depth best; None without colour of depth's aspect ratio."""
+    """Find the zoom and shift of colour that fit depth best.
+
+    Return None if no frame has colour of depth's aspect ratio.
+    """
     import cv2
 
     parts = []

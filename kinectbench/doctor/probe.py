@@ -35,7 +35,7 @@ class SmallFrame:
         index: index in the recording.
         stamp_ns: stamp of depth, nanoseconds.
         depth_m: (height, width) float32 metres, every n-th pixel of every n-th row; 0 = none.
-        gray: (height, width) uint8, colour as grey, in another size than depth; None without colour.
+        gray: (height, width) uint8, colour as grey, in another size than depth; None if there is no colour.
         digest: hash of the full depth image, to find repeated ones.
     """
 
@@ -53,7 +53,7 @@ class WholeFrame:
     Attributes:
         index: index in the recording.
         depth: (height, width) uint16, native units, 0 = none.
-        bgr: (height, width, 3) uint8, the decoded colour, of any size; None without.
+        bgr: (height, width, 3) uint8, the decoded colour, of any size; None if there is no colour.
     """
 
     index: int
@@ -206,7 +206,7 @@ def frames_to_read(count: int) -> NDArray[np.int64]:
 def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
     """Return a frame's colour as grey, reduced 8, 4 or 2 times if that leaves a width of 320 pixels or more.
 
-    The result is None without colour.
+    The result is None if the frame has no colour.
     """
     import cv2
 

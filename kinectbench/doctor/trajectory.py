@@ -87,10 +87,10 @@ class PoseFit:
 
 
 def posed_pairs(probe: Probe) -> tuple[NDArray[np.float64], tuple[FramePair, ...]] | None:
-    """Return the given poses (n, 4, 4) of the probe's n frames, NaN without one, and the pairs to compare.
+    """Return the given poses (n, 4, 4) of the probe's n frames, and the pairs of frames to compare.
 
-    The poses are as given, in any convention. The result is None without poses, or if there are too few
-    pairs.
+    The poses are as given, in any convention; a frame without a pose has NaN. The result is None if no poses
+    are given, or if there are too few pairs.
     """
     given = probe.recording.given_trajectory
     if given is None or not probe.frames:
@@ -102,7 +102,10 @@ def posed_pairs(probe: Probe) -> tuple[NDArray[np.float64], tuple[FramePair, ...
 
 
 def fit_trajectory(probe: Probe) -> PoseFit | None:
-    """Find the convention in which the given poses fit the depth; None without poses or enough pairs."""
+    """Find the convention in which the given poses fit the depth.
+
+    Return None if no poses are given, or if too few pairs of frames can be compared.
+    """
     posed = posed_pairs(probe)
     if posed is None:
         return None

@@ -71,7 +71,7 @@ class DrawnMasks:
 
     @classmethod
     def of(cls, job: Job) -> Self | None:
-        """Read the masks in the folder that benchmark.yaml names, or the default one; None without a folder.
+        """Read the masks in the folder that benchmark.yaml names or in the default one; None if it is absent.
 
         Raises:
             StorageError: masks.json is damaged.

@@ -44,7 +44,10 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 def plane_given(
     sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
 ) -> Vector4 | None:
-    """Return the plane (a, b, c, d) below the object, world frame: `floor`, else a turntable's, or None."""
+    """Return the plane (a, b, c, d) below the object, world frame: `floor` if given, else a turntable's.
+
+    The result is None if there is no `floor`, and no turntable or no plane found below it.
+    """
     if by != "turntable" or floor is not None:
         return floor
     plane_world = plane_below(whole(sequence), trajectory)

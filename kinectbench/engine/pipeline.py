@@ -278,9 +278,9 @@ def _make(
 def _checked_masks(job: Job) -> Callable[[Path], object] | None:
     """Refuse masks of frames whose images have changed; return the check of masks of views, to call later.
 
-    The returned check takes the folder of the new views; it is None without masks. Checks only refuse masks,
-    and never change a stage's result. So masks.json is in no fingerprint, and after a refusal the stage is
-    tried again.
+    The returned check takes the folder of the new views; it is None if there are no masks. Checks only refuse
+    masks, and never change a stage's result. So masks.json is in no fingerprint, and after a refusal the
+    stage is tried again.
     """
     from kinectbench.engine.drawn_masks import DrawnMasks
     from kinectbench.stages.ingest.sequence_folder import read_sequence

@@ -134,7 +134,7 @@ def _suggest(work: Work[SuggestSettings]) -> None:
 def _picked(
     sequence: Sequence, trajectory: Trajectory, settings: SuggestSettings | SegmentSettings
 ) -> PickedPoint | None:
-    """Return the picked point on the object; None without one, or if `segment_by` defines the object."""
+    """Return the picked point on the object; None if none is given, or if `segment_by` defines the object."""
     if settings.pick is None or settings.segment_by is not None:
         return None
     return picked_point(sequence, trajectory, settings.pick.frame, settings.pick.pixel)

@@ -118,7 +118,7 @@ def _to_do_first(
     quality: QualityFile | None,
     views: ViewsFile | None,
 ) -> str | None:
-    """Return the warning to deal with first; None without warnings.
+    """Return the warning to deal with first; None if there are no warnings.
 
     Causes come before effects. The order is: units and intrinsics, poses, floor and choice of the object,
     unseen parts, all other warnings.

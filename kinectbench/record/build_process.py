@@ -203,11 +203,11 @@ class GrowingBuild:
         self._follower.take(len(self._follower.frames))
 
     def sequence(self) -> PartialSequence | None:
-        """Return the frames stored so far; None before the folder exists."""
+        """Return the frames stored so far; None if the folder does not exist yet."""
         return PartialSequence(self._writer, tuple(self._marks)) if self._writer else None
 
     def odometry(self) -> PartialOdometry | None:
-        """Return the odometry of the stored frames; None without any."""
+        """Return the odometry of the stored frames; None if there is none yet."""
         return PartialOdometry(self._follower, tuple(self._digests)) if self._follower else None
 
 

@@ -38,7 +38,7 @@ class Frame:
         depth: (height, width) uint16 in native units, 0 = no measurement; the device does not reuse the
             array.
         color: (file suffix, encoded image) if the device encodes colour; (height, width, 3) uint8 RGB if it
-            gives pixels; None without colour.
+            gives pixels; None if there is no colour.
         color_stamp_ns: stamp of colour, nanoseconds; None: the stamp of depth.
         accelerations: measurements since the previous frame.
     """

@@ -317,8 +317,7 @@ def gallery_json(
         many: whether the page shows many recordings; then the gallery is smaller.
 
     Returns:
-        The JSON text, or None if there is nothing to show; and the number of pairs left out to limit its
-        size.
+        The JSON text (None if there is nothing to show), and the number of pairs left out to limit its size.
     """
     shown_by = [
         {name: _text(cells) for name, cells in (gallery or {}).items() if name in truths}

@@ -38,7 +38,9 @@ def read_in_camera(folder: Path) -> MethodFile | None:
 
 
 def read_method(folder: Path) -> MethodFile | None:
-    """Read method.json, and check that predictions in the pairs' grids can be scored; None without the file.
+    """Read method.json, and check that predictions in the pairs' grids can be scored.
+
+    The result is None if the file is missing.
 
     Raises:
         PredictionError: the file cannot be read, has a misspelt key, or declares what is not supported yet;

@@ -27,7 +27,7 @@ def without_none(annotation: object) -> object:
 
 
 def model_of(annotation: object) -> type[Settings] | None:
-    """Return the settings model that a type annotation names, or None."""
+    """Return the settings model that a type annotation names; None if it names none."""
     inner = without_none(annotation)
     return inner if isinstance(inner, type) and issubclass(inner, Settings) else None
 

@@ -77,7 +77,10 @@ def clock_offset(stamps_ns: Int64, T_world_camera: Float64, reference: GivenTraj
 
 
 def _best_ns(squares: Float64) -> int | None:
-    """Return the lag, ns, that minimises the mean of `squares` (lags, frames), refined; None if at either end."""
+    """Return the lag, ns, with the lowest mean of `squares` (lags, frames), refined by a parabola.
+
+    The result is None if this lag is the first or the last.
+    """
     means = squares.mean(axis=1)
     best = int(np.argmin(means))
     if best in (0, len(means) - 1):

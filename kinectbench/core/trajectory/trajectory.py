@@ -51,9 +51,10 @@ class Trajectory:
 
     @cached_property
     def shutter(self) -> RollingShutter | None:
-        """The rolling shutter that tracking found: readout time, colour delay, camera motion; or None.
+        """The rolling shutter that tracking found: readout time, colour delay, camera motion.
 
-        The motion is computed from the poses of this trajectory.
+        The motion is computed from the poses of this trajectory. None if neither a readout time nor a delay
+        was found.
         """
         if self.health is None or not (self.health.readout_s or self.health.color_delay_s):
             return None

@@ -298,7 +298,7 @@ def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
 
 
 def _version_fault(values: Mapping[str, NDArray[np.generic]]) -> str | None:
-    """Return the fault of a pair file's format version, in words; None without a fault."""
+    """Return the fault of a pair file's format version, in words; None if it has none."""
     version = values.get(VERSION_KEY, np.asarray(0))
     if version.shape != () or version.dtype.kind not in "iu" or version.item() != FORMAT_VERSION:
         return f"written in another format version; this package reads {FORMAT_VERSION}"

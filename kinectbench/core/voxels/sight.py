@@ -97,7 +97,7 @@ class _Lines:
         obstacle: bool (nx, ny, nz).
         narrow: limits of the narrow lines.
         closer: limits of the wide lines; None: only narrow lines are tried.
-        wide: where wide lines pass; None without them.
+        wide: where wide lines pass; None if there are none.
         spacing_rad: angle between neighbouring directions of narrow lines, radians.
     """
 

@@ -117,11 +117,16 @@ def _cross(corners, i0, i1, j0, j1, nv, touching, count, lines, heights, signs):
 
     Args:
         corners: the result of `_upward`.
-        i0, i1, j0, j1: the first and the last i, the first and the last j.
+        i0: the first i.
+        i1: the last i.
+        j0: the first j.
+        j1: the last j.
         nv: number of lines in direction v. Line (i, j) is written as i nv + j.
         touching: whether a face also crosses lines through its border, as in `crossings`.
         count: number of crossings already in the arrays. New ones are written from this index on.
-        lines, heights, signs: the arrays to write to, as `crossings` returns them, but longer.
+        lines: the array of lines to write to, as `crossings` returns it, but longer.
+        heights: the array of heights to write to.
+        signs: the array of signs to write to.
     """
     ax, ay, az, bx, by, bz, cx, cy, cz, area, sign = corners
     if area == 0:

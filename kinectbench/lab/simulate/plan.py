@@ -73,7 +73,7 @@ def plan_frames(spec: SimulationSpec, T_world_camera: Float64) -> tuple[PlannedF
 
 
 def given_trajectory(spec: SimulationSpec, T_world_camera: Float64) -> Float64 | None:
-    """Return the trajectory (n, 4, 4) to record with the frames, true or with errors; or None."""
+    """Return the trajectory (n, 4, 4) to record, true or with errors; None if none is to be recorded."""
     given, rng = spec.given, spec.rng(GIVEN)
     if given.trajectory == "none":
         return None

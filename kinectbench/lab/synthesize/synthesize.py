@@ -291,7 +291,7 @@ def _models(settings: SynthesisSettings) -> tuple[tuple[Model, ...], tuple[LeftO
 def _check_all(
     models: Sequence[Model], max_faces: int, jobs: int, progress: NamedProgress
 ) -> list[str | None]:
-    """Load and check each model; return the reason why it cannot be used, or None, for each."""
+    """Load and check each model; return for each why it cannot be used, None if it can be used."""
     jobs = jobs if len(models) > FEW else 1
     return run_tasks(partial(_reason, max_faces=max_faces), models, jobs, partial(progress, "checking"))
 

@@ -161,7 +161,7 @@ def _stamp_ns(frame: "rs.frame") -> int:
 def _usual(
     profiles: Sequence["rs.stream_profile"], stream: "rs.stream", form: "rs.format"
 ) -> "rs.stream_profile | None":
-    """Return a stream's profile in a format: of the USUAL size and rate, else the first; None without any."""
+    """Return a stream's profile in a format: one of USUAL size and rate, else the first; None if absent."""
     found = [each for each in profiles if each.stream_type() == stream and each.format() == form]
     for each in found:
         if each.is_video_stream_profile():

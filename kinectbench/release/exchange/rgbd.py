@@ -47,7 +47,7 @@ class RgbdView:
         target: the view's pair.
         depth_mm: (height, width) uint16, millimetres along z, 0 where nothing was measured.
         mask: (height, width) bool, the object.
-        color: (height, width, 3) uint8 RGB, registered to the depth; None without such an image.
+        color: (height, width, 3) uint8 RGB, registered to the depth; None if there is none.
         color_words: where the colour comes from, or why there is none.
         K: (3, 3) intrinsics, pixels; pixel centres are integers.
         T_world_camera: (4, 4), camera (x right, y down, z forward) to world, metres.

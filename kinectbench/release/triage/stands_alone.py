@@ -50,7 +50,9 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the volume share of the smallest part that could stand alone, if the rest could, too; or None.
+    """Return the smallest volume share of a part that could stand alone, if the rest could, too.
+
+    The result is None if there is no such part.
 
     Args:
         solid: (nx, ny, nz) bool, z up, with at least one cell set.

@@ -124,7 +124,7 @@ def adapt(
 def _adapted(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
-    """Convert one view's output and write it to `folder`; return its camera.json, or None without output."""
+    """Convert one view's output, write it to `folder`, return its camera.json; None if there is no output."""
     view_folder = output / target.recording / target.view
     try:
         path = find_output(view_folder, adapter.output)

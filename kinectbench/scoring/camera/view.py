@@ -44,11 +44,11 @@ class Scored:
         part: whole, visible or occluded.
         figures: metrics of the part.
         alignment: the registration under `aligned`; None under `camera`.
-        solid: whether the prediction had an inside before it was closed; None without a prediction.
+        solid: whether the prediction had an inside before it was closed; None if there is no prediction.
         predicted_unknown_share: share of the predicted surface that lies in unknown space.
         cut: share of the known true shape outside the volume that the method covers; None without such a
             volume.
-        silhouette: share of the predicted surface that projects outside the mask; None without a mask.
+        silhouette: share of the predicted surface that projects outside the mask; None if there is no mask.
         hypotheses: how the row combines several predictions of the view; None for the row of a single
             prediction.
         closed: the value of `--close` by which an open mesh or points were made solid; None if they were not.

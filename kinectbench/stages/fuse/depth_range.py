@@ -140,7 +140,7 @@ def _range_m(reach_m: float) -> float:
 
 
 def _looked_at_m(T_world_camera: Float64, sampled: SampledDepth) -> float | None:
-    """Return a typical distance to the target along the optical axis, metres; None without any data."""
+    """Return a typical distance to the target along the optical axis, metres; None if nothing is known."""
     distances_m = []
     if len(T_world_camera):
         towards = convergence_point(T_world_camera) - T_world_camera[:, :3, 3]

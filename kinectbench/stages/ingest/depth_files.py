@@ -101,9 +101,9 @@ def kind_of(depth: UInt16 | Float32) -> str:
 
 
 def units_a_metre(depth: UInt16 | Float32) -> float | None:
-    """Return the units per metre of a float image, judged by its median: 1 or 1000; None for whole numbers.
+    """Return the units per metre of a float image, judged by its median: 1 or 1000.
 
-    An image without any measurement counts as one in metres.
+    An image without any measurement counts as one in metres. The result is None for an integer image.
     """
     if depth.dtype == np.uint16:
         return None

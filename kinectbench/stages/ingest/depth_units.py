@@ -46,7 +46,7 @@ def scale_of_keys(
         of_bop: whether the file has `cam_K`.
 
     Returns:
-        Units per metre; None without such a name, or if none of the values is a unit of 16-bit depth.
+        Units per metre; None if no such name is found, or if none of the values is a unit of 16-bit depth.
     """
     scales, notes = dict[str, float](), list[str]()
     by_name = {name.lower(): (name, value) for name, value in stated.items()}

@@ -115,7 +115,10 @@ def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partner
 
 
 def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None, ...]:
-    """Return, for each depth key, the index of the colour image with this key (only once), or None."""
+    """Return for each depth key the index of the colour image with this key, None if none is left.
+
+    A colour image is paired with the first depth image of its key only.
+    """
     index = {key: place for place, key in enumerate(color)}
     return tuple(index.pop(key, None) for key in depth)
 

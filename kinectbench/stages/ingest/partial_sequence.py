@@ -50,7 +50,10 @@ def using_partial_sequence(ask: Ask) -> Iterator[None]:
 
 
 def partial_sequence() -> PartialSequence | None:
-    """Return the sequence of the enclosing `using_partial_sequence`, or None; in later calls always None."""
+    """Return the sequence that the enclosing `using_partial_sequence` offers.
+
+    The result is None if there is no such block, if the block has no sequence, or if this was called before.
+    """
     ask = _ask.get()
     _ask.set(None)
     return ask() if ask else None

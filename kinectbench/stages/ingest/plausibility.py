@@ -50,7 +50,7 @@ class FrameChecks:
         self._last_stamp_ns: int | None = None
 
     def check(self, frame: RawFrame) -> str | None:
-        """Check one frame; return the suffix that its colour image should have, None without colour.
+        """Check one frame; return the suffix that its colour image should have, None if it has no colour.
 
         Raises:
             DamagedImageError: the colour image is damaged, or (OddImageError) an image has the wrong size.
@@ -167,7 +167,7 @@ def check_size(frame: RawFrame, recording: Recording) -> None:
 
 
 def check_color(frame: RawFrame, recording: Recording) -> str | None:
-    """Check a frame's colour image; return the suffix that its file should have, None without colour.
+    """Check a frame's colour image; return the suffix that its file should have, None if there is no colour.
 
     Raises:
         DamagedImageError: the colour image is damaged.

@@ -274,7 +274,7 @@ class FileRecording(Recording):
         return decode_mask(read_image_file(file), str(file))
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Return the colour of a frame as encoded in its file: (suffix, bytes), or None."""
+        """Return the colour of a frame as encoded in its file: (suffix, bytes); None if it has no colour."""
         file = self.places[index].color
         return None if file is None else (file.suffix, read_image_file(file))
 
@@ -316,7 +316,9 @@ def read_image_file(path: Path) -> bytes:
 
 
 def mask_beside(depth: Path, recording: Path) -> Path | None:
-    """Return the user's mask for a depth image: NAME.png in masks/ beside the image's folder; or None.
+    """Return the user's mask for a depth image: NAME.png in masks/ beside the image's folder.
+
+    The result is None if there is no such file.
 
     Args:
         depth: path of the image.
@@ -348,7 +350,7 @@ def visible(folder: Path, pattern: str) -> list[Path]:
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:
-    """Return the first existing file of several paths, or None."""
+    """Return the first existing file of several paths; None if none exists."""
     return next((file for file in candidates if file.is_file()), None)
 
 
@@ -373,7 +375,7 @@ def tried(count: int) -> str:
 
 
 def first_color_size(files: Sequence[FrameFiles]) -> tuple[int, int] | None:
-    """Return width and height in pixels of the first undamaged colour image, or None."""
+    """Return width and height in pixels of the first undamaged colour image; None if there is none."""
     with suppress(DamagedImageError):
         colors = (frame.color for frame in files if frame.color is not None)
         return first_whole(lambda file: image_header(read_image_file(file), str(file))[1:], colors)

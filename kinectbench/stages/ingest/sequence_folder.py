@@ -184,7 +184,7 @@ class FolderFrames:
             raise StorageError(f"{name}: is damaged ({error}); {AGAIN}") from error
 
     def mask(self, index: int) -> Bools | None:
-        """Return the mask that came with the recording for a frame: (height, width) bool, or None.
+        """Return the mask that came with the recording for a frame: (height, width) bool; None if none did.
 
         Raises:
             StorageError: the image is missing or damaged.
@@ -198,7 +198,7 @@ class FolderFrames:
             raise StorageError(f"{self.folder / name}: is damaged; {AGAIN}") from error
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Return the colour of one frame as encoded: (suffix, bytes), or None.
+        """Return the colour of one frame as encoded: (suffix, bytes); None if it has no colour.
 
         Raises:
             StorageError: the image is missing.

@@ -124,7 +124,7 @@ class _Checked:
     Attributes:
         index: index in the recording.
         frame: the frame as recorded.
-        color_suffix: suffix of its colour image; None without colour.
+        color_suffix: suffix of the frame's colour image; None if it has none.
         written: the frame to write, with colour registered to depth.
         depth: packed depth.
     """

@@ -181,7 +181,9 @@ class GivenMasks:
         return by_mask
 
     def of_image(self, view: str, frame: int, kind: str) -> str | None:
-        """Return the name of the file with this kind (`MaskName.kind`) of mask for a view or frame; or None.
+        """Return the name of the file with this kind (`MaskName.kind`) of mask for a view or frame.
+
+        The result is None if there is no such file.
 
         Raises:
             SegmentationError: there are several such masks.

@@ -116,7 +116,7 @@ def truncated_share(camera: Camera, T_world_camera: Float64, renderer: DepthRend
 
 
 def refusal(fit: ViewFit, settings: ViewSettings, pairs: FitLimits) -> str | None:
-    """Return why a frame is not usable as a view, by the limits in `settings` and `pairs`, or None."""
+    """Return why a frame is not usable as a view by the limits in `settings` and `pairs`, None if it is."""
     if fit.pixels < settings.min_pixels:
         return f"only {fit.pixels} pixels on the object, less than {settings.min_pixels}"
     if fit.residual_m > pairs.max_residual_m:

@@ -71,7 +71,7 @@ class _Found:
         grid: the fine grid around it.
         scale: the solid is made in a world that is 1 / scale times as large (`ObjectResolution`).
         neighbours: bool in the grid's shape, voxels near the surface of other things.
-        beyond_box: bool in the grid's shape, voxels outside a given box; None without one.
+        beyond_box: bool in the grid's shape, voxels outside the given box; None if no box is given.
         max_depth_m: depth up to this is fused into the grid, metres.
     """
 

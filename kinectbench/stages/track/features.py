@@ -124,7 +124,7 @@ def match(source: Features, target: Features) -> NDArray[np.int64]:
 
 
 def pose_from_features(source: Features, target: Features, camera: Camera) -> tuple[Float64, int] | None:
-    """Estimate T_target_source (4, 4) by PnP; return it and the number of inliers, or None.
+    """Estimate T_target_source (4, 4) by PnP; return it and the number of inliers.
 
     The result is None if fewer than 12 features match, or if fewer than 10 matches are inliers.
 

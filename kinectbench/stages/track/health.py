@@ -242,7 +242,7 @@ def _steps(case: _Case) -> tuple[Float64, Bools]:
 
 
 def _open_gap_s(case: _Case, closed: Bools) -> float | None:
-    """Return the duration, seconds, of the longest gap of lost frames that no loop spans; None without one.
+    """Return the seconds of the longest gap of lost frames that no loop spans; None if there is none.
 
     The pose after such a gap comes from one registration across the gap, which nothing checks.
     """

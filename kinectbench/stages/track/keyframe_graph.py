@@ -175,7 +175,7 @@ class _Builder:
                 (self.constraints if made.weight else self.refused).append(made)
 
     def _constraint(self, pair: tuple[int, int, Float64 | None]) -> Constraint | None:
-        """Register a pair; return a constraint, of weight 0 if rejected; None without an initial pose."""
+        """Register a pair; return a constraint, of weight 0 if rejected; None if no initial pose is known."""
         a, b, T_a_b = pair
         frames = self.keyframes[a], self.keyframes[b]
         near = b - a <= NEAR_IN_ORDER and self.segments[a] == self.segments[b]

@@ -69,7 +69,7 @@ class RealsenseRecording(Rosbag1Recording):
 
     @classmethod
     def integer_scale(cls, bag: RosBag, depth: ImageTopic) -> float | None:
-        """Return depth units per metre: 1 / Depth Units (metres, an option of the depth sensor); or None."""
+        """Return depth units per metre: 1 / Depth Units (metres, a sensor option); None if not stated."""
         return depth_units_scale(bag, depth)
 
     @classmethod
@@ -112,7 +112,10 @@ def depth_units_scale(bag: RosBag, depth: ImageTopic) -> float | None:
 
 
 def _depth_units_m(bag: RosBag, topic: BagTopic) -> float | None:
-    """Return Depth Units, metres, from a topic of options (file versions 3, 4) or properties (2); or None."""
+    """Return Depth Units, metres, from a topic of options (file versions 3, 4) or of properties (version 2).
+
+    The result is None if no message states a positive value.
+    """
     for message in bag.whole(topic):
         if topic.type == FLOAT and message.data > 0:
             return float(message.data)
@@ -181,7 +184,10 @@ def _rigid_by_columns(rotation: ArrayLike, translation_m: ArrayLike) -> Float64 
 
 
 def _old_stream_info(bag: RosBag, name: str) -> Message | None:
-    """Return the stream_info message (version 1) of a stream such as /camera/DEPTH/image_raw/0; or None."""
+    """Return the stream_info message (version 1) of a stream such as /camera/DEPTH/image_raw/0.
+
+    The result is None if the name has another form, or if there is no such message.
+    """
     match = OLD_STREAM.fullmatch(name)
     if not match:
         return None

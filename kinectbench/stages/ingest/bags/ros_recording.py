@@ -299,7 +299,7 @@ def _first_color_size(bag: RosBag, color: ImageTopic) -> tuple[int, int]:
 def _calibration(
     bag: RosBag, color: ImageTopic, T_color_depth: Float64 | None, infos: list[NamedInfo]
 ) -> tuple[ColorCalibration | None, list[str]]:
-    """Return colour's calibration by the best of `infos`, None without one that fits; and warnings."""
+    """Return colour's calibration by the best of `infos` (None if none of them fits), and warnings."""
     size_px = _first_color_size(bag, color)
     info, info_warnings = choose_camera_info(color, COLOR_KIND, size_px, infos, every_image(bag))
     if T_color_depth is None or info is None:

@@ -232,10 +232,10 @@ def choose_camera_info(
         infos: every CameraInfo of the bag with the name of its topic.
         images: every topic of images; a CameraInfo in the namespace of another topic belongs to that topic,
             so it contradicts nothing.
-        pixels_of: the topic to which `image` is registered, by name or frame_id; or None.
+        pixels_of: the topic to which `image` is registered, by name or frame_id; None if there is none.
 
     Returns:
-        The message, or None; and a warning that another CameraInfo contradicts it, or "".
+        The message (None if there is none), and a warning if another CameraInfo contradicts it, else "".
     """
     usable = [(name, info) for name, info in infos if values_of(info, "K")[0] > 0]  # 0 means no calibration
     ranked = []

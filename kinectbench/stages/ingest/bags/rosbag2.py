@@ -66,7 +66,10 @@ class Rosbag2Recording(RosRecording):
     def color_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
-        """Return `T_color_depth` (4, 4), by the extrinsics in a bag by librealsense, else by tf; or None."""
+        """Return `T_color_depth` (4, 4), by the extrinsics in a bag by librealsense, by tf in any other bag.
+
+        The result is None if the bag lacks them.
+        """
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, color.name, depth.name)
         return super().color_place(bag, tree, depth, color)
@@ -75,7 +78,7 @@ class Rosbag2Recording(RosRecording):
     def imu_place(
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
     ) -> Float64 | None:
-        """Return `T_depth_imu` (4, 4), by the extrinsics in a bag by librealsense, else by tf; or None."""
+        """Return `T_depth_imu` (4, 4), from the same sources as `color_place`; None if the bag lacks them."""
         if STREAM.fullmatch(depth.name):
             return between_streams(bag, depth.name, imu.name)
         return super().imu_place(bag, tree, depth, imu, frame_id)

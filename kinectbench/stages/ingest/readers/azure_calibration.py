@@ -99,7 +99,9 @@ class AzureCalibration:
         return _in_pixels(camera, size_px, (0, 0)), camera.distortion
 
     def color(self, size_px: tuple[int, int], path: Path) -> ColorCalibration | None:
-        """Return the calibration of colour images of this size relative to depth; None without colour camera.
+        """Return the calibration of colour images of this size relative to depth.
+
+        The result is None if there is no colour camera.
 
         Raises:
             RecordingError: the intrinsics do not fit images of this size.

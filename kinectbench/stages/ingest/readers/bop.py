@@ -177,7 +177,7 @@ def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[
 
 
 def _pose(camera: dict[str, object]) -> Float64 | None:
-    """Read camera to world (4, 4), metres, from `cam_R_w2c` and `cam_t_w2c` (mm); None without them."""
+    """Read camera to world (4, 4), metres, from `cam_R_w2c` and `cam_t_w2c` (mm); None if one is missing."""
     R, t_mm = json_numbers(camera.get("cam_R_w2c")), json_numbers(camera.get("cam_t_w2c"))
     if R.size != 9 or t_mm.size != 3:
         return None

@@ -39,10 +39,11 @@ RECORD = "record with a camera that measures depth, such as a Kinect, a RealSens
 
 
 def without_depth(path: Path) -> str | None:
-    """Return why no depth can be read from a video or a folder of images, as an error message; or None.
+    """Return an error message that states why no depth can be read from a video or a folder of images.
 
     The images may be colour only, or depth in a layout or format that is not read: 16-bit PNG in unknown
-    folders, 8-bit pictures, EXR. A folder with fewer than five images and no such depth gives None.
+    folders, 8-bit pictures, EXR. The result is None for another file, and for a folder with fewer than five
+    images and no such depth.
 
     Raises:
         OSError: a file cannot be read.
@@ -97,7 +98,7 @@ def _of_pictures(path: Path, pictures: list[Path]) -> str:
 
 
 def _other_files(path: Path) -> str | None:
-    """Return an error message on files that look like depth, but are in no known layout or kind; or None."""
+    """Return an error message on files that look like depth in no known layout or kind; None if none do."""
     if not path.is_dir():
         return None
     children = sorted(child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir())
@@ -119,7 +120,7 @@ def _other_files(path: Path) -> str | None:
 
 
 def _unread_kind(path: Path) -> str | None:
-    """Return an error message on EXR depth images, which are not supported; None without such images."""
+    """Return an error message on EXR depth images, which are not supported; None if there are none."""
     if not path.is_dir():
         return None
     children = [child for child in islice(listed_paths(path), LOOKED_AT) if child.is_dir()]

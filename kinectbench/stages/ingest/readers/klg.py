@@ -74,7 +74,7 @@ class PackedRecording(Recording):
 
     @abstractmethod
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """Convert a frame's stored colour to (suffix, encoded image); None without colour."""
+        """Convert a frame's stored colour to (suffix, encoded image); None if there is no colour."""
 
 
 @dataclass(frozen=True, kw_only=True)

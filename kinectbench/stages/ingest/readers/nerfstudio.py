@@ -138,7 +138,7 @@ class NerfstudioRecording(PhoneRecording):
         return self.undistortion.depth(depth) if self.undistortion else depth
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Return the colour of a frame at depth's size, without lens distortion; or None."""
+        """Return the colour of a frame at depth's size, without lens distortion; None if it has no colour."""
         color = super().color(index)
         if color is None or self.undistortion is None:
             return color

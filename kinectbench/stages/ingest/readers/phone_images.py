@@ -65,7 +65,11 @@ class PhoneRecording(FileRecording):
         return image
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Return a frame's colour at depth's size: as encoded if it has this size, else a PNG; or None."""
+        """Return a frame's colour image at depth's size: (suffix, encoded image).
+
+        An image that already has depth's size is returned as it is. Any other is scaled and encoded as PNG.
+        The result is None if the frame has no colour.
+        """
         file = self.places[index].color
         if file is None:
             return None

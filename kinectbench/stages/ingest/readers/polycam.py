@@ -123,7 +123,7 @@ def _shared(
 
 
 def _pose(camera: dict[str, object] | None) -> Float64 | None:
-    """Return camera to world (4, 4) in optical axes; None without a pose."""
+    """Return camera to world (4, 4) in optical axes; None if the frame has no pose."""
     if camera is None or POSE_KEYS[0] not in camera:
         return None
     numbers = json_numbers([camera.get(key) for key in POSE_KEYS])

@@ -53,7 +53,7 @@ def unread_poses(path: Path) -> list[str]:
 
 
 def pose_file(path: Path) -> Path | None:
-    """Return the recording's one file with the poses of all frames; None without such a file."""
+    """Return the recording's one file with the poses of all frames; None if there is no such file."""
     return first_file(path / name for name in POSE_FILES)
 
 
@@ -114,7 +114,7 @@ def read_pose_file(
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:
-    """Return each frame's matrix, from the row whose id is the frame's number; None without such a row."""
+    """Return each frame's matrix, from the row whose id is the frame's number; None if no row has this id."""
     poses = {}
     for where, row in rows:
         words = row.replace(",", " ").split()
@@ -193,7 +193,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
 
 
 def pose_folder(path: Path) -> Path | None:
-    """Return the recording's folder with one text file per pose; None without such a folder."""
+    """Return the recording's folder with one text file per pose; None if there is no such folder."""
     folders = (path / name for name in POSE_FOLDERS)
     return next((folder for folder in folders if folder.is_dir() and any(folder.glob("*.txt"))), None)
 
@@ -232,7 +232,9 @@ def finite_trajectory(
 
 
 def read_pose_matrix(file: Path, T_camera_depth: Float64) -> Float64 | None:
-    """Read a camera's pose from a file, and convert it to the depth camera's (4, 4); None without the file.
+    """Read a camera's pose from a file and convert it to the depth camera's pose (4, 4).
+
+    The result is None if the file is missing.
 
     Raises:
         RecordingError: the file does not contain 16 numbers.

@@ -216,7 +216,10 @@ def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> t
 def _trajectory(
     path: Path, metadata: dict[str, object], numbers: list[int], stamps_ns: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read poses in optical axes, None without any or if all are equal (face camera); and warnings."""
+    """Return the trajectory in optical axes, and warnings.
+
+    The trajectory is None if there are no poses, or if all are equal (face camera).
+    """
     poses = metadata.get("poses")
     if poses is None:
         return None, []

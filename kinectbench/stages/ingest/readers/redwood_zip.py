@@ -112,7 +112,7 @@ def _named(matches: list[re.Match[str]], folder: str) -> list[tuple[str, str]]:
 
 
 def _first_size(archive: Archive, names: list[str]) -> tuple[int, int] | None:
-    """Return width and height in pixels of the first undamaged image, or None."""
+    """Return width and height in pixels of the first undamaged image; None if there is none."""
     try:
         return first_whole(lambda name: image_header(archive.read(name), name)[1:], names)
     except DamagedImageError:

@@ -94,7 +94,7 @@ def _matrix(camera: dict[str, object], key: str, side: int) -> Float64:
 
 
 def _pose(camera: dict[str, object] | None) -> Float64 | None:
-    """Return camera to world (4, 4) in optical axes; None without a pose."""
+    """Return camera to world (4, 4) in optical axes; None if the frame has no pose."""
     if camera is None or "cameraPoseARFrame" not in camera:
         return None
     with np.errstate(invalid="ignore"):  # values may not be finite

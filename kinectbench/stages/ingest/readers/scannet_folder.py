@@ -83,7 +83,7 @@ class ScannetFolderRecording(FileRecording):
 
 
 def _matrix_file(path: Path, camera: str) -> Path | None:
-    """Return the file with the intrinsics of the camera "depth" or "color"; None without it."""
+    """Return the file with the intrinsics of the camera "depth" or "color"; None if it is missing."""
     return first_file([path / "intrinsic" / f"intrinsic_{camera}.txt", path / f"intrinsics_{camera}.txt"])
 
 

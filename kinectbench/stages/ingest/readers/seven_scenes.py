@@ -157,14 +157,14 @@ def names_beside(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _camera_file(path: Path) -> Path | None:
-    """Find the file of intrinsics in the folder, or in its parent, as in 3DMatch and tsdf-fusion; or None."""
+    """Find the file of intrinsics in the folder or its parent (3DMatch, tsdf-fusion); None if none exists."""
     own = first_file(path / name for name in MATRIX_FILES)
     info = (file for file in (path / name for name in INFO_FILES) if is_info(file))
     return own or next(info, None) or first_file(path.parent / name for name in FILES_ABOVE)
 
 
 def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, int]) -> ScannetRig | None:
-    """Read the cameras from the file; None without it."""
+    """Read the cameras from the file; None if `file` is None."""
     if file is None:
         return None
     if file.name in INFO_FILES:

@@ -134,7 +134,7 @@ class StrayScannerRecording(PhoneRecording):
         )
 
     def color(self, index: int) -> tuple[str, bytes] | None:
-        """Return the colour of a frame from the video, at depth's size; None without a video.
+        """Return the colour of a frame from the video, at depth's size; None if there is no video.
 
         Raises:
             DamagedImageError: the video has no such frame, or another aspect ratio than depth.

@@ -145,7 +145,7 @@ def _read_poses(
     """Read the trajectory from the file last by name: a pose per colour image, or else per depth image.
 
     Returns:
-        The trajectory, or None without a file or a finite pose; and warnings.
+        The trajectory (None if there is no file or no finite pose), and warnings.
 
     Raises:
         RecordingError: there are neither as many poses as colour images, nor as depth images.

@@ -78,7 +78,10 @@ class WildRgbdRecording(FileRecording):
 
 
 def _read_poses(path: Path, numbers: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read the trajectory of the frames with these numbers, camera to world, or None; and warnings."""
+    """Return the trajectory of the frames with these numbers, and warnings.
+
+    The trajectory, camera to world, is None if there is no file or no usable pose.
+    """
     file = path / "cam_poses.txt"
     if not file.is_file():
         return None, []

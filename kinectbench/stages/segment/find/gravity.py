@@ -69,7 +69,7 @@ class KnowsUp(Protocol):
 
     @property
     def given_trajectory(self) -> GivenTrajectory | None:
-        """The trajectory that came with it; None without one."""
+        """The trajectory that came with the recording; None if there is none."""
 
     @property
     def up_world(self) -> Float64 | tuple[float, float, float] | None:

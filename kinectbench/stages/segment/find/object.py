@@ -234,7 +234,7 @@ class Segmentation:
         return np.asarray(foreign[x, y, levels - first[2]])
 
     def beyond_box(self, grid: Grid) -> Bools | None:
-        """Return a mask of an upright grid: voxels outside the given box; None without a given box."""
+        """Return a mask of an upright grid: voxels outside the given box; None if no box is given."""
         if self.how != "box":
             return None
         ground_floor, heights_m = self._middles_floor(grid)

@@ -62,7 +62,8 @@ class RegisteredReference:
             was refused before the search, or by the residual of the best pose.
         mirrored_m: residual of its mirror image, metres.
         runner_up: the second-best pose; None if the search ended in one pose.
-        symmetric_axis_floor: (3,) unit, floor frame: the axis of its rotational symmetry; None without one.
+        symmetric_axis_floor: (3,) unit, floor frame: the axis of its rotational symmetry; None if it has
+            none.
         mirror_as_well: whether its mirror image, if that is another shape, fits as well.
     """
 
@@ -184,7 +185,7 @@ def _runner_up(found: tuple[Pose, ...], T_floor_world: Float64, least_m: float) 
 
 
 def symmetric_axis(theirs: Sampled) -> Float64 | None:
-    """Return the axis (3,) of the reference's rotational symmetry, in its frame; None without one."""
+    """Return the axis (3,) of the reference's rotational symmetry, in its frame; None if it has none."""
     points = theirs.points[theirs.few(1000)]
     middle = theirs.points.mean(axis=0)
     axes = np.linalg.eigh(np.cov(theirs.points.T))[1].T
