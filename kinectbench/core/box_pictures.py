@@ -142,7 +142,10 @@ def _sampled_world(shown: ShownBox) -> Float64:
 def _seen(
     points_world: Float64, frame: int, sequence: Sequence, trajectory: Trajectory
 ) -> tuple[Int64, float]:
-    """Return pixels (k, 2) of the points that a frame's depth shows; and their mean depth, metres, or inf."""
+    """Return the pixels (k, 2) of the points that a frame's depth shows, and the mean depth of these points.
+
+    The mean is in metres; it is inf if k is 0.
+    """
     points_camera = transform_points(invert_rigid(trajectory.T_world_camera[frame]), points_world)
     points_camera = points_camera[_inside(points_world, frame, sequence, trajectory)]
     pixels = np.rint(sequence.camera.project(points_camera)).astype(np.int64)
@@ -191,7 +194,10 @@ def _edges_px(
 
 
 def _heights(points_floor: Float64) -> tuple[Float64, tuple[float, float, float, float]]:
-    """Return the greatest z per ground cell, (nx, ny), NaN if empty; and extent (x0, x1, y0, y1), metres."""
+    """Return the largest z per ground cell, (nx, ny), NaN if the cell is empty, and the extent of the cells.
+
+    All are in metres; the extent is (x0, x1, y0, y1).
+    """
     cell_m = max(PLAN_CELL_M, float(np.ptp(points_floor[:, :2], axis=0).max()) / MOST_PLAN_CELLS)
     cells = np.floor(points_floor[:, :2] / cell_m).astype(int)
     first = cells.min(axis=0)

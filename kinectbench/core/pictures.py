@@ -107,7 +107,10 @@ def cast(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> tuple[Float6
 def cast_pieces(
     pieces: Sequence[TriangleMesh], viewpoint: Viewpoint, size_px: int
 ) -> tuple[Float64, Float64, NDArray[np.intp]]:
-    """Like `cast`, for several meshes; also the index of each pixel's mesh, len(pieces) without a hit."""
+    """Cast rays at several meshes. Return the results of `cast`, and the index of each pixel's mesh.
+
+    The index is len(pieces) where no mesh is hit.
+    """
     scene, tensor = raycaster(*pieces)
     rays = np.empty((size_px, size_px, 6), np.float32)
     rays[..., :3] = ray_starts(viewpoint, size_px)

@@ -68,7 +68,7 @@ def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
 
 
 def _dense(mesh_px: TriangleMesh, colors: Float64) -> tuple[Float64, Float64]:
-    """Sample a surface at most a pixel apart: points (n, 3); and the normal and colour of each, (n, 6)."""
+    """Sample a surface at most a pixel apart: return points (n, 3), and their normals and colours (n, 6)."""
     corners = mesh_px.vertices[mesh_px.faces]
     bends = np.concatenate([mesh_px.vertex_normals, colors], axis=1)[mesh_px.faces]
     sides = corners - np.roll(corners, 1, axis=1)

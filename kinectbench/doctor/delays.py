@@ -174,7 +174,7 @@ def check_color_drift(probe: Probe) -> Iterator[Finding]:
 
 
 def clock_ns(probe: Probe, frames: tuple[SmallFrame, ...]) -> NDArray[np.int64]:
-    """Return stamps (n,) of frames, nanoseconds; as if at 30 Hz if the recording only counts frames."""
+    """Return the stamps (n,) of frames, nanoseconds; 30 Hz is assumed if the recording only counts frames."""
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     return stamps_ns // ASSUMED_HZ if probe.counts_frames else stamps_ns
 

@@ -278,7 +278,7 @@ def _correlation(jumps: NDArray[np.float64], edges: NDArray[np.float64]) -> NDAr
 
 
 def _around(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn correlations into scores; return those at shifts up to r = REACH_PX.
+    """Turn correlations into scores. Return the scores at shifts up to r = REACH_PX.
 
     A score is (correlation - median) / standard deviation, where both statistics are over shifts up to 4 r.
     The result is (2 r + 1, 2 r + 1), with shift 0 in the middle.

@@ -173,9 +173,10 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
 
 
 def _later(first: int, count: int) -> list[int]:
-    """Return the indices 1, 4, 12 and 40 after `first`; if not below `count`, as many before it instead.
+    """Return the indices 1, 4, 12 and 40 after `first`.
 
-    A negative index means that there is no such frame.
+    An index that is not below `count` is replaced by the index as far before `first`. A negative index means
+    that there is no such frame.
     """
     return [first + ahead if first + ahead < count else first - ahead for ahead in AHEAD]
 

@@ -223,7 +223,7 @@ class DrawnMasks:
         return self._on_pictures(sequence, frames, OTHERS_DRAWN, look)
 
     def _picture_now(self, file: str, sequence: Sequence, views: Path, view: Shown) -> str:
-        """Return the digest of a view's pictures; the recorded one if colour has only lost its metadata."""
+        """Return the digest of a view's pictures, or the recorded digest if colour has only lost metadata."""
         pictures, known = read_pictures(views, view.name), self.entries[file].picture
         return known if known in picture_digests(pictures, sequence, view.frame) else picture_digest(pictures)
 

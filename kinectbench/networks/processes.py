@@ -38,7 +38,7 @@ def chosen_device(asked: str | None) -> str:
 
 @contextmanager
 def joined_processes(device: str) -> Iterator[tuple[int, int]]:
-    """Connect torchrun's processes within the block; yield (rank, their number), (0, 1) without torchrun."""
+    """Connect torchrun's processes within the block; yield (rank, number of processes), else (0, 1)."""
     rank, size = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     if size == 1:
         yield 0, 1

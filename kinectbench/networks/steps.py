@@ -159,7 +159,7 @@ def voxel_losses(logits: Tensor, target: Tensor, settings: LossSettings) -> Tens
     """Return the loss of each voxel, in nats: cross-entropy, or the paper's weighted loss (its equation 3).
 
     The weighted loss is -alpha y log p - (1 - alpha) (1 - y) log(1 - p), with the target y and p =
-    sigmoid(logit). If `settings.probability_floor` is not 0, smaller p are raised to this floor, as in the
+    sigmoid(logit). If `settings.probability_floor` is not 0, smaller p are clamped to it, as in the
     authors' code; voxels with such a p have no gradient.
     """
     if settings.kind == "cross-entropy":

@@ -31,7 +31,7 @@ class Varley(Network):
         self._initialise()
 
     def _initialise(self) -> None:
-        """Draw He-normal weights, but Glorot-normal ones in the last layer; zero biases; as in the source."""
+        """Draw weights as in the source: He-normal, Glorot-normal in the last layer. Set biases to zero."""
         with torch.no_grad():
             for layer in (*self.convolutions, self.to_vector):
                 nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")

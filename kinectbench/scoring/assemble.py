@@ -90,7 +90,7 @@ def make_table(
 def _validation(
     release: Release, results: Mapping[Target, PairResult], thresholds: Thresholds, empty: Collection[Target]
 ) -> ValidationUse | None:
-    """Return the numbers of validation pairs and of predicted ones; None if no threshold is from them."""
+    """Return the numbers of validation pairs and of predicted pairs; None if no threshold is from them."""
     if thresholds.source not in SEARCHED:
         return None
     without = frozenset(empty)  # a set, as there may be thousands of them

@@ -119,7 +119,7 @@ def _unknown_keys(method: MethodFile) -> Iterator[str]:
 
 
 def changed_files(method: MethodFile | None, digests: Mapping[str, str]) -> list[str]:
-    """Return files whose digests differ from those in method.json, sorted; [] if it lists no files.
+    """Return the files whose digests differ from method.json, sorted; [] if it lists no files.
 
     Args:
         method: method.json, as `read_method` returns it.

@@ -144,7 +144,7 @@ def solid_surface(solid: Packed) -> SolidSurface:
 
 
 def _matched(queries: SolidSurface, targets: SolidSurface) -> tuple[Int32, Int32, Float64]:
-    """Return squared distance, position and |n . n'| of each query's nearest target; zeros if none."""
+    """Return each query's nearest target: its squared distance, its index, and |n . n'|; 0 if none exists."""
     n = len(queries.cells)
     if not n or not len(targets.cells):
         return np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n)
@@ -227,7 +227,7 @@ def _sorted_cells(packed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _nearest(query, query_start, query_box, target, target_start, target_box):  # type: ignore[no-untyped-def]
-    """Return (2, n): squared distance and position of each query's nearest target; `target_box` is (6, b)."""
+    """Return the squared distance and the index of each query's nearest target: (2, n) int32."""
     nearest = np.empty((2, len(query)), np.int32)
     least, most = np.empty(target_box.shape[1], np.int32), np.empty(target_box.shape[1], np.int32)
     box_rows, last = target_box.T.copy(), np.int64(0)

@@ -112,7 +112,7 @@ def weighted_products(rows: Float64, weights: Float64) -> Float64:
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"}, nogil=True)
 def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
-    """Add R W R^T to the lower triangle of `sums` (n, n); R, W are the first m columns and weights.
+    """Add R W R^T to the lower triangle of `sums` (n, n): R: the first m columns of `rows`, W: their weights.
 
     BLAS is slower here: its threads wait longer for work than they compute.
     """
@@ -132,10 +132,10 @@ def symmetric_matrix(lower):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def projective_residuals(points, normals, depth, facing, intrinsics, T, gate_m, min_facing):  # type: ignore[no-untyped-def]
-    """Point-to-plane residuals n . (q - T p), (m,) metres; q is the point measured at the pixel of T p.
+    """Return point-to-plane residuals n . (q - T p), (m,) metres.
 
-    n is turned into the frame of depth's camera. A residual is NaN also where T p is less than 0.1 m ahead,
-    outside the image, or on a pixel without depth.
+    q is the point measured at the pixel of T p. n is turned into the frame of depth's camera. A residual is
+    NaN also where T p is less than 0.1 m ahead, outside the image, or on a pixel without depth.
 
     Args:
         points: (m, 3 or more), metres; the first three columns are p.

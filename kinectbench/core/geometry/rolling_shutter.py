@@ -161,7 +161,7 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
-    """Return the recorded pixel for each corrected one: u and v, (height, width) each; see `upright_gray`."""
+    """Return u and v, (height, width) each, of the recorded pixel for each pixel of the corrected image."""
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     at_u, at_v = np.empty((height, width), np.float32), np.empty((height, width), np.float32)

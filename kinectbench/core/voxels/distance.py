@@ -38,7 +38,10 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _along_last(cells, reach, squared):  # type: ignore[no-untyped-def]
-    """Write into `squared` squared distances, voxels, to set cells on the last axis; far: reach^2 + 1."""
+    """Write each cell's squared distance, voxels, to the nearest set cell along the last axis into `squared`.
+
+    A distance larger than `reach` is written as reach^2 + 1.
+    """
     nx, ny, nz = cells.shape
     beyond = reach * reach + 1
     for i in range(nx):
@@ -80,7 +83,7 @@ def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _looked_up(squared, roots_m):  # type: ignore[no-untyped-def]
-    """Look up squared distances, in voxels, in a table of metres; distances beyond it get its last entry."""
+    """Return the entries of `roots_m`, metres, at squared distances in voxels; beyond it, its last entry."""
     distance_m = np.empty(squared.shape, np.float32)
     flat, into = squared.reshape(-1), distance_m.reshape(-1)
     last = len(roots_m) - 1

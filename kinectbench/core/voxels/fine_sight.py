@@ -34,7 +34,7 @@ LEAST_ASKED_SHARE = 5e-5
 def seen_closely(
     space: Space, wide: Space, to_camera: Float64, spacing_rad: float, already: NDArray[np.uint8]
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Find the voxels seen along narrow lines; behind gaps, add wide lines of more directions.
+    """Find the voxels seen along narrow lines and, behind gaps, along wide lines of more directions.
 
     Deep behind a gap, a voxel is seen along few directions. Its neighbour may be seen along none of
     `to_camera`, but along a direction between them. So directions of a finer lattice are added, near those
@@ -45,7 +45,7 @@ def seen_closely(
         space: the voxels for narrow lines.
         wide: the same for wide lines.
         to_camera: (n, 3) unit vectors, from a point to a camera; all level or up, or all down.
-        spacing_rad: angle between neighbouring ones, radians.
+        spacing_rad: angle between neighbouring directions of `to_camera`, radians.
         already: (nx, ny, nz), not 0 where a voxel was seen before; these are not searched for.
 
     Returns:

@@ -249,7 +249,7 @@ def _deflated(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
 
 @cache
 def _zlib() -> ModuleType:
-    """Return zlib-ng if installed (three times as fast), else zlib; with Z_RLE both give the same bytes."""
+    """Return zlib-ng if installed (three times as fast), else zlib. With Z_RLE, both give the same bytes."""
     try:
         return import_module("zlib_ng.zlib_ng")
     except ImportError:

@@ -130,10 +130,10 @@ def without_fringe(
     voxel_size_m: float,
     trust: float = 1.0,
 ) -> Float32:
-    """Return the TSDF without artefacts at edges: raised where more frames than usual saw through a voxel.
+    """Return the TSDF without artefacts at edges: it is increased where many frames saw through a voxel.
 
-    Where hardly any frame measures a surface, as at an underside seen at a grazing angle, the frames in which
-    the voxel is hidden outweigh those few, although their weight decays. Frames that see through the voxel
+    At an underside seen at a grazing angle, for example, few frames measure a surface. Frames in which the
+    voxel is hidden outweigh these few frames, although their weight decays. Frames that see through the voxel
     are evidence that it is free, however small their weight.
 
     Args:

@@ -49,7 +49,7 @@ def seen_cells(
 
 
 def _pixels(exact: Float64, count: int) -> NDArray[np.uint32]:
-    """Round coordinates, pixels, to the nearest of `count` pixels; `count` outside the image, or if NaN."""
+    """Round pixel coordinates to the nearest of `count` pixels; NaN, or outside the image, gives `count`."""
     nearest = np.rint(exact)
     return np.where((nearest >= 0) & (nearest < count), nearest, count).astype(np.uint32)
 
@@ -136,10 +136,10 @@ def _ranges(pixels):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
-    """Return ALL or NONE if all or none of a block's cells are seen; SOME: each cell must be tested.
+    """Return ALL or NONE if all or none of a block's cells are seen, SOME if each cell must be tested.
 
-    `span` is the block's first and last pixel column and row, `shape` that of the array of pixels with its
-    extra row and column, and `first` the first of the block's eight layers.
+    `span` has the block's first and last pixel column and its first and last row. `shape` is the shape of the
+    array of pixels, with its extra row and column. `first` is the first of the block's eight layers.
     """
     left, right, top, bottom = span
     if left == shape[1] - 1 or top == shape[0] - 1:

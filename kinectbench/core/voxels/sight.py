@@ -91,7 +91,7 @@ def swept_from_outside(
 
 @dataclass(frozen=True)
 class _Lines:
-    """The lines of sight around an obstacle: narrow ones, and wide ones in further directions between those.
+    """The lines of sight around an obstacle: narrow lines, and wide lines in directions between these.
 
     Attributes:
         obstacle: bool (nx, ny, nz).
@@ -240,7 +240,7 @@ def line_space(
 def grown(
     reached: NDArray[np.uint8], obstacle: Bools, voxel_size_m: float, limits: SensorLimits
 ) -> NDArray[np.uint8]:
-    """Dilate `reached`, voxels on axes of lines of sight, by half a line's width; not into the obstacle."""
+    """Dilate `reached`, voxels on axes of lines of sight, by half a line's width, outside the obstacle."""
     # Half a voxel more, or layers right at the obstacle would be missed by rounding.
     return np.asarray(_grown_back(reached, obstacle, limits.line_width_m / 2 / voxel_size_m + 0.5))
 

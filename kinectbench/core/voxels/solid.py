@@ -80,7 +80,7 @@ def crossings(fixed, faces, axes, start, shape, touching):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
-    """Return the first and the last of `count` lines side by side along u that may cross a triangle.
+    """Return the indices of the first and the last of `count` lines along u that may cross a triangle.
 
     `a`, `b`, `c` are its vertices' indices in `fixed`; line 0 passes at `start`.
     """
@@ -92,10 +92,10 @@ def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _upward(fixed, a, b, c, axes, start):  # type: ignore[no-untyped-def]
-    """Return a triangle's nine coordinates; twice its area, seen along w; and its sign in `crossings`.
+    """Return a triangle's nine coordinates, twice its area projected along w, and its sign in `crossings`.
 
     The corners (u, v, w) are in counter-clockwise order seen from w; u and v count from `start`. `a`, `b` and
-    `c` are indices in `fixed`.
+    `c` are the vertices' indices in `fixed`.
     """
     u, v, w = axes
     ax, ay, az = fixed[a, u] - start, fixed[a, v] - start, fixed[a, w]

@@ -113,7 +113,7 @@ def make_scene(
 
 
 def _floor(draw: Draw, *, outdoor: bool) -> Item:
-    """Draw the ground: a floor with tiles or without joints; outdoors paving, lawn or sand."""
+    """Draw the ground: indoors a floor with or without tiles, outdoors paving, lawn or sand."""
     side_m = GROUND_M if outdoor else FLOOR_M
     mesh = box_mesh(OrientedBox((0, 0, -THICK_M / 2), (side_m, side_m, THICK_M)))
     if outdoor:

@@ -186,7 +186,7 @@ def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
 
 
 def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float64:
-    """Return the depth camera's pose (4, 4) at a time; with a rolling shutter (height, 4, 4), one per row."""
+    """Return the depth camera's pose (4, 4) at a time; for a rolling shutter (height, 4, 4), one per row."""
     readout_s = simulation.spec.sensor.readout_s
     if readout_s == 0:
         return np.asarray(simulation.path.poses(np.array([time_s]))[0])

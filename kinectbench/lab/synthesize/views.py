@@ -12,8 +12,8 @@ from kinectbench.core.geometry import Camera, TriangleMesh, raycaster, rigid
 FIELD_OF_VIEW_RAD = float(np.radians(49.124))
 # Rotation from the upright frame (x right, y away, z up) to an optical camera that looks along +y.
 CAMERA_UPRIGHT = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-# A Kinect with typical distortion, without sun, before a surface with the infrared albedo of a grey wall (see
-# `KinectNoise.weakest_signal`).
+# A Kinect with typical distortion, without sun, in front of a surface with the infrared albedo of a grey wall
+# (see `KinectNoise.weakest_signal`).
 ALBEDO, SUNLIGHT, DISTORTION = 0.6, 0.0, 1.0
 UPRIGHT_MODEL = {"z": np.eye(3), "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 

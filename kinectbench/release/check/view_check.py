@@ -182,7 +182,7 @@ def _reach(depth, mask, K, corner, voxel, partial, reached):  # type: ignore[no-
 def _cells(one, other, corner, voxel):  # type: ignore[no-untyped-def]
     """Return the first and last cell between the coordinates `one` and `other` along an axis.
 
-    A cell is -1 before the grid, which begins at `corner`, and FULL_CELLS behind it.
+    A cell is -1 in front of the grid, which begins at `corner`, and FULL_CELLS behind it.
     """
     first = (min(one, other) - corner) / voxel - SLACK_CELLS
     last = (max(one, other) - corner) / voxel + SLACK_CELLS

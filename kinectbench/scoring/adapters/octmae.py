@@ -27,8 +27,8 @@ from kinectbench.scoring.camera_shape import CameraShape
 # Image size that OctMAE's `demo.py` takes (config).
 WIDTH, HEIGHT = 640, 480
 M_PER_MM = 0.001
-# OctMAE's grid: 2^5 cells of 40 mm. x and y lie around the optical axis; z begins five cells before the cell
-# of the nearest measured point.
+# OctMAE's grid: 2^5 cells of 40 mm. x and y lie around the optical axis; z begins five cells in front of the
+# cell of the nearest measured point.
 CELL_MM, CELLS, CELLS_BEFORE = 40.0, 32, 5
 # Number of the truth's cells that are sampled: the share has a standard deviation of 0.002.
 COUNTED, SEED = 100_000, 0
@@ -57,7 +57,8 @@ def write_octmae(release: Release, view: RgbdView, folder: Path) -> tuple[RgbdVi
 def cube_mm(seen_mm: Float64) -> Float64:
     """Return the lowest and the highest corner of OctMAE's cube: (2, 3), millimetres, camera frame.
 
-    The cube is centred on the optical axis; it begins five 40 mm cells before the cell of the nearest point.
+    The cube is centred on the optical axis; it begins five 40 mm cells in front of the cell of the nearest
+    point.
 
     Args:
         seen_mm: (m, 3), measured points of the object, millimetres, camera frame.

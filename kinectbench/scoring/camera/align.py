@@ -154,9 +154,12 @@ def _matches(pair: _Pair, T: Float64) -> tuple[Float64, Float64, Float64, Float6
     """Match samples in both directions, with the prediction moved by `T` (4, 4).
 
     Returns:
-        For the k matches: the moved predicted samples (k, 3), the matched true samples (k, 3), and the
-        normals of these (k, 3). Then the mean of the moved samples (3,), a robust weight per match (k,), and
-        the number of matches from prediction to truth; they come before those from truth to prediction.
+        moved: (k, 3) moved predicted samples of the k matches. Matches from prediction to truth come first.
+        targets: (k, 3) the true samples that they match.
+        normals: (k, 3) the normals of the true samples.
+        middle: (3,) mean of `moved`.
+        weights: (k,) robust weight of each match.
+        count: number of matches from prediction to truth.
     """
     from kinectbench.core.geometry.gauss_newton import robust_weights
     from kinectbench.scoring.camera.kernels import mapped

@@ -239,10 +239,10 @@ def counted_cells(truth: SpaceTruth, part: str) -> Packed:
 
 
 def _voxels(truth: SpaceTruth, solid: Solid | None, part: str) -> tuple[VoxelMetrics, float, float]:
-    """Return the voxel metrics over the known cells of a part, and two shares of these counted cells.
+    """Return the voxel metrics over the known cells of a part, and two shares of counted cells.
 
-    The shares are those of the grid's cells and of the true shape's cells that are counted. Predicted volume
-    outside the grid counts as wrong, except for the part "visible".
+    The first is the share of the grid's cells that are counted, the second the share of the true shape's
+    cells. Predicted volume outside the grid counts as wrong, except for the part "visible".
     """
     if part not in truth.counted:
         counted = counted_cells(truth, part)

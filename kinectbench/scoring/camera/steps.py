@@ -18,8 +18,8 @@ def drawn_together(ours, theirs, normals, asked, found, nearest, affine):  # typ
         affine: (3, 4) transform of the predicted samples.
 
     Returns:
-        Three arrays (k + m, 3) float64: the transformed predicted samples, their matched true samples, and
-        the normals of these; then the mean (3,) of the first array.
+        Three arrays (k + m, 3) float64: the transformed predicted samples, the true samples that they match,
+        and the normals of these true samples. And the mean (3,) of the first array.
     """
     count, k = len(found), 0
     places, middle = np.empty((count + len(theirs), 3)), np.zeros(3)

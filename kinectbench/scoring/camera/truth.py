@@ -80,7 +80,7 @@ class SpaceTruth:
 
     @cached_property
     def counted(self) -> dict[str, tuple[Packed, int, int]]:
-        """Cache of `metrics`: {part: (its known cells, their number, the number of solid ones)}."""
+        """Cache of `metrics`: {part: (its known cells, their number, how many of them are solid)}."""
         return {}
 
     @cached_property

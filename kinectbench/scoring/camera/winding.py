@@ -78,9 +78,11 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
     """Build a complete binary tree over triangles (n, 3, 3): the children of node i are 2 i and 2 i + 1.
 
     Returns:
-        The sorted triangles, padded with empty ones. Then, for each node, the sum of the area-weighted
-        normals of its triangles (2 k, 3), and the centre (2 k, 3) and radius (2 k,) of a ball around them.
-        The k leaves are the nodes from k on; node 1 is the root.
+        triangles: sorted, padded with triangles without area. The k leaves are the nodes from k on; node 1 is
+            the root.
+        total: (2 k, 3) for each node, the sum of the area-weighted normals of its triangles.
+        middle: (2 k, 3) centre of a ball around the node's triangles.
+        radius: (2 k,) radius of this ball.
     """
     leaves = 1 << max(0, int(np.ceil(np.log2(len(corners) / LEAF))))
     filling = np.broadcast_to(corners[-1, 0], (leaves * LEAF - len(corners), 3, 3))

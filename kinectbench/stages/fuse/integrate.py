@@ -24,8 +24,8 @@ from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, CLEAR,
 
 # So many frames pass through each block while it lies in the cache.
 BATCH_FRAMES = 8
-# Farther before a surface than so many standard deviations, a frame sees through: 2.3 % of normal noise lies
-# there by itself.
+# Farther in front of a surface than so many standard deviations, a frame sees through: 2.3 % of normal noise
+# lies there by itself.
 SURFACE_SIGMAS = 2.0
 BEHIND_SIGMAS = np.float32(BEHIND_SURFACE_SIGMAS)
 HIDDEN = np.float32(HIDDEN_SHARE)

@@ -259,7 +259,7 @@ def _integrate_frames(
     integrate(volume, read(), sequence.camera, truncation_m, _max_depth_m(settings))
     beside_m = sequence.beside_m
     if far and beside_m is not None:
-        # Depth beside the object votes for free space before it, but makes no surface.
+        # Depth beside the object votes for free space in front of it, but makes no surface.
         beside = (
             DepthFrame(beside_m(index), trajectory.T_world_camera[index], *_pose_sigmas_m(trajectory, index))
             for index in chosen

@@ -98,7 +98,7 @@ def _number_or_text(word: str) -> float | str:
 
 
 def _units_a_metre(stated: float, meaning: str, *, of_bop: bool) -> tuple[float, str]:
-    """Return a stated unit as units per metre; and, if converted, the unit it was taken for, else ""."""
+    """Return a stated unit as units per metre, and the unit that it was taken for ("" if not converted)."""
     if meaning == BY_SIZE and of_bop and stated < MOST_MM_A_UNIT:
         return MM_PER_M / stated, "mm a unit, as BOP has it beside cam_K"
     if meaning == METRES_A_UNIT or (meaning == BY_SIZE and stated < 1):

@@ -108,7 +108,7 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
 
 
 def stamps_of_names(stems: Sequence[str]) -> list[int]:
-    """Return stamps in ns from times in names; else frame numbers, or else positions, count as seconds."""
+    """Return stamps, ns, from times in names. Without times, frame numbers or positions count as seconds."""
     times_ns = times_of_names(stems)
     if times_ns is not None:
         return times_ns

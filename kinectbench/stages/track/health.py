@@ -177,7 +177,7 @@ class _Case:
 
     @cached_property
     def held_out(self) -> Bools:
-        """Frames (n,) that have a pose and are no keyframes; if these have no residual, all with a pose."""
+        """Which frames (n,) have a pose but are no keyframes; all posed if none of them has a residual."""
         others = self.posed.copy()
         others[self.tracked.keyframes] = False
         return others if np.isfinite(self.residual_m[others]).any() else self.posed

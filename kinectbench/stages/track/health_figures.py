@@ -120,7 +120,7 @@ def pose_sigma_m(
 
 
 def _nearest_keyframes(stamps_ns: NDArray[np.int64], keyframes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the keyframe (n,) nearest in time to each frame; the earlier of two equally near ones."""
+    """Return the keyframe (n,) nearest in time to each frame; of two equally near keyframes, the earlier."""
     after = np.clip(np.searchsorted(keyframes, np.arange(len(stamps_ns))), 0, len(keyframes) - 1)
     before = np.maximum(after - 1, 0)
     to_after_ns = np.abs(stamps_ns[keyframes[after]] - stamps_ns)

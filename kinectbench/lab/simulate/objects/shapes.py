@@ -230,7 +230,7 @@ def _tube_faces(rings: int, closed: bool) -> NDArray[np.uint64]:
 
 
 def ribbon(path_yz_m: Sequence[Vector2] | Points, x_m: Vector2, thick_m: float) -> "Manifold":
-    """Make a strip of constant thickness along a path (n, 2) in y and z, over a range of x; round ends."""
+    """Make a strip of constant thickness and round ends along a path (n, 2) in y and z, over a range of x."""
     from manifold3d import CrossSection, Manifold, OpType
 
     disc = CrossSection.circle(thick_m / 2, 16)

@@ -233,7 +233,7 @@ def _first_depth_size(bag: RosBag, depth: ImageTopic) -> tuple[int, int]:
 def _pair(
     depth: ImageTopic, color: ImageTopic | None, settings: CameraSettings
 ) -> tuple[tuple[MessagePair, ...], list[str]]:
-    """Pair depth messages, without repeated stamps, with colour messages; also return warnings."""
+    """Pair depth messages, without repeated stamps, with colour messages; return the pairs and warnings."""
     depth_ns = [place.stamp_ns for place in depth.topic.messages]
     order, warnings = first_by_stamp(depth_ns, depth.name, "messages")
     if color is None:
@@ -255,7 +255,7 @@ def _pair(
 def _is_registered(
     bag: RosBag, depth: ImageTopic, color: ImageTopic | None, size_px: tuple[int, int]
 ) -> tuple[bool, list[str]]:
-    """Return whether colour is registered by name or frame_id, and has depth's `size_px`; and warnings."""
+    """Return (whether colour is registered by name or frame_id and has depth's `size_px`, warnings)."""
     if color is None:
         return False, []
     if not (_same_frame(depth, color) or is_named_registered(depth)):

@@ -136,7 +136,7 @@ class KlgRecording(PackedRecording):
 
 
 def timed(frames: list[PackedFrame], path: Path) -> tuple[list[PackedFrame], list[int], list[str]]:
-    """Replace implausible stamps; find the order of frames by stamp, without repeated stamps.
+    """Replace implausible stamps, and find the order of frames by stamp without repeated stamps.
 
     Args:
         frames: in file order.
@@ -173,7 +173,7 @@ def inflated(data: bytes, size: int, name: str) -> bytes:
 
 
 def _find_frames(path: Path, size_px: tuple[int, int]) -> tuple[list[PackedFrame], list[str]]:
-    """Find every complete frame before the first damaged one, in file order; and the file's faults.
+    """Return the complete frames up to the first damaged one, in file order, and the file's faults.
 
     Raises:
         RecordingError: no frame is complete, the first is of another size, or there are too many.

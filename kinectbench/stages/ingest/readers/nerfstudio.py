@@ -147,9 +147,9 @@ class NerfstudioRecording(PhoneRecording):
 
 
 def _read_frames(path: Path) -> tuple[Frame, list[tuple[str, Frame]], list[str]]:
-    """Read transforms.json: values for all frames; pairs (name of depth image, frame); and warnings.
+    """Read transforms.json: return values for all frames, pairs (name of depth image, frame), and warnings.
 
-    The pairs are in numeric order of the names; frames without depth are left out.
+    The pairs are in numeric order of the names. Frames without depth are left out.
     """
     file = path / FILE
     content = read_json_object(file, "frames")
@@ -226,7 +226,7 @@ def _with_focal_lengths(frame: Frame, color_px: tuple[int, int], file: Path) -> 
 def _intrinsics(
     path: Path, frames: list[Frame], color_px: tuple[int, int], size_px: tuple[int, int]
 ) -> tuple[Intrinsics, list[str]]:
-    """Return common intrinsics of the depth images, without values if a frame lacks any; and warnings."""
+    """Return the depth images' common intrinsics (without values if a frame lacks any), and warnings."""
     file = path / FILE
     model = next((m for frame in frames if (m := frame.get("camera_model")) not in MODELS), None)
     if model is not None:
@@ -268,7 +268,7 @@ def _distortion(path: Path, frames: list[Frame]) -> tuple[float, ...]:
 def _trajectory(
     path: Path, shared: Frame, files: tuple[FrameFiles, ...], frames: list[Frame]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Return the trajectory, camera to world, metres, with `applied_scale` undone; and warnings."""
+    """Return the trajectory (camera to world, metres, with `applied_scale` undone), and warnings."""
     scale = number_of(shared.get("applied_scale", 1.0), f"{path / FILE}: 'applied_scale'")
     if scale <= 0:
         raise GivenPosesError(f"{path / FILE}: 'applied_scale' must be above 0")

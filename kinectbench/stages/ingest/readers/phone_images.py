@@ -154,7 +154,7 @@ def _same_shape(color_px: tuple[int, int], depth_px: tuple[int, int]) -> bool:
 
 
 def times_or_counted(times_s: Float64, counted_ns: Sequence[int], path: Path) -> tuple[list[int], list[str]]:
-    """Return frames' own stamps (nanoseconds) if all have one and they rise, else `counted_ns`; and warnings.
+    """Return stamps, ns (own stamps if all frames have one and they rise, else `counted_ns`), and warnings.
 
     Args:
         times_s: (n,) own times of the frames, seconds; NaN, or another shape, if some are missing.

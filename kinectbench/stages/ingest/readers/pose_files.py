@@ -225,7 +225,7 @@ def read_pose_folder(
 def finite_trajectory(
     stamps_ns: Sequence[int], matrices: Sequence[Float64 | None], name: str
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Make a trajectory from matrices (4, 4), camera to world; and warnings. None if no matrix is finite."""
+    """Return the trajectory of matrices (4, 4), camera to world (None if none is finite), and warnings."""
     if not any(matrix is not None and np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     return trajectory_from_matrices(stamps_ns, matrices, name)

@@ -205,7 +205,7 @@ def _depth_size(
 
 
 def _stamps_ns(path: Path, metadata: dict[str, object], numbers: list[int]) -> tuple[list[int], list[str]]:
-    """Return frames' own stamps if all have one and they rise, else their numbers / `fps`; and warnings."""
+    """Return stamps, ns (own stamps if every frame has one and they rise, else number / fps), warnings."""
     times_s, fps = json_numbers(metadata.get("frameTimestamps")), json_numbers(metadata.get("fps"))
     period_ns = round(NS_PER_S / float(fps)) if fps.ndim == 0 and 1 <= fps <= 1000 else NS_PER_S
     whole = times_s.ndim == 1 and numbers[-1] < len(times_s)

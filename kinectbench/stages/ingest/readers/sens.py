@@ -188,7 +188,7 @@ def _find_frames(file: BinaryIO, head: SensHead, path: Path) -> tuple[list[Packe
 def _trajectory(
     stamps_ns: list[int], matrices: list[Float64], head: SensHead, path: Path
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Return the trajectory of the depth camera, or None if every frame was lost; and warnings."""
+    """Return the trajectory of the depth camera (None if every frame was lost), and warnings."""
     if not any(np.isfinite(matrix).all() for matrix in matrices):
         return None, []
     T_camera_depth = rigid_or_none(head.depth_extrinsic)

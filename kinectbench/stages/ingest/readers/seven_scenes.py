@@ -178,7 +178,7 @@ def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, 
 def _default_rig(
     path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int], settings: CameraSettings
 ) -> tuple[ScannetRig, list[str]]:
-    """Return the camera of 7-Scenes, a Kinect, if the image size fits, else no intrinsics; and warnings.
+    """Return the camera of 7-Scenes, a Kinect (without intrinsics if the image size differs), and warnings.
 
     The Kinect is assumed with a warning, unless the settings give intrinsics or this is 7-Scenes itself.
     """

@@ -179,7 +179,7 @@ def _counted(rows: list[tuple[int, Path]]) -> list[tuple[int, Path]]:
 def _in_order(
     rows: list[tuple[int, Path]], path: Path
 ) -> tuple[list[tuple[int, Path]], list[int], list[str]]:
-    """Return rows sorted by stamp, without repeated stamps; all stamps in the file's order; and warnings.
+    """Return (rows by stamp without repeated stamps, all stamps in the file's order, warnings).
 
     Raises:
         RecordingError: the stamps are in micro- or nanoseconds.

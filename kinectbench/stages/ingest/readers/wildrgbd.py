@@ -80,7 +80,7 @@ class WildRgbdRecording(FileRecording):
 def _read_poses(path: Path, numbers: list[int]) -> tuple[GivenTrajectory | None, list[str]]:
     """Return the trajectory of the frames with these numbers, and warnings.
 
-    The trajectory, camera to world, is None if there is no file or no usable pose.
+    The trajectory is camera to world. It is None if there is no file or no usable pose.
     """
     file = path / "cam_poses.txt"
     if not file.is_file():

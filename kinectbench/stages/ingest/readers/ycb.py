@@ -150,7 +150,7 @@ def _bitmap(data: bytes, name: str) -> NDArray[np.uint8]:
 
 
 def _calibration(path: Path, sensor: str) -> tuple[dict[str, Float64], list[str]]:
-    """Read a camera's arrays in calibration.h5, {key of SHAPES: array}; and a warning on missing ones."""
+    """Return a camera's arrays in calibration.h5, {key of SHAPES: array}, and a warning on missing arrays."""
     names = {key: key.format(sensor) for key in SHAPES}
     if not (path / CALIBRATION).is_file():
         return {}, [
@@ -210,7 +210,10 @@ def _color(said: Mapping[str, Float64], color_px: tuple[int, int], path: Path) -
 def _poses(
     path: Path, said: Mapping[str, Float64], angles: Sequence[int]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    """Read depth's trajectory in the turntable's frame, 1 s per degree of `angles`; and warnings."""
+    """Return depth's trajectory in the turntable's frame, 1 s per degree of `angles`, and warnings.
+
+    The trajectory is None if poses, or the transform from the camera of the poses, are missing.
+    """
     files = [path / "poses" / f"NP5_{angle}_pose.h5" for angle in angles]
     if not any(file.is_file() for file in files):
         return None, [f"{path}: has no poses/NP5_0_pose.h5; the object is tracked by its depth alone"]

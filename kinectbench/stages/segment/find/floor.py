@@ -295,7 +295,7 @@ def against_plane(
 
 
 def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str, ...]:
-    """Return an objection if a plane (4,) is not level by gravity; none if `up_world` (3,) is unknown."""
+    """Return an objection if a plane (4,) is not level by gravity, else (); () if `up_world` is unknown."""
     if up_world is None or plane_world[:3] @ up_world >= MIN_GRAVITY_COSINE:
         return ()
     turn_deg = float(np.degrees(np.arccos(np.clip(plane_world[:3] @ up_world, -1, 1))))

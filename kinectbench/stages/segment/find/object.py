@@ -244,7 +244,10 @@ class Segmentation:
         return np.asarray(~(self.box.contains(at_middle)[:, :, None] & inside))
 
     def _middles_floor(self, grid: Grid) -> tuple[Float64, Float64]:
-        """Middles (nx, ny, 3) of an upright grid's columns, heights (nz,) of its layers; floor frame."""
+        """Return the middles (nx, ny, 3) of an upright grid's columns and the heights (nz,) of its layers.
+
+        Both are in the floor frame, in metres.
+        """
         T_floor_grid = self.floor.T_floor_world @ grid.T_world_grid
         # The grid is upright: x and y in the floor frame depend on the first two axes, z on the last.
         nx, ny, nz = grid.shape

@@ -30,8 +30,8 @@ ABOVE_SHARE = 0.9
 # A plate's top is level. It is looked for within so many radii of what moves (farther out the floor would
 # count), and has so many points. This share of the moving points may lie below its top (chosen by hand).
 LEVEL_COSINE, PLATE_RATIO, MIN_PLATE_POINTS, LOWEST_SHARE = 0.9, 1.2, 40, 0.05
-# What passes before something is nearer by so many standard deviations of its depth, or so much: two depths
-# differ by less from noise alone in all but a few of a thousand pixels (chosen by hand).
+# What passes in front of something is nearer by so many standard deviations of its depth, or so much: two
+# depths differ by less from noise alone in all but a few of a thousand pixels (chosen by hand).
 NEARER_SIGMAS, NEARER_M = 4.0, 0.01
 # What is seen of a standing object begins within this height of the floor; of a hand-held one, higher.
 HANGS_M = 0.06
@@ -80,8 +80,8 @@ def turntable_masks(sequence: Sequence) -> Masks:
     """Masks of the turning object: a function from a frame's index to (height, width) bool.
 
     Raises:
-        SegmentationError: the camera does not stand still, nothing turns before it, or what turns stands on
-            no plane in view.
+        SegmentationError: the camera does not stand still, nothing turns in front of it, or what turns stands
+            on no plane in view.
     """
     turntable = find_turntable(sequence)
     return lambda index: turntable.mask(sequence.depth_m(index), sequence.camera)

@@ -259,7 +259,7 @@ class _Piece:
     corner: NDArray[np.int64]
 
     def faces_m(self, axis: int, sign: int) -> Float64:
-        """Return the centres (n, 3) of its faces to free space along an axis, grid frame; sign: 1, -1."""
+        """Return the centres (n, 3), metres, grid frame, of faces to free space in direction sign * axis."""
         step = np.zeros(3, np.int64)
         step[axis] = sign
         beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, self.cells.shape, strict=True))
