@@ -175,7 +175,7 @@ def publish_options(
     Args:
         settings: the benchmark's settings.
         hold_back: splits whose truth is held back.
-        thresholds: a threshold file, or None.
+        thresholds: a threshold file; None if there is none.
         allow_poor: whether recordings that violate the limits `publish.gate` are published, too.
         isolate: whether only one view is published of each object with held-back truth.
 

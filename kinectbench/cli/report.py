@@ -85,7 +85,7 @@ def write_page(
 
     Args:
         common: the shared options.
-        release: the release, or None.
+        release: the release; None if there is none.
         scores: scores.json files, or folders that hold them.
         out: the page's path; None: index.html in the folder of scores.
         baselines: whether baselines are shown.

@@ -66,7 +66,7 @@ class Sequence:
         stamps_ns: (n,) int64, depth stamps, strictly increasing; a recording without stamps counts its frames
             in seconds (index * 10**9).
         color_registered: colour pixels lie on depth pixels.
-        given_trajectory: the trajectory that came with the recording, or None.
+        given_trajectory: the trajectory that came with the recording; None if there is none.
         frames: access to depth and colour.
         depth_correction_per_m: (height, width) float32, added to 1 / depth; None: depth as recorded.
         masks: the masks that came with the recording, or None: index -> (height, width) bool, the object;

@@ -57,7 +57,7 @@ def _open_anyhow(
     """Open a recording; if only its intrinsics prevent that, open it with the intrinsics of a Kinect.
 
     Returns:
-        The recording, None if it cannot be opened; and a list with the finding about a problem, or [].
+        The recording (None if it cannot be opened), and a list with the finding about a problem, or [].
     """
     try:
         return open_recording(path, settings, follow_links=follow_links), []
@@ -109,7 +109,7 @@ def inspect(
         tracking: settings to grade a given trajectory as a build does; None: the trajectory is not graded.
 
     Returns:
-        The diagnosis; and the probe, None if the recording cannot be opened.
+        The diagnosis, and the probe (None if the recording cannot be opened).
     """
     recording, findings = _open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:

@@ -34,7 +34,7 @@ class BuiltRecording:
 
     Attributes:
         recording: id of the recording.
-        error: why the recording failed, or None.
+        error: why the recording failed; None if it did not.
         made: names of the stages that the run made.
         read: reads the summary.
     """

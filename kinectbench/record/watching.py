@@ -28,7 +28,7 @@ class Watcher:
 
     Attributes:
         skipped: number of frames that the observer did not get.
-        failure: the error that ended the observation, or None.
+        failure: the error that ended the observation; None if there is none.
     """
 
     def __init__(self, observer: Observer, setup: Setup) -> None:
@@ -65,7 +65,7 @@ class Watcher:
                 return
 
     def _next(self) -> tuple[int, Frame] | None:
-        """Wait for a frame; return None at the end."""
+        """Wait for a frame; return (its number, the frame), None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._ended)
             newest, self._newest = self._newest, None

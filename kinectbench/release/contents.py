@@ -137,7 +137,7 @@ class Entry:
     Attributes:
         size: size in bytes, as the folder or archive states it.
         opener: function that opens the file; to be called only if `problem` is None.
-        problem: why the file must not be opened, or None.
+        problem: why the file must not be opened; None if it may be opened.
     """
 
     size: int

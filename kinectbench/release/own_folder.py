@@ -37,7 +37,7 @@ def remains(folder: Path) -> list[Path]:
 
 
 def _unknown_file(folder: Path, known: Set[str]) -> str | None:
-    """Return the first file or link in a folder that is neither `known` nor `is_ignored`, or None."""
+    """Return the first file or link in a folder that is neither `known` nor `is_ignored`; None if none is."""
     others = (p for p in release_files(folder) if p.relative_to(folder).as_posix() not in known)
     return next((path.relative_to(folder).as_posix() for path in others if not is_ignored(path.name)), None)
 

@@ -156,7 +156,7 @@ def _store_of(url: str) -> tuple[Store, str]:
 
 
 def _archive_above(path: Path) -> Path | None:
-    """Return the archive that a path leads into: the nearest parent that is a file, or None."""
+    """Return the archive that a path leads into: the nearest parent that is a file; None if none is."""
     return next((parent for parent in path.parents if parent.is_file()), None)
 
 

@@ -91,7 +91,7 @@ class Series:
         words: a sentence that describes the data, for readers who cannot see the chart.
         points: SVG path of its points, or "".
         line: SVG path of its line, or "".
-        dot: position of a marked point, or None.
+        dot: position of a marked point; None if there is none.
     """
 
     index: int

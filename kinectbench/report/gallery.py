@@ -310,7 +310,7 @@ def gallery_json(
 
     Args:
         tables: the methods' scores.
-        galleries: each method's gallery, or None.
+        galleries: each method's gallery; None if there is none.
         truths: {pair: its truth}; pairs without truth are not shown.
         protocol: the protocol whose scores are shown. If a method was not scored under it, the scores of its
             first row's protocol are shown, with the name of that protocol.

@@ -59,10 +59,10 @@ class RecordingPart:
 
     Attributes:
         settings: the recording's own settings.
-        health: statistics of the trajectory, or None.
-        quality: statistics of the object, or None.
-        turntable: a strip of pictures of the object from all around, or None.
-        plan: the camera's path seen from above, or None.
+        health: statistics of the trajectory; None if there are none.
+        quality: statistics of the object; None if there are none.
+        turntable: a strip of pictures of the object from all around; None if there is none.
+        plan: the camera's path seen from above; None if there is none.
         object_pictures: pictures of the object from a few sides, with unseen parts in colour.
         frames: pictures of some recorded views.
         tiles: every pair.

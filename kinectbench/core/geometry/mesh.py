@@ -53,7 +53,7 @@ class TriangleMesh:
     Attributes:
         vertices: (n, 3) float64, metres, in the frame that the owner states (`world` if it states none).
         faces: (m, 3) int32, counter-clockwise seen from outside.
-        colors: (n, 3) uint8 RGB, or None.
+        colors: (n, 3) uint8 RGB; None if there are none.
     """
 
     vertices: Float64

@@ -55,7 +55,7 @@ def associate(
         tolerance_ns: largest difference of a pair.
 
     Returns:
-        For each depth frame, the index of its colour frame, or None.
+        For each depth frame, the index of its colour frame; None if it has no partner.
     """
     # best[j]: the best matching of the depth frames so far with colour frames before j; complete up to
     # `reach`.

@@ -47,7 +47,7 @@ class TrajectoryError:
         rpe_frame_m: statistics of the relative translation errors between one pose and the next.
         rpe_frame_rad: the same for rotation.
         rpe_metre_m: the same for translation over a metre of path; None if no piece is that long.
-        rpe_metre_rad: the same for rotation over a metre of path, or None.
+        rpe_metre_rad: the same for rotation over a metre of path; None if no piece is that long.
         position_errors_m: (n,) distances of the aligned positions, in the order given.
     """
 

@@ -120,7 +120,7 @@ def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
 
     Args:
         T_world_camera: (n, 4, 4), n > 0.
-        depth_m: median depth in the middle of their images (`middle_depth_m`), metres, or None.
+        depth_m: median depth in the middle of their images (`middle_depth_m`), metres; None: unknown.
     """
     point, positions = convergence_point(T_world_camera), T_world_camera[:, :3, 3]
     if depth_m is None:
@@ -147,8 +147,8 @@ def covered_arc_rad(T_world_camera: Float64, depth_m: float | None) -> float | N
 
     Args:
         T_world_camera: (n, 4, 4), finite, any n.
-        depth_m: median depth in the middle of their images (`middle_depth_m`), metres, or None; it helps to
-            find the point.
+        depth_m: median depth in the middle of their images (`middle_depth_m`), metres; None: unknown. It
+            helps to find the point.
 
     Returns:
         Radians, 0 to 2 pi. None if there is no camera, or if fewer than half of them have the point within 45

@@ -156,11 +156,11 @@ def trajectory_from_matrices(
 
     Args:
         stamps_ns: stamp of each frame, strictly increasing.
-        matrices: recorded matrix of each frame, or None.
+        matrices: recorded matrix of each frame; None if there is none.
         name: the recording, for messages.
 
     Returns:
-        The trajectory, or None if no matrix is usable; and warnings, unless no frame has a matrix.
+        The trajectory (None if no matrix is usable), and warnings, unless no frame has a matrix.
     """
     if all(matrix is None for matrix in matrices):
         return None, []

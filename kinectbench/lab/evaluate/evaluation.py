@@ -74,7 +74,7 @@ def trajectory_figures(
         truth: the simulator's truth.
         registration: registration of the build to the truth.
         stamps_ns: (n,) int64, stamps of the build's frames.
-        given: the trajectory that came with the recording, or None.
+        given: the trajectory that came with the recording; None if there is none.
     """
     posed = has_pose(trajectory.T_world_camera)
     common = posed & registration.shown

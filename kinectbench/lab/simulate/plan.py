@@ -23,7 +23,7 @@ class PlannedFrame:
         time_s: time at which depth is taken, seconds since the start.
         stamp_ns: the recorded stamp of depth.
         color_stamp_ns: the recorded stamp of colour.
-        T_world_given: (4, 4) the recorded pose of the frame, or None.
+        T_world_given: (4, 4) the recorded pose of the frame; None if there is none.
         foreign: whether the frame shows another scene.
     """
 

@@ -120,7 +120,7 @@ def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> It
 
 
 def _volume_fault(file: IO[bytes]) -> str | None:
-    """Return a message on the fault of a volume.npz, or None. Grids are read in slabs to save memory.
+    """Return a message on a volume.npz's fault; None if it has none. Grids are read in slabs to save memory.
 
     Raises:
         UNREADABLE: one of the exceptions in this tuple: the file is no npz, or is damaged.

@@ -37,8 +37,8 @@ class LocalRecording:
 
     Attributes:
         path: the recording's file or folder.
-        masks: folder of the user's masks, or None.
-        reference: the mesh that is the recording's truth, or None.
+        masks: folder of the user's masks; None if there is none.
+        reference: the mesh that is the recording's truth; None if there is none.
     """
 
     path: Path

@@ -82,7 +82,7 @@ def find_intrinsics(
             the same, there is no warning.
 
     Returns:
-        The intrinsics as far as found; and the JSON file that they are from, or None.
+        The intrinsics as far as found, and the JSON file that they are from (None if from another file).
 
     Raises:
         RecordingError: a file does not contain what its name says, or YAML files have different cameras.

@@ -17,7 +17,8 @@ class Partners:
     """The colour image of each depth image.
 
     Attributes:
-        of_depth: for each depth image the index of its colour image, or None; an index occurs at most once.
+        of_depth: for each depth image, the index of its colour image; None if it has none. An index occurs at
+            most once.
         warnings: on depth images without a colour image, and on pairing by mere order.
     """
 

@@ -65,8 +65,8 @@ class RawFrame:
         name: source of the frame, for messages.
         stamp_ns: stamp of the depth image, nanoseconds.
         depth: (height, width) uint16 in native units, 0 = no measurement.
-        color: (suffix of a JPEG or PNG, such as ".jpg", the encoded image), or None.
-        mask: (height, width) bool, the object's pixels by a given mask, or None.
+        color: (suffix of a JPEG or PNG, such as ".jpg", the encoded image); None if there is none.
+        mask: (height, width) bool, the object's pixels by a given mask; None if there is none.
     """
 
     name: str
@@ -129,7 +129,7 @@ class Recording(ABC):
         float_scale: units per metre in the files, if depth is float there; None: depth is in integers.
         color_registered: whether colour pixels lie on depth pixels.
         color_calibration: calibration of unregistered colour relative to depth, or None if unknown.
-        given_trajectory: the trajectory that came with the recording, or None.
+        given_trajectory: the trajectory that came with the recording; None if there is none.
         trajectory_error: why the trajectory that came with the recording cannot be used, or "".
         color_delay_s: delay, from the settings, that was subtracted from the stamps of colour, seconds.
         trajectory_delay_s: delay, from the settings, that was subtracted from the stamps of given poses,
@@ -217,8 +217,9 @@ class FrameFiles:
     Attributes:
         stamp_ns: stamp of the depth image, nanoseconds.
         depth: 16-bit PNG, or another depth file.
-        color: JPEG or PNG, or None.
-        mask: image that marks the object (PNG: nonzero there; `FileRecording.mask` reads it), or None.
+        color: JPEG or PNG; None if there is none.
+        mask: image that marks the object (PNG: nonzero there; `FileRecording.mask` reads it); None if there
+            is none.
     """
 
     stamp_ns: int

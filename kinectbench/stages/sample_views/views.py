@@ -109,7 +109,7 @@ def sample_views(
             recording, in the frames that have one.
         segmentation: tolerance of the masks, and their smallest height above the floor.
         pairs: smallest containment, largest residual, smallest visible share.
-        masks: the user's masks, or None.
+        masks: the user's masks; None if there are none.
         progress: called with (views found, views wanted).
 
     Raises:

@@ -29,7 +29,8 @@ def track_own_pixels(
 
     Args:
         sequence: the recording, unmasked.
-        masks: function from a frame's index to the object's mask, (height, width) bool, or None.
+        masks: function from a frame's index to the object's mask, (height, width) bool; None if there is
+            none.
         mode: "trust", "refine" or "ignore" a given trajectory, whose poses fit only if the object was at
             rest; None: trust it if there is one.
         settings: settings for the check of given poses.

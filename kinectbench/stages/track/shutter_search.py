@@ -159,7 +159,7 @@ class _Search:
     def _maps(
         self, pair: _Pair, readout_s: float, delay_s: float, *, with_intensity: bool
     ) -> tuple[FrameMaps, list[FrameMaps]]:
-        """The source and the targets of a pair, with this shutter undone."""
+        """Return the maps of a pair's source, and a list of those of its target, with this shutter undone."""
         shutter = RollingShutter(readout_s, delay_s, self.motion)
         source, target = (
             self.maps.upright(k, shutter).reduced(ENOUGH_PX, with_intensity=with_intensity)

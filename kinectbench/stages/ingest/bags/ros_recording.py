@@ -67,7 +67,7 @@ class RosRecording(Recording):
 
     Attributes:
         depth: the depth topic.
-        color_topic: the colour topic, or None.
+        color_topic: the colour topic; None if there is none.
         places: for each frame its stamp, and the indices of its depth and colour messages (colour or None).
         undistortion: makes pinhole images from distorted ones; None if not needed.
         bag: reads and decodes the messages.
@@ -277,7 +277,7 @@ def _depth_info(
     infos: list[NamedInfo],
     settings: CameraSettings,
 ) -> tuple[CameraInfo | None, list[str]]:
-    """Choose depth's CameraInfo among `infos`; warn if another differs, unless settings give intrinsics."""
+    """Return depth's CameraInfo from `infos`, and a warning if another differs (none if settings decide)."""
     on_color = color is not None and (is_named_registered(depth) or _same_frame(depth, color))
     info, warnings = choose_camera_info(
         depth, DEPTH_KIND, size_px, infos, every_image(bag), color if on_color else None

@@ -107,7 +107,7 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
 
     Args:
         bag: the bag to search.
-        named: the topic that the settings name, or None.
+        named: the topic that the settings name; None if they name none.
 
     Raises:
         RecordingError: no topic contains depth, or the named topic does not.
@@ -140,7 +140,7 @@ def choose_depth(bag: RosBag, named: str | None = None) -> tuple[ImageTopic, lis
 def choose_color(
     bag: RosBag, depth: ImageTopic, named: str | None = None
 ) -> tuple[ImageTopic | None, list[str]]:
-    """Choose the colour topic; return it or None, and warnings.
+    """Choose the colour topic; return the topic (None if there is none), and warnings.
 
     These criteria decide, the most important first: a name that says neither infrared nor depth, a name that
     says colour, the same camera as the depth topic's, colours instead of grey, no compression, and the number
@@ -149,7 +149,7 @@ def choose_color(
     Args:
         bag: the bag to search.
         depth: the depth topic; in a bag with two cameras, colour is of the same camera.
-        named: the topic that the settings name, or None.
+        named: the topic that the settings name; None if they name none.
 
     Raises:
         RecordingError: the named topic contains no colour.

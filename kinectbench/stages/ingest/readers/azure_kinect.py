@@ -255,7 +255,7 @@ def _attached(container: "InputContainer", path: Path) -> dict[str, object]:
 def _find_images(
     container: "InputContainer", names: dict[int, str], path: Path
 ) -> tuple[dict[str, list[Place]], list[str]]:
-    """Return {"DEPTH", "COLOR", "IR": places of images in file order}, and the file's faults.
+    """Return {track ("DEPTH", "COLOR", "IR"): places of its images in file order}, and the file's faults.
 
     `names` is {index of track: name}. The list of "IR" stays empty. Images of impossible times are left out.
     """

@@ -122,7 +122,7 @@ class KlgRecording(PackedRecording):
         )
 
     def color(self, data: bytes, name: str) -> tuple[str, bytes] | None:
-        """Return the colour of a frame, with red and blue in the right order."""
+        """Return a frame's colour: (suffix, image with red and blue in order); None if it has no colour."""
         if not data:
             return None
         shape = self.camera.height, self.camera.width, 3

@@ -39,7 +39,7 @@ class PhoneRecording(FileRecording):
     """Images of a phone: colour is scaled to depth's size, and depth of low confidence is dropped.
 
     Attributes:
-        confidence: file of each frame's confidence image (0, 1, 2), or None.
+        confidence: file of each frame's confidence image (0, 1, 2); None if there is none.
         min_confidence: depth with lower confidence counts as no measurement.
     """
 

@@ -73,7 +73,7 @@ def read_pose_file(
         stems: names of the depth images without suffix.
 
     Returns:
-        The trajectory, or None if no pose is usable; and warnings.
+        The trajectory (None if no pose is usable), and warnings.
 
     Raises:
         RecordingError: a row has other content, or the frame of a pose is ambiguous.
@@ -209,7 +209,7 @@ def read_pose_folder(
         T_camera_depth: (4, 4), depth camera to the camera of the poses, metres; None: the same camera.
 
     Returns:
-        The trajectory of the depth camera, or None if no frame has a usable pose; and warnings.
+        The trajectory of the depth camera (None if no frame has a usable pose), and warnings.
 
     Raises:
         RecordingError: a file does not contain 16 numbers.

@@ -73,7 +73,7 @@ class StrayScannerRecording(PhoneRecording):
 
     Attributes:
         numbers: number of each frame in the video.
-        video: the video, or None.
+        video: the video; None if there is none.
     """
 
     format: ClassVar[str] = "stray"

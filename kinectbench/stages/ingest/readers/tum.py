@@ -119,7 +119,7 @@ class TumRecording(FileRecording):
 
 
 def _lists(path: Path) -> tuple[tuple[Path, Path], list[str]]:
-    """Find the lists of depth and of colour (which may not exist); warn if depth.txt is not the one read."""
+    """Return the lists of depth and colour, which may not exist, and a warning if depth.txt is not read."""
     depth, color = (first_file(path / name for name in names) for names in (DEPTH_LISTS, COLOR_LISTS))
     depth, color = depth or path / DEPTH_LISTS[-1], color or path / COLOR_LISTS[0]
     if depth.name == DEPTH_LISTS[-1]:

@@ -308,8 +308,8 @@ def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str
 def _beside(plane: Float64, surface: SceneSurface) -> tuple[Float64, float, float] | None:
     """Find a measured plane close to a given plane (4,), near the focus.
 
-    Return the measured plane (4,), its height above the given one in metres, and the angle between them in
-    degrees; None if the surface near the focus shows no plane, or shows the given one.
+    Return the measured plane (4,), its height in metres above the given plane, and the angle between them in
+    degrees. Return None if the surface near the focus shows no plane, or if it shows the given plane.
     """
     points, normals = surface.points_world, surface.normals_world
     near = normals @ plane[:3] > FLAT_COSINE

@@ -110,7 +110,7 @@ class PlaneCandidate:
 
 @dataclass(frozen=True)
 class PlaneChoice:
-    """The chosen plane, or None; and all candidates, each with the reason why it was not chosen."""
+    """The chosen plane (None if none was chosen), and all candidates, with the reasons against them."""
 
     chosen: PlaneCandidate | None
     candidates: tuple[PlaneCandidate, ...]
@@ -320,9 +320,9 @@ def _with_reason(
 
 
 def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]:
-    """Refine a plane (4,) by the surface near the focus; it stays as it is if there are too few points.
+    """Refine a plane (4,) by the surface near the focus. Do nothing if there are too few points.
 
-    Return the plane, and the robust standard deviation of the surface about it, metres.
+    Return the plane, and the robust standard deviation of the surface about the plane, metres.
     """
     points_world, inlier_m = surface.points_world, surface.inlier_m
     flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M

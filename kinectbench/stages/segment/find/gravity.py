@@ -40,7 +40,7 @@ class FloorHint:
     """Prior knowledge about the floor.
 
     Attributes:
-        up_world: (3,) unit, up by gravity, or None.
+        up_world: (3,) unit, up by gravity; None if unknown.
         plane_world: (4,) the plane that the user gave: a, b, c, d with unit (a, b, c) up and a x + b y + c z
             + d = 0, metres; or None.
         middle_depth_m: median depth in the middle of the images, metres, which helps to find the point that

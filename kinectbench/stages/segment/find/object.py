@@ -271,7 +271,7 @@ def find_floor_and_object(
     Args:
         mesh: the fused scene, world frame.
         trajectory: poses of the frames.
-        given_box: the box that the user gave, floor frame, or None.
+        given_box: the box that the user gave, floor frame; None if there is none.
         settings: seed, floor cut and low cut.
         hint: known facts about the floor.
 

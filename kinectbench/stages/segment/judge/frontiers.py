@@ -221,7 +221,7 @@ def _large_pieces(
 
 
 def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], int]:
-    """Find the 26-connected pieces of at least `least_voxels` voxels; returns the same as `_large_pieces`."""
+    """Find the 26-connected pieces of at least `least_voxels` voxels; return the same as `_large_pieces`."""
     from scipy import ndimage
 
     pieces, count = ndimage.label(region, np.ones((3, 3, 3)))
@@ -322,7 +322,7 @@ def _frontier(
 
 
 def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float) -> tuple[float, float]:
-    """Return the extents of a frontier's faces, whose centres are (n, 3), metres.
+    """Return two extents, metres, of a frontier's faces with the centres `points_floor` (n, 3).
 
     For `side`, they are width and height as seen along `look` (3,). Otherwise they are the longer and the
     shorter side of the smallest rectangle around the faces, seen from above.
