@@ -222,7 +222,7 @@ def build_jobs(
     options: Sequence[str] = (),
     again: bool = False,
 ) -> "list[BuiltRecording]":
-    """Build jobs with this many processes or with an executor; print and return what `build_recordings` does.
+    """Build jobs with some processes or an executor; print and return the results of `build_recordings`.
 
     A recording may take `limit_s` seconds. With `again`, warnings of stages that were current are printed,
     too. The printed advice includes a command that shows all warnings; `options` (`--config`, `--set`) give

@@ -64,7 +64,7 @@ def fit_viewpoint(points_m: Float64, R_frame_view: Float64, margin: float = 1.08
     Args:
         points_m: (n, 3), n > 0.
         R_frame_view: orientation, as in `Viewpoint`.
-        margin: edge of the picture, as a multiple of the points' greater extent in it.
+        margin: edge of the picture, as a multiple of the larger extent of the points in it.
     """
     points_view = points_m @ R_frame_view
     low, high = points_view.min(axis=0), points_view.max(axis=0)

@@ -121,7 +121,7 @@ def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
 
 
 def _match(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Return the share of pixels whose depths agree to 15 %, of those with depth in both; 1 without any."""
+    """Of the pixels with depth in both images, return the share that agrees to 15 %; 1 if there are none."""
     both = (first > 0) & (second > 0)
     if not both.any():
         return 1.0

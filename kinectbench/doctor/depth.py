@@ -107,7 +107,7 @@ def check_depth(probe: Probe) -> Iterator[Finding]:
 
 
 def depth_quantiles_m(probe: Probe) -> NDArray[np.float64]:
-    """Return the 5 %, 50 % and 95 % quantiles (3,) of the measured depth, metres; NaN without depth."""
+    """Return the 5 %, 50 % and 95 % quantiles (3,) of the measured depth, metres; NaN if there is none."""
     measured = _measured(probe)
     if not len(measured):
         return np.full(3, np.nan)
@@ -158,7 +158,7 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """Return the mean absolute difference of horizontal neighbours, divided by the median; 0 without any."""
+    """Return the mean absolute difference of horizontal neighbours, divided by the median; 0 if none exist."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
     # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)

@@ -235,7 +235,7 @@ def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float6
 
 
 def pair_residual_m(pairs: Sequence[FramePair], T_world_camera: Float64) -> float:
-    """Return the median point-to-plane distance between the frames of pairs, metres; NaN without overlap.
+    """Return the median point-to-plane distance between the frames of pairs, m; NaN if none overlap.
 
     Points whose depth differs by a tenth or more from the depth at their pixel are left out.
 

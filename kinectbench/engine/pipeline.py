@@ -144,7 +144,7 @@ def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
 
 
 def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
-    """Before slow work, refuse masks of frames that do not exist; `ingest` must have counted the frames."""
+    """Refuse masks of frames that do not exist, before slow work. `ingest` must have counted the frames."""
     from kinectbench.engine.drawn_masks import check_mask_numbers
 
     with _failure_kept(job, stages[-1], {}):
@@ -153,7 +153,7 @@ def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
 
 @contextmanager
 def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Iterator[None]:
-    """Store why a stage fails in the block; not for `suggest`, whose failures the page does not show."""
+    """If a stage fails in the block, store why, except for `suggest`: the page does not show its failures."""
     try:
         yield
     except Exception as failure:

@@ -81,7 +81,7 @@ def _tracked(stages: Mapping[str, Path]) -> tuple[Sequence, Trajectory]:
 
 
 def _own(work: Work[FuseSettings] | Work[SegmentSettings]) -> tuple[Sequence, Trajectory]:
-    """Like `read_tracked`; if masks define the object, keep only the depth inside them."""
+    """Read the sequence and the trajectory; if masks define the object, keep only the depth inside them."""
     sequence, trajectory = _tracked(work.stages)
     masks = frame_masks(sequence, work.settings.segment_by, work.masks)
     return (sequence if masks is None else by_own_pixels(sequence, masks)), trajectory

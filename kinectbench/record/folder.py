@@ -91,7 +91,7 @@ class FolderWriter:
         return number
 
     def close(self) -> None:
-        """Wait until all frames are written; after an error, those that were not started are left out.
+        """Wait until all frames are written. After an error, frames that were not started are left out.
 
         After a KeyboardInterrupt, this can be called again.
         """

@@ -92,7 +92,7 @@ def _fits(prediction: Prediction, partial: Bools) -> Float64:
 
 
 def _mean(prediction: Prediction, cells: Int64, side: int, axes: Axes) -> float:
-    """Return the mean of a prediction over some cells, assuming that its axes are `axes`; 0 without cells.
+    """Return the mean of a prediction over some cells, assuming that its axes are `axes`; 0 if k is 0.
 
     Args:
         prediction: (n, n, n).

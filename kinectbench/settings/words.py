@@ -88,7 +88,7 @@ def wanted(annotation: object, constraints: Sequence[object]) -> str:
 
 
 def range_in_words(constraints: Sequence[object]) -> str:
-    """Return the range that constraints allow, such as `from 1 to 64` or `above 0`; empty without a range."""
+    """Return the range that constraints allow, such as `from 1 to 64` or `above 0`; "" if there is none."""
     words = []
     for constraint in constraints:
         if isinstance(constraint, annotated_types.Ge):

@@ -60,7 +60,7 @@ def containment_of_cells(cells: Int64, full: Packed) -> float:
         full: (m, m, m / 8) uint8, packed, over the same box.
 
     Returns:
-        In [0, 1]; 1 without any cells. Cells outside the grid do not touch.
+        In [0, 1]; 1 if there are no cells. Cells outside the grid do not touch.
     """
     if len(cells) == 0:
         return 1.0

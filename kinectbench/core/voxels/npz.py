@@ -233,7 +233,7 @@ def _entry(array: NDArray[np.generic]) -> tuple[bytes, bytes]:
 
 @lru_cache(maxsize=8)
 def _constant_entry(shape: tuple[int, ...], value: int) -> tuple[bytes, bytes]:
-    """Return `_entry` of an array with a single value, cached: in most synthetic pairs `known` has one."""
+    """Return `_entry` of an array of one value, cached: `known` has one value in most synthetic pairs."""
     return _deflated(np.full(shape, value, np.uint8))
 
 

@@ -310,7 +310,7 @@ def card_figures(info: ReleaseInfo) -> str:
 
 
 def flow_section(info: ReleaseInfo) -> str:
-    """Return the card's section on how many recordings were left out at each step; empty without `flow`."""
+    """Return the card's section on how many recordings were left out at each step; "" if `flow` is None."""
     flow = info.flow
     if flow is None:
         return ""

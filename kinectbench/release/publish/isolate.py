@@ -124,7 +124,7 @@ def write_isolated_images(view: PosedView, color: Path | None, folder: Path) -> 
 
     Args:
         view: the isolated view.
-        color: its colour image; None, or an image of another size than the depth: no colour is written.
+        color: its colour image. No colour is written if it is None or of another size than the depth.
         folder: the folder of the recording's views in the release.
 
     Raises:

@@ -72,7 +72,7 @@ def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Seq
 
 
 def _files(folder: Path) -> Mapping[str, SourceFile]:
-    """Return {name: size and hash} of a recording's files from sources.json; empty without this file."""
+    """Return {name: size and hash} of a recording's files from sources.json; {} if it is missing."""
     sources = Sources.read_if_there(folder)
     return {} if sources is None else sources.files
 

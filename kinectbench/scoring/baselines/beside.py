@@ -49,7 +49,7 @@ def baselines_beside(
         upsampling: "half-pixel" or "corner-aligned".
         without: names of baselines that are left out.
         jobs: number of processes.
-        progress: called with (pairs done, pairs in all); not called if all tables are kept ones.
+        progress: called with (pairs done, pairs in all); not called if all tables are kept tables.
 
     Returns:
         A table for each baseline.

@@ -193,7 +193,7 @@ def _spread(cell):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def mean_offsets(points, normals, radius, groups, boxes, first):  # type: ignore[no-untyped-def]
-    """Return each point's mean offset, along its normal, to the samples within a radius: (n,); 0 without any.
+    """Return each point's mean offset (n,), along its normal, to the samples within a radius; 0 if none is.
 
     Args:
         points: (n, 3).

@@ -221,9 +221,9 @@ def _pose_sigmas_m(trajectory: Trajectory, frame: int) -> tuple[float, float]:
 
     For the weight, an unchecked pose gets the largest plausible error. In the votes, such an error would
     cancel `free` votes near the surface, so an unchecked pose gets the median error of the checked poses. If
-    no pose was checked, both are 0 and only the noise of depth counts: with 20 mm for all poses, near pixels
-    would count no more than far ones, and the box around a simulated object of half a metre would be 4 to 11
-    mm larger on each axis.
+    no pose was checked, both are 0 and only the noise of depth counts. With 20 mm for all poses, near pixels
+    counted no more than far pixels, and the box around a simulated object of half a metre was 4 to 11 mm
+    larger on each axis.
     """
     usual_m = trajectory.median_pose_sigma_m
     if trajectory.pose_sigma_m is None or usual_m is None:

@@ -149,7 +149,7 @@ def align_view(
 
     The fit uses every second point on the object. The trajectory's pose is a prior: it keeps motions that
     the object does not constrain near zero. The corrected pose is accepted only if the mean residual of the
-    other points falls below 90 % of its value before, and the median displacement of all points is at most
+    other points falls below 90 % of its initial value, and the median displacement of all points is at most
     2.5 times `pose_sigma_m` (taken as at least 1 mm). With fewer than 100 other points, nothing is corrected.
 
     Args:

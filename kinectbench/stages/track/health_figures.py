@@ -196,7 +196,7 @@ def lost_stretches(
 
 
 def sharpness(sequence: Sequence, known: Mapping[int, float]) -> Float64:
-    """Sharpness of each frame's colour (`image_sharpness`): (n,); NaN without colour.
+    """Sharpness (n,) of each frame's colour (`image_sharpness`); NaN if the frame has no colour.
 
     Args:
         sequence: the recording.

@@ -282,7 +282,7 @@ def crossed_legs(half_m: Vector2, head_m: float, thick_m: float, look: Look) -> 
 def trestle(draw: Draw, half_m: Vector2, head_m: float, look: Look) -> Parts:
     """Make two trestles (a post between foot and head beam, or an A of two legs), and a long stretcher.
 
-    `half_m` is x of the right trestle, and half its length along y. `head_m` is the height of the trestles.
+    `half_m` has x of the right trestle and half a trestle's length along y. `head_m` is their height.
     """
     x, y, wide = *half_m, draw.between(0.045, 0.07)
     if draw.chance(0.5):

@@ -313,7 +313,7 @@ def intrinsics_of(info: CameraInfo | None, image: ImageTopic) -> Intrinsics:
 
 
 def distortion_of(path: Path, info: CameraInfo | None, image: ImageTopic) -> tuple[float, ...]:
-    """Return the coefficients of Brown's distortion model in OpenCV's order; empty without distortion.
+    """Return the coefficients of Brown's distortion model in OpenCV's order; empty if undistorted.
 
     Raises:
         RecordingError: the distortion model is not Brown's, or has not 4, 5 or 8 coefficients.

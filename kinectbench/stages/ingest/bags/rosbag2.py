@@ -54,7 +54,7 @@ class Rosbag2Recording(RosRecording):
 
     @classmethod
     def frame_ids_tell(cls, depth: ImageTopic) -> bool:
-        """Return False for a bag by librealsense: converted from ROS 1, all its streams have one frame_id."""
+        """Return False for a librealsense bag that was converted from ROS 1: its streams share a frame_id."""
         return not STREAM.fullmatch(depth.name)
 
     @classmethod

@@ -158,7 +158,7 @@ def _files_of(reader: type[Recording], path: Path, follow_links: bool) -> list[P
 
 
 def find_recordings(folder: Path, most: int = LOOKED_AT) -> list[tuple[Path, str]]:
-    """Find every recording in a folder and below: pairs (path, format), sorted; recordings are not nested.
+    """Return (path, format) of every recording in a folder and below, sorted. Recordings are not nested.
 
     A folder is skipped, with all below it, if it is unreadable, starts with a dot, was made by a build, or
     contains the ground truth of a simulated recording. A link is looked at, but not what lies below it.

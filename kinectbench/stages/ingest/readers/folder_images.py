@@ -42,7 +42,7 @@ class NamedImages:
 
 
 def depth_images(path: Path) -> NamedImages:
-    """Find the depth images in a recording's folder, all of one file type; empty without any."""
+    """Find the depth images in a recording's folder, all of one file type; empty if there are none."""
     every = _every_depth(path)
     kinds = [file.suffix.lower() for file in every.files]
     raw = [kind for kind in kinds if kind != ".png"]
@@ -63,7 +63,7 @@ def _every_depth(path: Path) -> NamedImages:
 
 
 def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
-    """Return a warning on depth images of other file types than the one that is read; () without any."""
+    """Return a warning on depth images of other file types than the one that is read; () if none exists."""
     read_kinds = {file.suffix.lower() for file in read.files}
     others: dict[str, list[str]] = {}
     for file in sorted(_every_depth(path).files):
@@ -78,7 +78,7 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
 
 
 def other_depth(path: Path) -> tuple[str, ...]:
-    """Return a warning on each folder of depth beside depth/, such as aligned_depth/; () without any."""
+    """Return a warning on each folder of depth beside depth/, such as aligned_depth/; () if none exists."""
     folders = [path / name for name in OTHER_DEPTH] if (path / "depth").is_dir() else []
     others = [folder for folder in folders if folder.is_dir() and _first_is_depth(folder)]
     return tuple(
@@ -94,7 +94,7 @@ def _first_is_depth(folder: Path) -> bool:
 
 
 def color_images(path: Path) -> NamedImages:
-    """Find the colour images, in the first of `COLOR_FOLDERS` with any, or beside depth; may be empty."""
+    """Find the colour images: in the first of `COLOR_FOLDERS` that has any, or beside depth; may be empty."""
     folders = [path / name for name in COLOR_FOLDERS if (path / name).is_dir()]
     if not (folders or (path / "depth").is_dir()):
         return beside_each_other(path, COLOR_WORD)

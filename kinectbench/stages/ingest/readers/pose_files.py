@@ -45,7 +45,7 @@ def named_like_poses(path: Path) -> str:
 
 
 def unread_poses(path: Path) -> list[str]:
-    """Return a warning on files that look like poses, for a folder without readable ones; [] without any."""
+    """Return a warning on files that look like poses, for a folder without readable poses; [] if none do."""
     beside = named_like_poses(path)
     return (
         [f"{path}: no trajectory is read{beside}; write it as `trajectory.txt`, {TUM_ROWS}"] if beside else []

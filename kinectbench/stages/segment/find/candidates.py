@@ -60,7 +60,7 @@ class Candidate:
 class Candidates:
     """The scene, and up to nine candidates.
 
-    The automatic choice comes first. The others follow by distance, those with a side over 2.5 m last.
+    The automatic choice comes first. The others follow by distance; boxes with a side over 2.5 m come last.
     """
 
     scene: Scene

@@ -55,7 +55,7 @@ class FloorHint:
     picked_world: Float64 | None = None
 
     def focus_world(self, T_world_camera: Float64) -> Float64:
-        """Return the point (3,) near which to search for the object: the picked one, or the target."""
+        """Return the point (3,) near which to search for the object: the picked point, else the target."""
         if self.picked_world is not None:
             return self.picked_world
         return looked_at(T_world_camera, self.middle_depth_m)

@@ -79,7 +79,7 @@ def segment_masked_scene(
 
 
 def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scale: float) -> Floor:
-    """Return the plane z = 0 as a floor: the given plane, or else a level one below the points (n, 3)."""
+    """Return the plane z = 0 as a floor: the given plane, or else a level plane below the points (n, 3)."""
     if hint.plane_world is not None:
         against = against_gravity(hint.plane_world, hint.up_world)
         frame = floor_frame(hint.plane_world)

@@ -83,7 +83,10 @@ class Frontier:
         )
 
     def advice(self, first_rad: float) -> str:
-        """Return a line of advice: the unseen part, and where to stand; `first_rad` as in `turn_in_words`."""
+        """Return a line that names the unseen part and advises where to stand.
+
+        `first_rad` is the direction from the object to the first camera, as in `turn_in_words`.
+        """
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
         where = f"record {where_to_stand(self.look_from, self.center_m[2], first_rad)}"
         where = f"{MOVE_AWAY} {where}" if self.obstructed else where

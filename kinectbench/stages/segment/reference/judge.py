@@ -185,7 +185,7 @@ def _runner_up(found: tuple[Pose, ...], T_floor_world: Float64, least_m: float) 
 
 
 def symmetric_axis(theirs: Sampled) -> Float64 | None:
-    """Return the axis (3,) of the reference's rotational symmetry, in its frame; None if it has none."""
+    """Return the axis (3,) of a reference's rotational symmetry, in its frame; None if it has none."""
     points = theirs.points[theirs.few(1000)]
     middle = theirs.points.mean(axis=0)
     axes = np.linalg.eigh(np.cov(theirs.points.T))[1].T

@@ -71,7 +71,7 @@ def object_grid(
 
 
 def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: float) -> FloorLayers:
-    """Return how many layers of the object's grid lie about the floor; all are 0 without a floor."""
+    """Return how many layers of the object's grid lie about the floor; all are 0 if there is no floor."""
     if floor is None:
         return NO_LAYERS
     cut = max(1, round(floor_cut_m(floor, segmentation) / voxel_size_m))
