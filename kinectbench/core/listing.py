@@ -45,7 +45,7 @@ class Listing:
 
     @property
     def choices(self) -> dict[int, list[str]]:
-        """Sorted values of each filter column, by its index; without columns of one value or too many."""
+        """{index of a filter column: its sorted values}, without columns that have one value or too many."""
         by_column = {column: sorted({row[column] for row in self.rows}) for column in self.filters}
         return {column: values for column, values in by_column.items() if 1 < len(values) <= MOST_CHOICES}
 

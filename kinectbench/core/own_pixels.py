@@ -39,7 +39,7 @@ class OwnPixels:
         return np.where(inside > 0, native, np.uint16(0))
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
-        """Encoded colour of one frame, not masked."""
+        """Encoded colour of one frame, not masked: (suffix, bytes); None if it has no colour."""
         return self.frames.color_encoded(index)
 
 

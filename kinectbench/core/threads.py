@@ -35,7 +35,7 @@ def using_threads(count: int) -> Iterator[None]:
 
 
 def ahead(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Yield the function's results in order, while threads compute the next ones.
+    """Yield the function's results in order, while threads compute the next results.
 
     At most `threads + 1` results wait to be yielded, which bounds memory. An error of the function or of the
     iterator is raised where its result would be yielded.

@@ -158,7 +158,7 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """Return the mean absolute difference of horizontal neighbours, divided by the median; 0 if none exist."""
+    """Return the mean absolute difference of horizontal neighbours, divided by the median; 0 if none."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
     # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)

@@ -182,7 +182,7 @@ def _later(first: int, count: int) -> list[int]:
 
 
 def _beside(first: int, poses: Float64) -> list[int]:
-    """Return the indices of the 1st, 2nd, 4th and 8th nearest frame by the angle between orientations."""
+    """Return the 1st, 2nd, 4th and 8th nearest frames to frame `first`, by the angle between orientations."""
     cosine = np.einsum("ij,nij->n", poses[first, :3, :3], poses[:, :3, :3])
     order = [k for k in np.argsort(-cosine, kind="stable").tolist() if k != first and np.isfinite(cosine[k])]
     return [order[rank - 1] for rank in NEAREST if rank <= len(order)]

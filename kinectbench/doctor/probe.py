@@ -67,7 +67,7 @@ class Probe:
 
     Attributes:
         recording: the opened recording.
-        frames: the sampled frames at low resolution, in order, without the damaged and the refused ones.
+        frames: the sampled frames at low resolution, in order, without the damaged and the refused frames.
         whole: some of these frames at full size, evenly spread.
         damaged: the error of each sampled frame that is damaged.
         refused: the error of each sampled frame that is not damaged, but unreadable or of another size or

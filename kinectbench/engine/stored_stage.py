@@ -39,7 +39,7 @@ def put_stage(store: Store, recording: str, artefact: Artefact) -> bool:
     """Upload a local artefact unless a finished one exists.
 
     Returns:
-        Whether the store now holds these bytes; False: another run has stored different ones.
+        Whether the store now holds these bytes; False: another run has stored different bytes.
 
     Raises:
         StorageError: the store fails, or the stored artefact is damaged.

@@ -77,7 +77,7 @@ class RecAE(Network):
     def taught_tiles(
         self, partial: Tensor, truth: TruthBatch, generator: Generator, cells: int
     ) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """Yield, once, the logits, targets and weights of a random tile of each shape.
+        """Yield one tuple: logits, targets and weights of a random tile of each shape.
 
         All are (b, 1, cells, cells, cells). Layers beyond 64^3 compute only the tile.
 

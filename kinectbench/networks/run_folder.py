@@ -116,7 +116,7 @@ def prepare_folder(folder: Path, config: MethodSettings) -> None:
 
 
 def save(folder: Path, learner: Learner, state: State, facts: dict[str, Any], config: MethodSettings) -> None:
-    """Write checkpoint, log and curves; also the weights, unless the best ones are kept and already written.
+    """Write checkpoint, log and curves; also weights, unless the best weights are kept and already written.
 
     Args:
         folder: the training's folder.

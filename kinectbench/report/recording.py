@@ -93,7 +93,7 @@ class RecordingPart:
 
 
 def collect(job: Job, folder: Path) -> RecordingPart:
-    """Collect the current results of one recording; outdated ones are only named.
+    """Collect the current results of one recording; outdated results are only named.
 
     Args:
         job: the recording, with the settings that its build must have.

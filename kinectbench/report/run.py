@@ -129,7 +129,7 @@ def grouped(tables: Sequence[ScoreTable], protocols: Sequence[str]) -> Groups:
     """Group methods that a paired test over objects cannot distinguish (see `compare`).
 
     Args:
-        tables: score tables of one release. Incomplete ones get no letters, and neither do added baselines:
+        tables: score tables of one release. Incomplete tables get no letters, and neither do added baselines:
             more comparisons would only make methods harder to distinguish.
         protocols: the protocols to compare under. The first one under which two methods are scored decides
             whether the test set is too small.

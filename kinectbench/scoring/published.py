@@ -136,7 +136,7 @@ _IMPORTED = re.compile(r".+-(125|216)")
 def published_beside(
     recordings: Iterable[str], categories: Iterable[str] = CATEGORIES
 ) -> tuple[PublishedTable, ...]:
-    """Return the paper's tables to show beside scores: for imported data the synthetic ones, else the real.
+    """Return the paper's tables to show beside scores: synthetic tables for imported data, else the real one.
 
     Args:
         recordings: names of the test split's recordings. The names that `import` gives to the authors' files

@@ -40,7 +40,7 @@ def load_benchmark(path: Path, overrides: Sequence[str] = ()) -> BenchmarkSettin
     Args:
         path: the file, or its URL as a path.
         overrides: `section.key=value` or `recordings.<id>.key=value`, with the value in YAML. They replace
-            values of the file, and later ones replace earlier ones.
+            values of the file; later overrides replace earlier overrides.
 
     Returns:
         The settings, with defaults for missing keys and empty sections.

@@ -23,7 +23,7 @@ def settings_from_options(
         model: model of the settings.
         values: values of the options, nested by section.
         overrides: `section.key=value` or `key=value`, with the value in YAML; they replace `values`, and
-            later ones replace earlier ones.
+            later overrides replace earlier overrides.
         what: start of an error line about values that contradict each other, such as "simulation". A line
             about one value starts with its option instead.
 

@@ -95,7 +95,7 @@ def eliminated(products: Float64, first: int, information: Float64) -> tuple[Flo
         information: (first, first) of a prior of these unknowns.
 
     Returns:
-        The products of the remaining unknowns x; and F, (first, n - first), which gives the eliminated ones:
+        The products of the remaining unknowns x, and F (first, n - first). The eliminated unknowns are
         F[:, -1] - F[:, :-1] x.
     """
     own = products[:first, :first] + information

@@ -172,7 +172,7 @@ class Store:
             return None
 
     def delete(self, names: Iterable[str]) -> None:
-        """Delete files, in any order; missing ones are passed over.
+        """Delete files, in any order; missing files are passed over.
 
         Raises:
             StorageError: a file cannot be deleted.
@@ -258,7 +258,7 @@ class Store:
     def _append(self, name: str, out: IO[bytes], first: list["ObjectMeta"], most_bytes: int) -> None:
         """Download the rest of a file into `out`, from its position on.
 
-        `first` keeps the metadata of the first response, which later ones must match.
+        `first` keeps the metadata of the first response, which later responses must match.
         """
         at = out.tell()
         if first and at == first[0]["size"]:

@@ -103,7 +103,7 @@ def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float6
     """Find more visible voxels along additional directions, outwards from the edge of the visible region.
 
     Few directions pass through a narrow gap. If a voxel is seen, so are all points between it and the camera;
-    newly seen voxels are therefore next to seen ones.
+    newly seen voxels are therefore next to voxels seen before.
 
     Args:
         space: the voxels.

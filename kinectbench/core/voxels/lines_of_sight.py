@@ -65,12 +65,12 @@ class Space:
 
 
 def directions(count: int) -> Float64:
-    """Return unit vectors (n, 3) from a point to cameras: a Fibonacci lattice, level ones, up and down.
+    """Return unit vectors (n, 3) from a point to cameras: a Fibonacci lattice, level directions, up, down.
 
     Level and vertical directions are added because the narrow gaps of objects on a floor run along them.
 
     Args:
-        count: number of directions of the lattice; the added level ones have the same spacing.
+        count: number of directions of the lattice; the added level directions have the same spacing.
     """
     at = np.arange(count) + 0.5
     z = 1 - 2 * at / count

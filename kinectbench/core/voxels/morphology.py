@@ -56,7 +56,7 @@ def containment_of_cells(cells: Int64, full: Packed) -> float:
     """Return the share of a partial view's cells that touch the full shape, as in `blocks_touched`.
 
     Args:
-        cells: (n, 3) int64, indices of blocks of 4^3 cells of `full`; repeated ones count once.
+        cells: (n, 3) int64, indices of blocks of 4^3 cells of `full`; repeated indices count once.
         full: (m, m, m / 8) uint8, packed, over the same box.
 
     Returns:
@@ -118,7 +118,7 @@ def opened(mask: Bools, size: Sequence[int]) -> Bools:
     """Return the binary opening by a box: the cells in any box of this size whose cells are all set.
 
     The result is that of `scipy.ndimage.binary_opening` with a structure of ones, several times as fast: a
-    box is a run along each axis, and a long run is two shorter ones.
+    box is a run along each axis, and a long run is two shorter runs.
 
     Args:
         mask: bool of any shape; outside of it nothing is set.

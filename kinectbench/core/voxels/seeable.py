@@ -131,7 +131,7 @@ def seeable_solid(
 ) -> SeeableSolid:
     """Find the solid inside a closed mesh, and the space around it that no camera could see.
 
-    Walls thinner than a voxel, which contain no voxel's centre, occlude like thick ones.
+    Walls thinner than a voxel, which contain no voxel's centre, occlude like thick walls.
 
     Args:
         mesh_world: closed mesh, world frame, metres.

@@ -186,7 +186,7 @@ def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
-    """For each `asked` voxel, count those of its 8 level rays (axes, diagonals) that reach the grid's border."""
+    """For each `asked` voxel, count the rays (of 8 level rays) that reach the grid's border."""
     nx, ny, nz = state.shape
     ways = np.zeros(state.shape, np.uint8)
     for i in range(nx):

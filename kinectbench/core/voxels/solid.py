@@ -176,7 +176,7 @@ def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]
 
 @numba.njit(cache=True, nogil=True)
 def _crossable(vertices, faces, shape):  # type: ignore[no-untyped-def]
-    """Return upper bounds of the crossings of faces and lines, and of the faces that cross one line."""
+    """Return upper bounds: how often faces cross lines in all, and how many faces cross one line."""
     nu, nv = shape
     # How many more rectangles cover a column than the one before, along both sides.
     steps = np.zeros((nu + 3, nv + 3), np.int64)

@@ -76,7 +76,7 @@ def refined_figures(
         model: the built object, in its own world.
         truth: the true solid.
         registration: transform between the worlds, from the camera trajectories.
-        surface: samples of the true surface, with a mask of measured ones.
+        surface: samples of the true surface, with a mask of measured samples.
     """
     mesh = model.shape.mesh.transformed(registration.T_truth_built)
     T = _refining_motion(mesh, truth, surface)

@@ -210,7 +210,7 @@ def solid_figures(
 ) -> SolidFigures:
     """Compare the solids on 256^3 and 64^3 cells of the canonical cube, and on the object's own voxels.
 
-    The coarse cells are reduced from the fine ones. The centres of the coarse cells are not sampled, because
+    The coarse cells are reduced from the fine cells. The centres of the coarse cells are not sampled, because
     the object's box ends exactly at some of them.
 
     Args:

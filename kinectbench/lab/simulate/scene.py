@@ -190,7 +190,7 @@ def _table(subject_radius_m: float, draw: Draw) -> list[Item]:
 
 
 def _table_clutter(count: int, subject_radius_m: float, draw: Draw) -> list[Item]:
-    """Draw boxes and books on the table, spread evenly around the subject; farther ones may be higher."""
+    """Draw boxes and books on the table, spread evenly around the subject; farther things may be higher."""
     items = []
     start = draw.between(0, 2 * np.pi)
     for k in range(count):

@@ -148,9 +148,9 @@ def is_truth(folder: Path) -> bool:
 def added_files(folder: Path, recording: Path) -> list[str]:
     """Return the files and folders in a simulated recording's folder that its simulation did not write.
 
-    Hidden ones are ignored. An added folder is named without its content. Numbered files, such as images of
-    frames, are only counted. If there are more than the simulation wrote, their common name, with # for the
-    number, is returned once.
+    Hidden files and folders are ignored. An added folder is named without its content. Numbered files, such
+    as images of frames, are only counted. If there are more than the simulation wrote, their common name,
+    with # for the number, is returned once.
 
     Args:
         folder: the folder of the recording's truth; without a truth, the result is empty.

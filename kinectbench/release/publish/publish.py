@@ -333,7 +333,7 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
 
 
 def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """Return a line for each recording with quality warnings: its first, and the number of further ones."""
+    """Return a line for each recording with quality warnings: the first warning, and how many follow."""
     lines = []
     for name, info in infos.items():
         warnings = info.quality.warnings

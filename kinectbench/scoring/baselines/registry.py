@@ -1,4 +1,4 @@
-"""The baselines by name, and the simplest ones. To add one, write a function and a line in `BASELINES`."""
+"""The baselines by name, and the simplest baselines. To add one, write a function and a `BASELINES` line."""
 
 from collections.abc import Callable, Mapping
 

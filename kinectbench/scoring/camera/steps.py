@@ -55,7 +55,7 @@ def step_equations(places, targets, normals, weights, middle, along, free):  # t
         weights: (n,) weight of each match.
         middle: (3,) the centre of scaling and rotation.
         along: weight of the point-to-point distances.
-        free: number of free parameters, 3, 4 or 7: the first ones of a step.
+        free: number of free parameters, 3, 4 or 7: the first parameters of a step.
     """
     H, g, squares = np.zeros((free, free)), np.zeros(free), 0.0
     row, whole = np.empty(7), np.empty(7)

@@ -31,7 +31,7 @@ class BlockVolume:
             positive in front of the surface, clipped to the truncation; 0 where weight is 0.
         weight: (n, 8, 8, 8) float32, sum of 1 / sigma(z)^2 in 1/mm^2; 0 = never observed.
         votes: (n, 8, 8, 8) uint32, number of `free` votes in the lower 16 bits and of `surface` votes in the
-            upper ones; each saturates at 65,535.
+            upper 16 bits; each saturates at 65,535.
     """
 
     blocks: Int32

@@ -254,7 +254,7 @@ def _integrate(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _inside_block(inside, to_pixels, voxel):  # type: ignore[no-untyped-def]
-    """Set `inside` (3, 512): `to_pixels` (3, 4), rotation only, applied to voxels' offsets in a block."""
+    """Set `inside` (3, 512) to the voxels' offsets in a block, rotated by `to_pixels` (3, 4)."""
     for axis in range(3):
         for n in range(BLOCK_CELLS):
             i, j, k = n // SLAB_CELLS, n // BLOCK_VOXELS % BLOCK_VOXELS, n % BLOCK_VOXELS

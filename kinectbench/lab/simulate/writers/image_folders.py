@@ -1,4 +1,4 @@
-"""Write folders of images: TUM RGB-D, and plain ones as Open3D uses them."""
+"""Write folders of images: TUM RGB-D, and plain folders as Open3D uses them."""
 
 from collections.abc import Iterable
 from dataclasses import asdict

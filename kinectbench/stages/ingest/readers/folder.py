@@ -221,7 +221,7 @@ def pair_files(
 
 
 def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]) -> Intrinsics:
-    """Return Redwood's intrinsics if names and size are as in Redwood's scans, else ones without values."""
+    """Return Redwood's intrinsics if names and size are as in Redwood's scans, else empty intrinsics."""
     if not (NUMBER_AND_STAMP.fullmatch(stems[0]) and size_px == (PRIMESENSE.width, PRIMESENSE.height)):
         return Intrinsics()
     note = f"{path}: has no intrinsics; those of Redwood's PrimeSense camera are taken"

@@ -95,7 +95,7 @@ def separate_parts(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 
 def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
-    """Count the parts on the floor, even small ones, at least 0.1 m from the largest as seen from above."""
+    """Count the parts on the floor, even small parts, at least 0.1 m from the largest as seen from above."""
     if not len(points_floor):
         return 0
     label = label_pieces(points_floor, cell_m)

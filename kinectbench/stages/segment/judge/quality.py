@@ -267,7 +267,7 @@ def _unsupported(chosen: Segmentation, shape: SolidShape, rules: Rules) -> list[
 
 
 def detached_pieces(labels: Int32, small: Int64, sizes: Int64, voxel_size_m: float) -> list[str]:
-    """Return a warning about the largest small piece that lies away from all large ones; [] if none does.
+    """Return a warning about the largest small piece that lies away from all large pieces; [] if none does.
 
     Args:
         labels: piece of each voxel, 0: none.

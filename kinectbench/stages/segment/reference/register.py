@@ -226,7 +226,7 @@ def _starts(ours: Sampled, theirs: Sampled, up: Float64) -> Iterator[Float64]:
     """Yield initial poses (4, 4), which bring both centroids to one point.
 
     The rotations are all that align the principal axes, each combined with twelve turns about `up` (3,), and
-    further ones that are spread evenly.
+    further rotations that are spread evenly.
     """
     here, there = (one.points.mean(axis=0) for one in (ours, theirs))
     axes_here, axes_there = (_principal(one.points) for one in (ours, theirs))

@@ -103,7 +103,7 @@ class VoxelEvidence:
         closed: bool, unseen and part of the object: no camera could see it, or a camera could see it only
             from below and the user states that the underside is closed.
         underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`), whatever
-            the user states. In the layers `contact`: the voxels below such ones.
+            the user states. In the layers `contact`: the voxels below such voxels.
         contact: slice of the layers right above the floor, whose classes follow the layer above them.
         space: where lines of sight pass and cameras can be.
         lower: `space` without the camera positions that are reached only by rising through unseen space.
@@ -139,7 +139,7 @@ def classify_voxels(
 
     Args:
         observation: TSDF and votes on an upright grid.
-        neighbours: bool, voxels near a neighbour's surface; unmeasured ones may still be the object.
+        neighbours: bool, voxels near a neighbour's surface; unmeasured voxels may still be the object.
         rules: by which the solid is made.
         beyond: bool, voxels outside a given box.
         roughly: use fewer lines of sight, for solids that are only compared with one another.
@@ -224,7 +224,7 @@ def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float
 
 
 def _detached(behind: Bools, layers: FloorLayers) -> Bools:
-    """Return which voxels of the low layers are not 26-connected to higher ones: they are not the object."""
+    """Return which voxels of the low layers are not 26-connected to higher voxels, so are not the object."""
     from scipy import ndimage
 
     detached = np.zeros_like(behind)
