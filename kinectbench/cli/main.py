@@ -167,7 +167,7 @@ def main() -> None:
 
 
 def _exit_interrupted() -> NoReturn:
-    """Exit at once, without Python's shutdown: in it, interrupted libraries may change the exit status."""
+    """Exit at once, without Python's shutdown, as interrupted libraries may change the exit status in it."""
     garbage.collect()
     if "kinectbench.engine.processes" in sys.modules:
         from kinectbench.engine.processes import give_back_shared

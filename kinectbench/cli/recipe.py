@@ -164,7 +164,7 @@ def _tell(common: Common, recipe: "Recipe", rows: "Sequence[FetchedScan]", then:
 
 
 def _other_cameras(recipe: "Recipe", scans: "Sequence[Scan]") -> list[str]:
-    """Return a warning for each scan whose own intrinsics differ from the recipe's; the latter are used."""
+    """Return a warning for each scan whose intrinsics differ from the recipe's; the recipe's are used."""
     from kinectbench.stages.ingest.intrinsics import NEEDED
     from kinectbench.stages.ingest.readers import open_recording, says_intrinsics
 

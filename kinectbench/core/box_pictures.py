@@ -25,7 +25,7 @@ SEEN_M = 0.05
 MIN_SEEN = 0.5
 # A box that is entirely in the image counts more than a few more visible points.
 WHOLE_WEIGHT = 2.0
-# Of two frames that show equally much, the nearer one wins: the object is larger in it.
+# If two frames show equally much, the nearer frame is chosen: the object is larger in it.
 NEARER_BONUS_M = 0.1
 # Frames whose scores differ by less than this show an object equally well: the sharpest one wins.
 SIMILAR = 0.05

@@ -17,7 +17,7 @@ COLUMNS, JUMP_SHARE, REACH_PX = 320, 0.06, 24
 OFF_PX = 4.0
 # The best shift must exceed the mean of the others by so many of their standard deviations.
 CLEAR = 5.0
-# So many times the score as it is, or not mirrored, makes it an error (chosen by hand).
+# It is an error if the best score is this many times the unchanged (unmirrored) score; chosen by hand.
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
 # Colour that lies elsewhere is looked for in images 160 wide, from which structure wider than this is taken.
 PLACED_COLUMNS, FINE_PX = 160, 4.0

@@ -40,9 +40,9 @@ LOOK_S, CONNECT_S, NO_WORKERS_S, DASHBOARD_S = 1.0, 20.0, 900.0, 2.0
 SILENT_S = 300.0
 # A nanny restarts a killed worker within seconds; after this time the worker is gone.
 RESTART_S = 60.0
-# Settings of a local scheduler; docs/cluster.md describes those of others. A task has three tries. A worker
-# is dead after 20 minutes of silence: compiled code may hold the interpreter's lock for minutes. Tasks hold
-# their arrays themselves, so Dask has nothing to spill.
+# Settings of a local scheduler; docs/cluster.md describes the settings of other schedulers. A task has three
+# tries. A worker is dead after 20 minutes of silence: compiled code may hold the interpreter's lock for
+# minutes. Tasks hold their arrays themselves, so Dask has nothing to spill.
 OF_LOCAL = {
     "distributed.scheduler.allowed-failures": 2,
     "distributed.scheduler.worker-ttl": "20 minutes",

@@ -160,7 +160,7 @@ class DrawnMasks:
     def check_frames(self, sequence: Sequence) -> Self:
         """Refuse masks named by frames if the frame is missing or its depth image has changed.
 
-        With `of_recorded`, also refuse masks drawn on pictures that differ from the recorded frames. Masks
+        If `of_recorded`, also refuse masks drawn on pictures that differ from the recorded frames. Masks
         without an entry get one: there was no build when they were drawn.
 
         Returns:
@@ -188,7 +188,7 @@ class DrawnMasks:
         )
 
     def check_views(self, sequence: Sequence, views: Path) -> Self:
-        """Refuse masks of views whose frame or pictures have changed; with `of_recorded`, do nothing.
+        """Refuse masks of views whose frame or pictures have changed; do nothing if `of_recorded`.
 
         A mask named by a frame belongs to the view that shows the frame, if there is one. If the picture of a
         mask is not recorded yet, that of its view is recorded.

@@ -111,7 +111,7 @@ def _next_done(
             return ended
 
 
-# In a worker process: the queue for messages to the parent.
+# The queue for messages to the parent, in a worker process.
 _messages: list["Queue[object]"] = []
 
 

@@ -27,7 +27,7 @@ SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
 # The files that a method's folder should hold, in words.
 EXPECTED = "<recording>/<view>.npy, .npz, .ply or .obj, or in the camera frame .glb"
-# Maximum number of files in a folder of predictions; no release has as many pairs.
+# Maximum number of files in a folder of predictions; every release has fewer pairs.
 MOST_FILES = 1_000_000
 
 

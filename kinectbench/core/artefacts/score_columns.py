@@ -41,7 +41,7 @@ IN_SPACE = "in_space"
 WORDS = "{}_words"
 # Figures that the first files of rows lack.
 LATER = ("chamfer_l1_m", "chamfer_l2_m2", "f_score_5mm", "f_score_5pct")
-# Of a curve, as `scoring.counts` counts them.
+# Number of thresholds of a curve, as in `scoring.counts`.
 THRESHOLDS = 17
 # Rows that are made from columns at once: their plain values take 30 MB.
 AT_ONCE = 10_000

@@ -13,7 +13,7 @@ UNKNOWN_SHARE = "unknown share of the true shape's volume in the pair's cube"
 ViewName = Annotated[str, StringConstraints(pattern="^[0-9]{3,6}$")]
 # SHA-256 of an image.
 Digest = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
-# Of a mask that was drawn on a frame as it was recorded, not on a view's pictures.
+# Stated for a mask that was drawn on a frame as recorded, not on a view's pictures.
 RECORDED: Literal["recorded"] = "recorded"
 Steps = tuple[int, int, int]
 Angles = tuple[float, float, float]

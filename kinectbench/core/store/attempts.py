@@ -34,8 +34,8 @@ _STATUS = re.compile(r"status code: (\d{3})([A-Za-z -]*)")
 _CODE = re.compile(r"<Code>([A-Za-z0-9]+)</Code>")
 _OS_ERROR = re.compile(r"\(os error (\d+)\)")
 _OS_MESSAGE = re.compile(r'message: "([A-Za-z -]+)"')
-# Of the 4xx, those that may pass: request timeout, conflict of two writers, too many requests. Of the 5xx,
-# the one that does not: not implemented.
+# 4xx errors that may pass (request timeout, conflict of two writers, too many requests), and the 5xx error
+# that does not (not implemented).
 PASSING, LASTING = (408, 409, 429), (501,)
 
 NO_CREDENTIALS = (

@@ -21,9 +21,9 @@ from kinectbench.core.voxels.lines_of_sight import (
     ways_along,
 )
 
-# So many directions, 1.8 degrees apart, are tried behind gaps. Of a crate with a hole of 5 cm (7 cm) in its
-# top, 1,600 narrow lines miss 1.6 % (.5 %) of its volume; with 6,400 wide ones .6 % (.2 %) are left, with
-# 12,800 .3 % (.1 %), and with 25,600 as much.
+# This many directions, 1.8 degrees apart, are tried behind gaps. 1,600 narrow lines miss 1.6 % (.5 %) of the
+# volume of a crate with a hole of 5 cm (7 cm) in its top. 6,400 wide lines miss .6 % (.2 %), and 12,800 or
+# 25,600 wide lines .3 % (.1 %).
 FINER = 12_800
 # Voxels that few directions see lie behind few gaps: so many of them are asked for their directions.
 MOST_ASKED = 1000

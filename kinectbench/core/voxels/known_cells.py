@@ -13,7 +13,7 @@ from kinectbench.core.types import Bools, Float64
 TILE, BLOCK = 4, 8
 # States of a tile or a block of cells: all unknown, all known, some of each, beyond the grid, partly so.
 NONE, ALL, MIXED, BEYOND, CUT = 0, 1, 2, 3, 4
-# So many voxels a corner may be off by rounding.
+# A corner may be off by this many voxels because of rounding.
 SLACK = 1e-6
 
 

@@ -28,7 +28,7 @@ SEEN: Final = FROM_ABOVE | FROM_BELOW
 # Beside these bits: along how many directions a voxel is seen, in steps of `ONE_WAY`, up to three.
 ONE_WAY: Final = 4
 MOST_WAYS: Final = 3 * ONE_WAY
-# Of distances: nothing of the kind, and as far as one likes.
+# Distances that stand for "there is none" and for "at any distance".
 _NONE, _FAR = np.float32(-1e9), np.float32(1e9)
 # A direction whose vertical part is smaller is level.
 LEVEL: Final = 1e-9

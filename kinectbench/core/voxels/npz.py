@@ -23,14 +23,14 @@ from kinectbench.core.types import Arrays
 from kinectbench.core.voxels.npy import MAGIC, NpyError, read_npy
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 
-# What is raised of files that are damaged, lack an array, or cannot be read.
+# Exceptions that are raised for files that are damaged, lack an array, or cannot be read.
 UNREADABLE = (*DAMAGED_ZIP, OSError, KeyError, MemoryError)
 # No npz of ours holds more than twenty arrays.
 MOST_ARRAYS = 64
-# Of an npz of a build: the largest is the TSDF of a scene, 12 bytes a voxel.
+# Size limit of an npz of a build: the largest is the TSDF of a scene, 12 bytes a voxel.
 BUILD_BYTES = 8 << 30
 NPY = ".npy"
-# Of an entry that is inflated at once: twice the largest grid of a pair.
+# Size limit of an entry that is inflated at once: twice the largest grid of a pair.
 AT_ONCE_BYTES = 4 << 20
 # A pair's grids are 14.7 MB.
 REUSED_BYTES = 16 << 20

@@ -25,7 +25,7 @@ PARTIAL_CELLS = 64
 BLOCK = FULL_CELLS // PARTIAL_CELLS
 # Grids, matrices and texts of a pair, unpacked from its npz, are 14.7 MB; the file itself is smaller.
 MAX_BYTES = 16 << 20
-# Of a pair's share of unknown where a file states it: a tenth of a thousandth, as of the other shares.
+# Decimals of a pair's unknown share where a file states it, as of the other shares.
 SHARE_DECIMALS = 4
 
 Packed = NDArray[np.uint8]

@@ -23,10 +23,10 @@ from kinectbench.core.voxels.morphology import from_beyond
 
 # Distances from voxel to voxel are exact except for rounding.
 ROUNDING_M = 1e-6
-# Below an object on legs so many of eight level rays lead out; behind a door or a front three at most do, and
-# of a desk with a back and two sides as many.
+# Below an object on legs, this many of eight level rays lead out. Behind a door or a front, and under a desk
+# with a back and two sides, at most three do.
 OPEN_WAYS = 5
-# So near to a camera position lies one that no leg hides from the ways out: legs are thinner.
+# Within this distance of a camera position there is one whose ways out no leg blocks: legs are thinner.
 BESIDE_M = 0.3
 
 

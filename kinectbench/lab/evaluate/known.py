@@ -18,7 +18,7 @@ from kinectbench.stages.segment.object_model import ObjectModel
 # A wrong voxel farther than this from the true surface is a gross error, not noise. The same distance limits
 # which voxels a measured surface determines.
 GROSS_M = NEAR_M = 0.010
-# Calibration uses voxels this near to the surface, and all unknown ones, in so many bins.
+# Calibration uses voxels this near to the surface, and all unknown voxels, in this many bins.
 CALIBRATED_M, BINS = 0.030, 10
 
 

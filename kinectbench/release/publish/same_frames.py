@@ -12,7 +12,7 @@ from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 # Two recordings hold the same frames if at least this share of the smaller one's bytes is in equal files.
 # Single files, such as empty frames or intrinsics, are equal in many recordings. Chosen by hand.
 SAME_SHARE = 0.5
-# Of each recording, so many files with the smallest hashes are looked up among the files of all others. If
+# This many files of each recording, those with the smallest hashes, are looked up in all other recordings. If
 # two recordings share half of the smaller one's files, none is found in one of 65,000 cases (2^-16).
 LOOKED_FOR = 16
 

@@ -22,7 +22,7 @@ from kinectbench.core.voxels.observation import FADING_VOXELS, HALF_DIAGONAL, HI
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
 from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, CLEAR, visible_blocks
 
-# So many frames pass through each block while it lies in the cache.
+# This many frames pass through each block while the block lies in the cache.
 BATCH_FRAMES = 8
 # Farther in front of a surface than so many standard deviations, a frame sees through: 2.3 % of normal noise
 # lies there by itself.

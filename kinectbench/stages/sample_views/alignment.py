@@ -22,7 +22,7 @@ MAX_DEPTH_M = 3.5
 OUTLIER_M = 0.15
 # Larger residuals get less weight: near Huber's 1.345, which loses 5 % of the efficiency for normal noise.
 HUBER_SIGMAS = 1.5
-# Distance of the pixels for normals: nearer pixels share their noise, farther ones lie beside thin parts.
+# Distance of the pixels for normals: nearer pixels share their noise, farther pixels lie beside thin parts.
 NORMAL_REACH_PX = 4
 # Neighbours whose depths differ by more lie on two surfaces.
 STEP_M = 0.05

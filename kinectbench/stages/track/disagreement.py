@@ -37,7 +37,7 @@ MAX_PAIRS, PAIRS_PER_FRAME = 120, 0.3
 MIN_APART = 1 / 6
 # Frames with a smaller predicted shared view are not registered.
 MIN_SHARED_VIEW = 0.3
-# Larger shifts are checked again; registrations of correct poses have far smaller ones.
+# Larger shifts are checked again; registrations of correct poses have far smaller shifts.
 RECHECKED_SHIFT_M = 0.05
 # With fewer pairs no ratio is reported.
 MIN_TRIED = 8

@@ -24,7 +24,7 @@ MAX_NOISE, ROUGHER = 0.5, 2.0
 KERNEL = 9.0
 # Regularises a frame without information: radians and metres.
 LOOSE = 1e-3
-# Of the median time between frames, the smallest step that is counted: stamps may be equal.
+# Smallest time step that is counted, as a share of the median step: stamps may be equal.
 LEAST_STEP = 0.1
 # With fewer frames the usual accelerations are unknown: three frames have one.
 MIN_FRAMES = 5

@@ -194,7 +194,7 @@ class _Placer:
         return np.asarray(self.graph.T_world[self.row[frame.keyframe]] @ T_home_camera)
 
     def _around(self, index: int, frame: Followed, T_world: Float64) -> list[int]:
-        """Return rows of at most two keyframes: its own, then connected keyframes by descending shared view."""
+        """Return rows of at most two keyframes: its own, then connected ones by descending shared view."""
         home = self.row[frame.keyframe]
         view = keyframe_thumbnail(self.maps[index])
         shared = [

@@ -48,7 +48,7 @@ REFINED_APART_M = 0.025
 # Limits for consecutive keyframes that overlap and agree well, but are placed this far from their
 # registration: of 70 simulated scans only one, which was 1 m off, has such a pair.
 TORN_OVERLAP, TORN_INLIERS, TORN_M = 0.5, 0.95, 0.1
-# Given poses drift if distant frames disagree by this many times as much as near ones, plus 5 mm.
+# Given poses drift if distant frames disagree by this many times as much as near frames, plus 5 mm.
 TIMES_NEAR = 2.0
 
 

@@ -60,7 +60,7 @@ def wooden_legs(
         draw: draws the kind.
         half_m: x and y of the outermost legs' centres.
         head_m: top of the legs.
-        thick_m: thickness at the top; a foot keeps at least 22 mm, that of a turned leg 19 mm.
+        thick_m: thickness at the top; a foot has at least 22 mm, the foot of a turned leg 19 mm.
         look: material of all parts.
         count: four, or six with a middle pair.
         upright: whether splayed legs are excluded, so that a shelf can be fixed to the legs.

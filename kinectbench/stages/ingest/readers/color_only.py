@@ -21,7 +21,7 @@ RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag 
 READ, CONVERTED = ARRAYS | {".tif", ".tiff"}, frozenset({".pgm", ".pfm", ".dpt", ".raw", ".bin", ".mat"})
 ONLY_DEPTH = frozenset({".pfm", ".dpt"})
 LIKE_DEPTH = re.compile(r"depth|distance|disparity", re.IGNORECASE)
-# Of names that differ only in numbers one file is read, of so many kinds of names (chosen by hand).
+# One file is read of all names that differ only in numbers, for at most this many kinds (chosen by hand).
 NUMBER, MOST_KINDS = re.compile(r"\d+"), 50
 # Types of colour in the head of a PNG with more than one channel: colour, and colour with alpha.
 SEVERAL_CHANNELS = (2, 6)

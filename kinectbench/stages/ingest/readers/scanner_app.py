@@ -28,7 +28,7 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 1000.0
-# Keys of a frame's JSON that are read; and those that are required, in words.
+# Keys of a frame's JSON that are read, and the required keys in words.
 CAMERA_KEYS, NEEDED = ("time", "intrinsics", "cameraPoseARFrame"), "intrinsics and cameraPoseARFrame"
 DEPTH_NAME = re.compile(r"depth_(\d{1,9})\.png")
 

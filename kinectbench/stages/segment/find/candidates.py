@@ -24,7 +24,7 @@ from kinectbench.stages.segment.find.picked import BESIDE_CELLS
 from kinectbench.stages.segment.find.select import CELL_M, fit_box, label_pieces, standing
 
 # Edge of cells, and whether cells must share a face: pieces that touch in the first cut may come apart in the
-# next ones.
+# next cuts.
 CUTS = ((0.03, False), (0.02, False), (0.015, True))
 PLAN = "plan.png"
 # Smaller surfaces (22 x 22 cm) are clutter, and nobody looks through more boxes.

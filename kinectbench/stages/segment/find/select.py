@@ -27,7 +27,7 @@ MIN_CELLS = 30
 # their focus is so near to its surface, and so many times nearer than to any larger piece (chosen by hand; on
 # furniture the focus is higher above the floor than such a piece reaches).
 SMALL_CELLS, SMALL_FOCUS_M, SMALL_NEARER = 6, 0.06, 2.0
-# Of the points, those beyond each face of a box that is fitted to them: streaks at edges.
+# Share of the points that lie beyond each face of a box that is fitted to them: streaks at edges.
 BEYOND_FACE = 0.0005
 # A piece that ends inside a box is meant if it has this share of the largest one's cells.
 ENDING_SHARE = 0.3

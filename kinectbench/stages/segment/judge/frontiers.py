@@ -26,7 +26,7 @@ LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
 # nobody saw the underside it is 35 %, between six stacked plates 28 %; on a
 # helmet and on a shell, whose estimates are right, the largest is 13 and 14 %.
 LEAST_NARROW_SHARE = 0.2
-# Of a region's voxels, those left out at either end of its extent: streaks of single voxels extend far.
+# Share of a region's voxels left out at either end of its extent, as streaks of single voxels extend far.
 STREAKS = 0.01
 # Less probable voxels are almost certainly air.
 LEAST_PROBABILITY = 0.025

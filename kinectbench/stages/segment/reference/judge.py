@@ -30,10 +30,10 @@ from kinectbench.stages.segment.reference.register import (
     sampled_object,
 )
 
-# Of the object's diagonal: the residual of right meshes was 0.28 % at most, and 0.84 % of a helmet whose
-# hollow no camera saw; of other objects of the same size it was 2.2 % or more.
+# Largest residual, as a share of the object's diagonal. It was at most 0.28 % for right meshes, 0.84 % for a
+# helmet whose hollow no camera saw, and at least 2.2 % for other objects of the same size.
 MOST_RESIDUAL = 0.01
-# The best scale of right meshes was off by 0.5 % at most, of those 5 % too large or small by 4.4 % or more;
+# The best scale of right meshes was off by at most 0.5 %, of meshes 5 % too large or small by 4.4 % or more;
 # so is the scale beside which the surface may lie too far out: the two differed by 0.4 % at most, but by 5 %
 # or more of bottles that were fused 2 mm too far out.
 MOST_SCALE = 0.02

@@ -49,7 +49,7 @@ LOOKED_AT, COARSE, FINE = 120, (32, 10, 300), (5, 30, 2000)
 # A pose whose residual is so many times that of the best is not refined further. No residual counts as less
 # than this share of the diagonal, as samples do not tell that (chosen here).
 HOPELESS, LEAST_SHARE = 3.0, 0.0005
-# Of samples, for the residual of a pose.
+# Number of samples for the residual of a pose.
 JUDGED = 4000
 # Farther than this share of the diagonal all distances count equally.
 MOST_SHARE = 0.05

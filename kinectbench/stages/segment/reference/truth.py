@@ -35,7 +35,7 @@ from kinectbench.stages.segment.solid.solid import SolidShape
 # meshes on simulated builds were .06 to .28 % of the diagonal, half a millimetre and more of a chair; a mesh
 # that was itself fused from the recording lies at .006 mm, with an error of 2.5 mm.
 LEAST_NOISE = 0.05
-# Of the fused truth's quality, what also holds for a reference: it is of the frames, not of the solid.
+# Keys of the fused truth's quality that also hold for a reference: they describe frames, not the solid.
 OF_FRAMES = ("selection", "good_frames", "unseen_side", "moving", "max_depth_m", "beyond_share")
 
 

@@ -17,8 +17,8 @@ from kinectbench.stages.segment.solid.labels import voxel_labels
 
 # A wider Gaussian thins slats, a narrower one leaves the sensor's noise.
 SMOOTHING_VOXELS = 0.7
-# Of a voxel, the smallest absolute value of the field before it is smoothed, and after: an exact 0 would make
-# triangles without area.
+# Smallest absolute value of a voxel's field before smoothing, and after it: an exact 0 would make triangles
+# without area.
 LEAST_FIELD, LEAST_SMOOTHED = 0.1, 0.02
 # Probability of a voxel that a rule calls solid, or air, against what was measured there.
 RULED_SOLID, RULED_AIR = 0.75, 0.05
@@ -28,7 +28,7 @@ SPECK_SHARE = 0.02
 LEG_HEIGHT_M, LEG_GAP_M = 0.05, 0.1
 # The upper end of a piece: its columns in so many layers below its highest cell.
 LEG_END_LAYERS = 3
-# So many of these columns must find the object above them.
+# This share of these columns must find the object above them.
 LEG_SHARE = 0.5
 
 
