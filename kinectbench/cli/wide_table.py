@@ -14,7 +14,7 @@ BESIDE_CELL = 3  # a border, and a space on both sides
 # A name takes at most this fraction (one third) of the width, or this many cells; longer names are cut with
 # an ellipsis.
 NAME_SHARE, NAME_CELLS = 3, 30
-# Beside an uncut id, a text has at least so many cells, and as many lines as it needs.
+# Beside an uncut id, a text has at least this many cells, and as many lines as it needs.
 TEXT_CELLS = 12
 
 

@@ -102,10 +102,10 @@ def _agreement(first: Motion, second: Motion, lag_ns: int) -> float:
 
 # Assumed frame rate of recordings whose stamps only count frames.
 ASSUMED_HZ = 30
-# Smaller delays are hard to measure and hardly matter: 60 ms, and so many frame periods of colour.
+# Smaller delays are hard to measure and hardly matter: 60 ms, and this many frame periods of colour.
 LEAST_NS, LEAST_PERIODS = 60_000_000, 1.3
 EDGE_LAGS, EDGE_SIZE = 12, (160, 120)
-# The best lag must score so many standard errors, and so many times the score without a lag.
+# The best lag must score this many standard errors, and this many times the score without a lag.
 EDGE_CLEAR, EDGE_BETTER = 5.0, 1.15
 PAIRED_SHARE = 0.8
 

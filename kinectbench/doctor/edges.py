@@ -11,11 +11,11 @@ from kinectbench.doctor.finding import Finding, Registration
 from kinectbench.doctor.probe import Probe
 
 # Images are compared 320 wide, as the probe keeps grey images. Pixels whose neighbours' depth differs by this
-# share are at an edge; colour is looked for at shifts up to so many pixels (chosen by hand).
+# share are at an edge; colour is looked for at shifts up to this many pixels (chosen by hand).
 COLUMNS, JUMP_SHARE, REACH_PX = 320, 0.06, 24
 # A larger shift is an error; pixels of images 320 wide.
 OFF_PX = 4.0
-# The best shift must exceed the mean of the others by so many of their standard deviations.
+# The best shift must exceed the mean of the others by this many of their standard deviations.
 CLEAR = 5.0
 # It is an error if the best score is this many times the unchanged (unmirrored) score; chosen by hand.
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5

@@ -34,7 +34,7 @@ AXES_IN_WORDS = {
 IMAGES: dict[str, Float64] = {"upright": np.eye(3), "mirrored": np.diag([-1.0, 1.0, 1.0])}
 OTHER_UNITS = (0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
 ANCHORS = 12
-# A frame is compared with the frames so many places after it, if they were read.
+# A frame is compared with the frames this many places after it, if they were read.
 AHEAD = (1, 4, 12, 40)
 # Views in no order of time are compared with their n-th nearest views by angle, for these n.
 NEAREST = (1, 2, 4, 8)

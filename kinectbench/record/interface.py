@@ -12,7 +12,7 @@ from kinectbench.core import CaptureError
 from kinectbench.core.geometry import Camera
 from kinectbench.stages.ingest.recording import ColorCalibration
 
-# A device is polled in this interval, so that Ctrl-C is answered at once; after so many seconds without a
+# A device is polled in this interval, so that Ctrl-C is answered at once; after this many seconds without a
 # frame it counts as gone. Cameras give 5 frames a second and more; the first may take two seconds (exposure,
 # laser).
 POLL_MS, SILENT_S = 200, 5.0

@@ -15,7 +15,7 @@ from kinectbench.core.geometry import Grid, TriangleMesh, transform_points
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.npz import npz_bytes, read_npz
 
-# A face is measured if a measured voxel is so near to its middle.
+# A face is measured if a measured voxel is this near to its middle.
 NEAR_VOXELS = 1.5
 
 

@@ -40,7 +40,7 @@ from kinectbench.core.untrusted_text import MOST_VALUES, strict_json
 
 # Limit of one file's size: 32 bytes for each value that it may have.
 JSON_BYTES = 64 << 20
-# Largest number of errors of one file that are kept, as Python values of a kilobyte each.
+# Largest number of a file's errors that are written out as Python values, a kilobyte each.
 MOST_ERRORS = 1000
 # pydantic copies an object for each key that it lacks: in a longer text the first is looked for beforehand
 # (chosen here; forty copies of it are 40 MB of text).

@@ -25,7 +25,8 @@ from kinectbench.core.voxels.lines_of_sight import (
 # volume of a crate with a hole of 5 cm (7 cm) in its top. 6,400 wide lines miss .6 % (.2 %), and 12,800 or
 # 25,600 wide lines .3 % (.1 %).
 FINER = 12_800
-# Voxels that few directions see lie behind few gaps: so many of them are asked for their directions.
+# Voxels that few directions see lie behind few gaps: at most this many of them are asked for the directions
+# that see them.
 MOST_ASKED = 1000
 # Fewer of them, of all voxels, lead to nothing: a chair's 37 to 22 others, a desk's 139 to 84.
 LEAST_ASKED_SHARE = 5e-5

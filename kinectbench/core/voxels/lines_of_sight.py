@@ -32,9 +32,9 @@ MOST_WAYS: Final = 3 * ONE_WAY
 _NONE, _FAR = np.float32(-1e9), np.float32(1e9)
 # A direction whose vertical part is smaller is level.
 LEVEL: Final = 1e-9
-# One thread marks the voxels of so many directions: to join the marks then takes no 1 % of the time.
+# One thread marks the voxels of this many directions: to join the marks then takes no 1 % of the time.
 AT_ONCE = 32
-# The lines of so many directions through a slice of a chair's grid lie in a core's cache.
+# The lines of this many directions through a slice of a chair's grid lie in a core's cache.
 IN_CACHE = 8
 
 

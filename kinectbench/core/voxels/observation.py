@@ -22,7 +22,7 @@ UNDECIDED_VOXELS = 1.0
 # How far the rest moves the surface inward, if all frames see through.
 VOXELS_PER_FREE_SHARE = 40.0
 # What part of its weight a frame has that saw a voxel hidden behind a surface: all to half a voxel's diagonal
-# (or 1.5 standard deviations) behind it, this part from so many voxels more on. What is hidden may be solid
+# (or 1.5 standard deviations) behind it, this part from this many voxels more on. What is hidden may be solid
 # or air: with full weight such frames make whatever is thinner than the truncation thick. On a panel of 16 mm
 # each side lay 1.9 mm too far out by exact depth from true poses; so weighed, it lies 0.1 mm off.
 HALF_DIAGONAL, FADING_VOXELS, HIDDEN_SHARE = 0.87, 0.5, 0.001

@@ -26,7 +26,8 @@ from kinectbench.core.voxels.sight import grown, line_space
 # degrees apart). 200 instead of 60 changed the closed volume by at most 0.1 % (eight families). With 1,600
 # instead of 6,400, twice as much of a helmet with slits was closed (voxels of 10 mm).
 COARSE_DIRECTIONS, FINE_DIRECTIONS = 60, 6400
-# Voxels of an exact solid: half a line is three wide, unless the object has more than so many along its edge.
+# Voxels of an exact solid: half a line is three wide, unless the object has more than this many along its
+# edge.
 VOXELS_PER_LINE, MOST_VOXELS_LONG = 6, 320
 
 

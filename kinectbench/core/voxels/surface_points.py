@@ -9,7 +9,7 @@ from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Float64, Int64
 from kinectbench.core.voxels.morphology import cell_numbers
 
-# The spacing is taken of so many faces, evenly drawn. Chosen by hand.
+# The spacing is taken of this many faces, evenly drawn. Chosen by hand.
 JUDGED_FACES = 20_000
 
 

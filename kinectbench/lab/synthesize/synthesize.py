@@ -56,7 +56,7 @@ TEXTS = CardTexts(
     "`six-rays`, the rule of the paper's authors, for one that is not. `known` is set everywhere,\nbut for "
     "slits of `seeable` ones. A mesh's own unit stands for a metre.",
 )
-# Up to so many models are checked sooner than other processes would start.
+# Up to this many models are checked sooner than other processes would start.
 FEW = 40
 
 

@@ -33,7 +33,7 @@ from kinectbench.stages.track.keyframe_graph import KeyframeGraph
 # keyframe was added. With 3 s the trajectory was 2.05 mm off while recording, with 1.5 s 1.87 mm (600
 # simulated frames).
 LOOK_EVERY_S = 1.5
-# A speed is a mean over about this time, and over at most so many frames: a hand shakes at several Hz.
+# A speed is a mean over about this time, and over at most this many frames: a hand shakes at several Hz.
 SPEED_S, SPEED_FRAMES = 0.5, 60
 # The index of a frame in the tracker, and a point (3,) in its camera frame, metres.
 Picked: TypeAlias = tuple[int, Float64]

@@ -23,7 +23,7 @@ Kind = Literal[
 # Directions from the object: sectors of 30 degrees seen from above, and three ranges of elevation.
 SECTORS, HEIGHT_EDGES_RAD = 12, tuple(np.radians([15.0, 45.0]))
 HEIGHTS = ("low", "middle", "high")
-# A direction counts as seen after so many frames: a tenth of a second at 30 Hz.
+# A direction counts as seen after this many frames: a tenth of a second at 30 Hz.
 FRAMES_ENOUGH = 3
 # Too fast means a new keyframe (`stages.track.odometry`) in less than a third of a second. The tracker of a
 # build still follows beyond that, but pictures blur, and frames overlap less than a loop closure needs.
@@ -31,8 +31,8 @@ FASTEST_SHIFT_PER_S, FASTEST_TURN_RAD_PER_S = 3 * KEYFRAME_SHIFT, 3 * KEYFRAME_T
 # Distances as multiples of the distance from which a ball around the object just fits into the picture.
 # Nobody is sent nearer than the minimum range of a Kinect (0.5 m, with a margin).
 TOO_NEAR, TOO_FAR, LEAST_DISTANCE_M, MARGIN_M = 0.7, 2.0, 0.6, 0.2
-# A camera within this angle of an opening's best viewing direction looked into it. After so many keyframes of
-# this kind, what is still unseen there cannot be seen (chosen by hand).
+# A camera within this angle of an opening's best viewing direction looked into it. After this many keyframes
+# of this kind, what is still unseen there cannot be seen (chosen by hand).
 LOOKED_RAD, LOOKED_ENOUGH = np.radians(20.0), 2
 # A camera within these angles of a direction has reached it (chosen by hand: half a sector, and a third of a
 # height).
@@ -44,7 +44,7 @@ STEEP_RAD = np.radians(60.0)
 # A camera is held at least this high above the floor. An underside that it would see at a flatter angle than
 # the second value is skipped: rays would graze it (chosen by hand).
 LOWEST_M, LOOKS_UP_RAD = 0.2, np.radians(5.0)
-# A sentence stays at least so long, and the next must have held for so long before it is shown. While the
+# A sentence stays at least this long, and the next must have held for this long before it is shown. While the
 # camera is lost, changes are shown at once: no other sentence helps then.
 STAYS_S, HOLDS_S = 5.0, 0.5
 

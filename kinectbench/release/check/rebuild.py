@@ -27,7 +27,7 @@ from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
 
 AGAIN = "differs when made again"
-# At most so many files of a recording are named in a line.
+# At most this many files of a recording are named in a line.
 SHOWN = 3
 
 

@@ -18,7 +18,7 @@ REJECTED = "rejected by review: "
 ADVICE = "; mend it, or accept it: `review` of the recording in benchmark.yaml, or `--allow-poor`"
 # Replaces figures and a person's reason that would reveal held-back truth.
 WITHHELD = "why is held back, as its truth is"
-# If no recording can be published, at most so many reasons are shown.
+# If no recording can be published, at most this many reasons are shown.
 SHOWN_REASONS = 4
 WITHOUT_PAIR = "not a single view passed the checks of the pairs"
 OF_ONE_OBJECT = "with --isolate one view of its object is published, or it has no pair"

@@ -24,9 +24,9 @@ from kinectbench.core.voxels.view_grids import depth_cells
 # Number of views, evenly spread, whose cubes are filled. For 8 views of a real cabinet, the means over 4
 # cubes and over all differ by at most 0.01, and 4 take 8 s of two shared cores.
 CUBES = 4
-# A cell is empty only if more than one view in so many sees through it, since depth may be wrong at a pixel.
-# For 8 views of a real cabinet, carved within their hull, requiring a single view gives an IoU of 0.84, more
-# than one view 0.96.
+# A cell is empty only if more than one in this many views sees through it, since depth may be wrong at a
+# pixel. For 8 views of a real cabinet, carved within their hull, requiring a single view gives an IoU of
+# 0.84, more than one view 0.96.
 VIEWS_PER_ERROR = 8
 # Selects the cell that represents each block of a cube.
 MIDDLE = slice(BLOCK // 2, None, BLOCK)

@@ -31,7 +31,7 @@ LOW_SHARE = 0.06
 # rule finds on others.
 LEAST_GROUNDED, MOST_COVERED, LEAST_REST, LEAST_PIECE = 0.9, 0.25, 0.15, 0.01
 # A thin chair is less of the solid than its share above, if the box beside it is large. Scraps of corners lie
-# near the part; the rest may instead reach so far from it, as a share of the longest side. Chosen on two
+# near the part; the rest may instead reach this far from it, as a share of the longest side. Chosen on two
 # objects of each of 23 families: of 0.1, 0.15 and 0.2 the least that names no further object alone.
 LEAST_AWAY = 0.15
 

@@ -271,7 +271,7 @@ def _squares(
 
     A sample's area is that of the oblique surface that its square represents, not that of the square.
     """
-    # A plane with this normal has so many faces or crossings per area of a cell's face.
+    # A plane with this normal has this many faces or crossings per area of a cell's face.
     steps = np.abs(normals).sum(axis=1)
     areas, owner = voxel_size_m**2 / np.where(steps > 0, steps, 1), np.arange(len(centers_m))
     return Surface(centers_m, areas, normals, corner, first, second, owner, is_triangle=False)

@@ -20,7 +20,7 @@ FAR_RADII = 2.0
 # most 2, as where two parts overlap. Source: Schwarz's lemma for harmonic functions (Axler et al., "Harmonic
 # Function Theory", chapter 6).
 STEEPEST = 1.5
-# Outside the grid, only the volume is needed: at most so many blocks are used along the mesh's box (chosen
+# Outside the grid, only the volume is needed: at most this many blocks are used along the mesh's box (chosen
 # here).
 BLOCKS_OUTSIDE = 64
 # Longest edge, in cells, and maximum number of triangles after splitting. Near large triangles, no block can

@@ -24,8 +24,8 @@ from kinectbench.stages.fuse.visible_blocks import BEHIND_SURFACE_SIGMAS, CLEAR,
 
 # This many frames pass through each block while the block lies in the cache.
 BATCH_FRAMES = 8
-# Farther in front of a surface than so many standard deviations, a frame sees through: 2.3 % of normal noise
-# lies there by itself.
+# Farther in front of a surface than this many standard deviations, a frame sees through: 2.3 % of normal
+# noise lies there by itself.
 SURFACE_SIGMAS = 2.0
 BEHIND_SIGMAS = np.float32(BEHIND_SURFACE_SIGMAS)
 HIDDEN = np.float32(HIDDEN_SHARE)
@@ -53,7 +53,8 @@ SURFACE_SIGMAS_SQUARED = np.float32(SURFACE_SIGMAS**2)
 FAST = {"contract", "arcp", "nsz", "reassoc"}
 # What projects beside the image falls into its border, which has no depth.
 BORDER_PX = 1
-# A surface's slope is taken from pixels so far to either side: a Kinect's noise hardly correlates over four.
+# A surface's slope is taken from pixels this far to either side: a Kinect's noise hardly correlates over
+# four.
 SLANT_REACH_PX = 2
 # Next to a depth edge, where pixels mix two surfaces, 1 / cos has no bound: 84 degrees.
 MAX_SLANT = 10.0

@@ -45,7 +45,7 @@ from kinectbench.stages.fuse.visible_blocks import blocks_near_surface
 # Surface of less than this share of the median weight was seen too badly to show. A surface that two of five
 # frames see at the steepest angle that still counts has about as much.
 LEAST_WEIGHT_SHARE = 0.4 / MAX_SLANT**2
-# Depth is believed to be beyond the fused range up to so many times that, and up to 8 m, for which
+# Depth is believed to be beyond the fused range up to this many times that, and up to 8 m, for which
 # integrate's quarter of a metre is enough.
 FAR_RANGES = 2.0
 # Edge of the scene's voxels where the settings give none: the finer one where the frames' rays are narrower.
@@ -55,11 +55,11 @@ FINE_VOXEL_M, COARSE_VOXEL_M = 0.0075, 0.01
 # Where usual poses are less certain, whole frames lie off, and their noise is not cut closely: else faces of
 # a real cabinet (10 mm) come out less flat. The limit is that of good poses in `stages.track.verdict`.
 CLOSE_POSE_SIGMA_M = 0.005
-# The object is found in the scene, and then fused from all frames. The scene has so many of a longer
+# The object is found in the scene, and then fused from all frames. The scene has this many of a longer
 # recording, and no fewer than one in ten: of 30 a second three. Of 1,000 frames around a chair, F at 5 mm is
 # .9945 with 300 and .9947 with all, in a third of the time.
 SCENE_FRAMES, SCENE_STEP = 300, 10
-# The typical distance is the median over so many frames.
+# The typical distance is the median over this many frames.
 DISTANCE_FRAMES = 60
 
 

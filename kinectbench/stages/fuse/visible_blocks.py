@@ -14,8 +14,8 @@ from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume, unique_blo
 # Larger tiles leave out fewer blocks, smaller ones take longer to search: 1,000 frames of a chair take
 # 39 s of the processor with 8, and 40 to 42 s with 4 (measured by turns).
 TILE_PX = 8
-# Surfaces update voxels behind them up to the truncation, plus so many sigmas of depth. By a truncation of 20
-# mm alone, the mean of depth of 3.3 m (17 mm) is 5 mm too deep, that of 3.9 m (25 mm) 16 mm; with two
+# Surfaces update voxels behind them up to the truncation, plus this many sigmas of depth. By a truncation of
+# 20 mm alone, the mean of depth of 3.3 m (17 mm) is 5 mm too deep, that of 3.9 m (25 mm) 16 mm; with two
 # deviations both are 1 mm off (normal noise, computed). Nearer than 2.55 m they are less than 20 mm.
 BEHIND_SURFACE_SIGMAS = 2.0
 # Rays less than half a block apart miss no block; every fourth pixel finds thin things.

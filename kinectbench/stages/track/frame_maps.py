@@ -57,7 +57,8 @@ READ_FRAMES = 2000
 STORED_PER_M = 10_000.0
 # Standard deviation of the blur of intensities, working pixels, so that their gradients are less noisy.
 BLUR_PX = 0.7
-# A depth is averaged with that of another frame within so many standard deviations, and a slack for the pose.
+# A depth is averaged with that of another frame within this many standard deviations, and a slack for the
+# pose.
 SAME_SIGMAS, SAME_SLACK_M = 4, 0.003
 # Largest number of frames to average; more would only cost time. Chosen by hand.
 MAX_FRAMES = 16

@@ -22,8 +22,8 @@ MIN_PART_CELLS = 60
 BESIDE_M = 0.1
 # A box cuts its object if this share of the object's cells continues right beyond it.
 CUT_SHARE, CUT_CELLS = 0.02, 1.5
-# A board continues beyond what it carries. So much of it is seen so far around (chosen by hand: a thing hides
-# some of it, and stands near its edge).
+# A board continues beyond what it carries. This much of it is seen this far around (chosen by hand: a thing
+# hides some of it, and stands near its edge).
 BOARD_M, BOARD_SHARE = 0.06, 0.4
 
 

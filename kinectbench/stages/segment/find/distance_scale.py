@@ -14,7 +14,7 @@ from kinectbench.core.types import Float64
 # most depth cameras, nothing shrinks further.
 REFERENCE_DISTANCE_M = 1.0
 NEAREST_DISTANCE_M = 0.3
-# Neighbouring vertices lie in cells that touch if these are so many times as wide as the spacing (chosen by
+# Neighbouring vertices lie in cells that touch if these are this many times as wide as the spacing (chosen by
 # hand: one suffices on average; the rest is for a surface seen at a slant).
 SPACINGS = 1.5
 

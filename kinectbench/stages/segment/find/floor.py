@@ -59,11 +59,11 @@ UPSIDE_DOWN = (
 LEAST_UPSIDE_DOWN = 0.15
 # This share of the surface may lie below the height that a scene without floor is given.
 LOWEST_SHARE = 0.001
-# The fused floor's surface strays from the plane by so many of its standard deviations at most.
+# The fused floor's surface strays from the plane by this many of its standard deviations at most.
 FLOOR_SIGMAS = 4.0
 GIVEN = "the plane that benchmark.yaml gives as `floor`"
-# The plane that is seen is the one given if it is off by at most this, or so many times its noise, and turned
-# by at most this (chosen by hand; floors scatter by 1 to 6 mm, their fits by less than 0.5 degrees).
+# The plane that is seen is the one given if it is off by at most this, or this many times its noise, and
+# turned by at most this (chosen by hand; floors scatter by 1 to 6 mm, their fits by less than 0.5 degrees).
 LEAST_OFF_M, OFF_SIGMAS, TURNED_DEG = 0.010, 3.0, 3.0
 # A person means the plane given if it has points of its own, within this distance: at least this share of the
 # points of the plane beside it. A board on a floor is one of two planes that are seen (chosen by hand).

@@ -24,14 +24,14 @@ from kinectbench.stages.segment.find.planes import (
 
 # Planes tried for each way of holding the cameras.
 CANDIDATES = 6
-# A plane has this share of the points, and so many: the normal of fewer says little (chosen by hand).
+# A plane has this share of the points, and this many: the normal of fewer says little (chosen by hand).
 MIN_INLIER_SHARE, MIN_PLANE_POINTS = 0.01, 50
 # A camera looks down on a plane from this height on. Some do not: poses are off (chosen by hand).
 MIN_CAMERA_HEIGHT_M, MIN_ABOVE_SHARE = 0.1, 0.8
-# Surface farther below a plane than so many times the distance of its inliers (50 mm) is lower. Far from the
-# cameras that distance grows: noise grows with the square of the distance.
+# Surface farther below a plane than this many times the distance of its inliers (50 mm) is lower. Far from
+# the cameras that distance grows: noise grows with the square of the distance.
 BELOW_INLIERS = 2.5
-# A point's distance is measured to so many of the cameras, as a search visits all (chosen by hand).
+# A point's distance is measured to this many of the cameras, as a search visits all (chosen by hand).
 SOME_CAMERAS = 40
 # An object hides what is below its support. This much may be seen right below a plane, as a share of the
 # plane's own points. Measured: floors and tables 0 to .02, a table of a noisy recording .13; the tops of
@@ -47,8 +47,8 @@ MIN_NEAR_POINTS = 100
 # A person is warned if a smaller share of the cameras looks down on the chosen plane, if a larger share of
 # the surface lies lower, or if another plane has this share of its evidence (chosen by hand).
 REPORTED_ABOVE_SHARE, REPORTED_BELOW_SHARE, REPORTED_RIVAL = 0.95, 0.05, 0.5
-# A refused plane is reported if it has so many times the evidence of the chosen one; the second number is for
-# parallel planes, as the top of a table and the floor about it are (chosen by hand).
+# A refused plane is reported if it has this many times the evidence of the chosen one; the second number is
+# for parallel planes, as the top of a table and the floor about it are (chosen by hand).
 REPORTED_REFUSED, REPORTED_REFUSED_PARALLEL = 1.0, 5.0
 # Planes whose normals differ by less are one floor, or parallel (chosen by hand).
 SAME_DEG = 15.0

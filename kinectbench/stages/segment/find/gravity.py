@@ -16,7 +16,7 @@ from kinectbench.core.types import Bools, Float64, Int64
 
 # Gravity is not interpolated between given poses that are farther apart; directions change little within it.
 MAX_GAP_S = 1.0
-# The frames' ups agree if their mean is at least so long: as of unit vectors that are 26 degrees off on
+# The frames' ups agree if their mean is at least this long: as of unit vectors that are 26 degrees off on
 # average (chosen by hand). They disagree where poses are of an object that is turned about.
 MIN_AGREEMENT = 0.9
 # A plane's normal is up by gravity within 26 degrees: ramps, drift and a sloping yard (chosen by hand).

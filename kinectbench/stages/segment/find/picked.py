@@ -15,8 +15,8 @@ from kinectbench.stages.segment.find.object import Segmentation
 NEAR_PX = 20
 PICK_AGAIN = "pick a pixel on the object, or remove `pick` from benchmark.yaml"
 ANOTHER = "pick one of another frame, or remove `pick` from benchmark.yaml"
-# What was picked is the object's if it lies within so many cells (30 mm; less where cameras were near) of
-# the middle of one that holds its surface: a cell that touches it, and the noise of a pixel's depth.
+# A picked point belongs to the object if it lies within this many cells (30 mm; less where cameras were near)
+# of the middle of one that holds its surface: a cell that touches it, and the noise of a pixel's depth.
 BESIDE_CELLS = 2
 
 

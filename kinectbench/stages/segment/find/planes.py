@@ -22,20 +22,20 @@ MAX_NOISE_M = 0.02
 PARALLEL_COSINE, LOWER_M = 0.97, 0.2
 # This share of the points has a neighbour within the spacing.
 SPACING_QUANTILE = 0.9
-# The focus may lie so far below the support of a flat thing: people aim no better than a finger's breadth.
+# The focus may lie this far below the support of a flat thing: people aim no better than a finger's breadth.
 FOCUS_BELOW_M = 0.03
-# A thing that stands on a plane rises so far above it.
+# A thing that stands on a plane rises this far above it.
 CUT_M = 0.02
 # A thing is at most this share as long as the plane that it stands on: a chair's back is as long as its seat,
 # and stands on the floor with it; a kettle is a third of the visible part of a table (chosen by hand).
 MAX_SHARE_OF_PLANE = 0.5
-# A larger thing stands on the plane if the plane reaches beyond it on this share of so many sides (a chair's
-# back ends with its seat, behind and beside), and if the focus is at least this share of the thing's height
-# above the plane (chosen by hand; a bin on a small table .37, furniture 0).
+# A larger thing stands on the plane if the plane reaches beyond it on this share of a number of sides (a
+# chair's back ends with its seat, behind and beside), and if the focus is at least this share of the thing's
+# height above the plane (chosen by hand; a bin on a small table .37, furniture 0).
 SIDES, MOST_SIDES, LEAST_HEIGHT = 12, 0.75, 0.2
-# The cameras look at it if their focus is at most so many of its longer sides beside it (chosen by hand).
+# The cameras look at it if their focus is at most this many of its longer sides beside it (chosen by hand).
 MAX_BESIDE = 0.5
-# Points lie at most so many times the spacing apart (chosen by hand): cells of that edge touch.
+# Points lie at most this many times the spacing apart (chosen by hand): cells of that edge touch.
 SPACINGS = 2.0
 
 

@@ -16,7 +16,7 @@ from kinectbench.stages.segment.find.floor import Floor, find_floor
 from kinectbench.stages.segment.find.gravity import FloorHint
 from kinectbench.stages.segment.find.select import CELL_M
 
-# Images about so wide, and every so many pixels of them, save time (chosen by hand).
+# Images about this wide, and a stride of this many pixels, save time (chosen by hand).
 COLUMNS, STEP_PX = 160, 4
 # No plane is looked for in fewer points (chosen by hand).
 MIN_POINTS = 200

@@ -23,9 +23,9 @@ QUERY_BATCH = 4096
 CELL_M = 0.03
 # A piece of fewer cells, 270 cm² of surface, is a speck.
 MIN_CELLS = 30
-# A smaller piece is a speck, unless it has so many cells, stands on the floor, and the cameras look at it:
-# their focus is so near to its surface, and so many times nearer than to any larger piece (chosen by hand; on
-# furniture the focus is higher above the floor than such a piece reaches).
+# A smaller piece is a speck, unless it has this many cells, stands on the floor, and the cameras look at it:
+# their focus is this near to its surface, and this many times nearer than to any larger piece (chosen by
+# hand; on furniture the focus is higher above the floor than such a piece reaches).
 SMALL_CELLS, SMALL_FOCUS_M, SMALL_NEARER = 6, 0.06, 2.0
 # Share of the points that lie beyond each face of a box that is fitted to them: streaks at edges.
 BEYOND_FACE = 0.0005

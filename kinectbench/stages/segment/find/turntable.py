@@ -23,14 +23,14 @@ NORMAL_REACH_PX = 2
 CELL_M, MIN_POINTS = 0.02, 4
 # The cylinder is this much wider than the moving points, for surface that did not change meanwhile.
 WIDER, MARGIN_M = 1.05, 0.01
-# What turns begins so many standard deviations of the depth above its plane, or more (chosen by hand).
+# What turns begins this many standard deviations of the depth above its plane, or more (chosen by hand).
 CLEAR_SIGMAS, CLEAR_M = 3.0, 0.008
 # This share of the moving points is above that plane.
 ABOVE_SHARE = 0.9
-# A plate's top is level. It is looked for within so many radii of what moves (farther out the floor would
-# count), and has so many points. This share of the moving points may lie below its top (chosen by hand).
+# A plate's top is level. It is looked for within this many radii of what moves (farther out the floor would
+# count), and has this many points. This share of the moving points may lie below its top (chosen by hand).
 LEVEL_COSINE, PLATE_RATIO, MIN_PLATE_POINTS, LOWEST_SHARE = 0.9, 1.2, 40, 0.05
-# What passes in front of something is nearer by so many standard deviations of its depth, or so much: two
+# What passes in front of something is nearer by this many standard deviations of its depth, or this much: two
 # depths differ by less from noise alone in all but a few of a thousand pixels (chosen by hand).
 NEARER_SIGMAS, NEARER_M = 4.0, 0.01
 # What is seen of a standing object begins within this height of the floor; of a hand-held one, higher.

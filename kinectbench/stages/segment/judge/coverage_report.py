@@ -23,13 +23,13 @@ from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.judge.frontiers import turn_in_words
 from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
 
-# Images are looked at in about so many columns: a person who walks by is many of them wide.
+# Images are looked at in about this many columns: a person who walks by is many of them wide.
 COLUMNS = 160
 # A pixel moves if it is nearer than the scene by both; a frame, if this share of it does.
 NEARER_M, NEARER_SIGMAS, MOVING_SHARE = 0.1, 5.0, 0.02
-# Speckle and edges are thinner than so many of the pixels looked at.
+# Speckle and edges are thinner than this many of the pixels looked at.
 THICK_PX = 3
-# A Kinect measures surfaces up to about this slant: a camera sees an upright side from so far around.
+# A Kinect measures surfaces up to about this slant: a camera sees an upright side from this far around.
 SEEN_WITHIN_RAD = np.radians(75.0)
 # Fewer good frames leave most of the noise in the surface, and sides unseen. Chosen by hand.
 MIN_FRAMES = 10

@@ -15,7 +15,7 @@ from kinectbench.stages.segment.solid.solid import SolidShape
 # median pose error. Fitted to what is missing from an IoU of 1 among the known voxels of 54 simulated objects
 # of the families looked at (seeds 31 and 32).
 OFF_M, OFF_M_IF_THIN, OFF_PER_SIGMA, OFF_PER_POSE = 0.00005, 0.00064, 0.95, 0.25
-# Each of these objects had so many frames. More of them make the halves agree better, but the surface no
+# Each of these objects had this many frames. More of them make the halves agree better, but the surface no
 # better: with 540 in place of 180 of the same path the deviation of a chair and a lamp falls by a factor of
 # 1.71 (the root of 3 is 1.73), and the IoU on known voxels changes by +0.003 and -0.016. So it is taken as if
 # there were no more.
@@ -23,10 +23,10 @@ FITTED_FRAMES = 180
 # The interval of the IoU loss: a share of the estimated loss, and a constant besides. Of the intervals that
 # hold in at least 95 % of these objects, this one is the narrowest on furniture.
 MISSED_MORE, MISSED_LESS, MISSED_LEAST = 1.2, 0.7, 0.02
-# Unknown voxels of a region depend on one another: the region counts as one draw. The interval spans so many
-# standard deviations of all draws on both sides. A voxel within this of 0 or 1 is decided.
+# Unknown voxels of a region depend on one another: the region counts as one draw. The interval spans this
+# many standard deviations of all draws on both sides. A voxel within this of 0 or 1 is decided.
 COIN_SIGMAS, DECIDED = 2.0, 0.05
-# An error of 1 mm changes so much of the volume of parts that are 20 mm thick.
+# An error of 1 mm changes this much of the volume of parts that are 20 mm thick.
 MAX_VOLUME_SHARE_PER_MM = 0.1
 # Poses are a reason if their median error moves more of the volume than this (chosen by hand).
 MAX_SHIFTED_SHARE = 0.03

@@ -9,12 +9,12 @@ from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.stages.segment.find.object import Segmentation
 
 MOVE_AWAY = "move it away from what stands behind it, and"
-# A surface that a line meets has so many cells within so many cells of the line (chosen by hand: seven of a
-# plane across it, three of an edge).
+# A surface that a line meets has this many cells within this many cells of the line (chosen by hand: seven of
+# a plane across it, three of an edge).
 HIT_CELLS, BESIDE_CELLS = 3, 1.5
-# The object hides what is right behind it. A wall shows on both sides of it, over so many cells each, and
-# rises over so many above what is looked at: 0.5 m, which boxes on the floor do not. So many lines through a
-# cell on either side are tried (chosen by hand).
+# The object hides what is right behind it. A wall shows on both sides of it, over this many cells each, and
+# rises over this many above what is looked at: 0.5 m, which boxes on the floor do not. This many lines
+# through a cell on either side are tried (chosen by hand).
 WALL_CELLS, TRIED_LINES = 16, 300
 # A look that is steeper than this (vertical part of a unit vector) meets no wall: 72 degrees.
 STEEP = 0.95

@@ -34,12 +34,12 @@ from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape
 GOOD_REPEATABILITY, MAX_UNKNOWN_SHARE, GOOD_ESTIMATED_IOU = 0.90, 0.15, 0.82
 # A solid that begins higher above the floor hangs in the air; a piece with this share of it is a large one.
 MAX_GAP_M, LARGE_PIECE_SHARE = 0.05, 0.1
-# A smaller piece is detached if so many voxels lie between it and the rest: a smaller gap may be a joint too
-# thin to be measured. Gaps are measured up to this distance (chosen by hand).
+# A smaller piece is detached if this many voxels lie between it and the rest: a smaller gap may be a joint
+# too thin to be measured. Gaps are measured up to this distance (chosen by hand).
 DETACHED_VOXELS, FARTHEST_DETACHED_M = 3, 0.5
 # A handle or a speck that one half of the frames shows does not move a side of the box.
 BOX_LEFT_OUT = 0.005
-# A solid stands on the floor where it reaches one of so many layers of voxels above it, and as a whole if
+# A solid stands on the floor where it reaches one of this many layers of voxels above it, and as a whole if
 # this share of its outline does. Measured on ten built objects: 0.01 to 0.32 on legs, wheels or a foot,
 # 0.92 to 1 on a rim or a flat base.
 RIM_LAYERS, STANDING_SHARE = 2, 0.5

@@ -42,9 +42,9 @@ MOST_SCALE = 0.02
 LEAST_MIRRORED = 0.7
 # A mesh of another unit, or one with surroundings: nothing is searched for (chosen here).
 MOST_SIZES = 2.0
-# Another pose with a residual below so many of the best, and `LEAST_SHARE`, fits as well (chosen here).
+# Another pose with a residual below this many of the best, and `LEAST_SHARE`, fits as well (chosen here).
 AS_WELL = 1.1
-# A mesh of rotational symmetry that is turned in so many steps stays where it was, within this share of its
+# A mesh of rotational symmetry that is turned in this many steps stays where it was, within this share of its
 # diagonal: simulated bottles, bins and stools within 0.13 %, pots with handles within 0.7 %.
 STEPS, SYMMETRIC = 24, 0.003
 

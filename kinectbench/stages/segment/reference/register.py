@@ -46,7 +46,7 @@ SAMPLES, OBJECT_SEED, REFERENCE_SEED = 20_000, 0, 1
 TURNS, SPREAD = 12, 576
 # Poses, steps and samples: all starts are looked at, then the best are refined twice (chosen here).
 LOOKED_AT, COARSE, FINE = 120, (32, 10, 300), (5, 30, 2000)
-# A pose whose residual is so many times that of the best is not refined further. No residual counts as less
+# A pose whose residual is this many times that of the best is not refined further. No residual counts as less
 # than this share of the diagonal, as samples do not tell that (chosen here).
 HOPELESS, LEAST_SHARE = 3.0, 0.0005
 # Number of samples for the residual of a pose.
@@ -61,7 +61,7 @@ RIGID, SIZED, SIZED_OUT = tuple(range(6)), tuple(range(7)), tuple(range(8))
 # How much the last is held at nothing: what is either, as of a ball, counts as size (chosen here).
 HELD = 0.01
 # A sample counts by the mean cosine of the normals about it, from nothing at this one to all at 1: among so
-# many samples within so many voxels. Without, a mug, a vase and a pot came to lie 0.61 to 0.83 mm too low,
+# many samples within this many voxels. Without, a mug, a vase and a pot came to lie 0.61 to 0.83 mm too low,
 # as their rims are rounded, and with it 0.06 to 0.62 mm. The other side of a sheet, beyond this cosine, says
 # nothing of it; an edge counts a little, as handles are all edge.
 FLAT, ABOUT, ABOUT_VOXELS, SHEET_COSINE, LEAST_COUNT = 0.8, 48, 2.0, -0.5, 0.001

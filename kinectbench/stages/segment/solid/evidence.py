@@ -16,14 +16,14 @@ from kinectbench.core.voxels.sight import swept_from_outside
 
 # A voxel with less than this share of the surface's median weight was grazed by a few rays at most.
 LEAST_WEIGHT_SHARE = 0.015
-# An unseen voxel is free if so many frames, and this share of the frames that look at the object, see through
-# it: along edges depth wanders, and a few frames seem to see through the last millimetres of a board.
+# An unseen voxel is free if this many frames, and this share of the frames that look at the object, see
+# through it: along edges depth wanders, and a few frames seem to see through the last millimetres of a board.
 MIN_FREE_VOTES, MIN_FREE_SHARE = 2, 0.04
 # A voxel that lies farther behind a measured surface may be on the far side of a thin wall.
 SHELL_M = 0.0125
 # The same in voxels, where these are large.
 SHELL_VOXELS = 1.5
-# A line of sight ends within so many voxels of a measured surface, on both sides. If it ended in the whole
+# A line of sight ends within this many voxels of a measured surface, on both sides. If it ended in the whole
 # band behind the surface, every opening would narrow. It does not pass through a sheet of one voxel.
 SHEET_VOXELS = 1.2
 # Number of lines of sight: for the solid, and for solids that are only compared with one another.

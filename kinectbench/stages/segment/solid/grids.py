@@ -16,7 +16,7 @@ from kinectbench.stages.segment.find.distance_scale import enlarged_transform
 from kinectbench.stages.segment.find.floor import Floor, floor_cut_m, low_cut_m
 from kinectbench.stages.segment.solid.evidence import NO_LAYERS, FloorLayers
 
-# Margin around the object; less where so many voxels are less.
+# Margin around the object; less where this many voxels are less.
 MARGIN_M, MARGIN_VOXELS = 0.05, 10
 # Layers below the floor: more than the two that smoothing the solid reaches, so that feet are not rounded.
 FLOOR_LAYERS = 4
@@ -33,7 +33,7 @@ CUBE_VOXELS = 16
 REFERENCE_VOXEL_M = 0.005
 # Below this, noise leaves nothing to resolve, however near the camera (chosen by hand).
 LEAST_VOXEL_M = 0.001
-# An object is to be so many voxels long: a thing of 40 cm on a table has the reference voxels (chosen by
+# An object is to be this many voxels long: a thing of 40 cm on a table has the reference voxels (chosen by
 # hand; with 5 mm a mug's wall is one and a half voxels).
 VOXELS_LONG = 80
 # Voxels are multiples of it.

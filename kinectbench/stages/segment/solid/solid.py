@@ -26,7 +26,7 @@ RULED_SOLID, RULED_AIR = 0.75, 0.05
 SPECK_SHARE = 0.02
 # A lower piece on the floor may be noise; a piece that ends farther below the object carries something else.
 LEG_HEIGHT_M, LEG_GAP_M = 0.05, 0.1
-# The upper end of a piece: its columns in so many layers below its highest cell.
+# The upper end of a piece: its columns in this many layers below its highest cell.
 LEG_END_LAYERS = 3
 # This share of these columns must find the object above them.
 LEG_SHARE = 0.5
