@@ -21,10 +21,10 @@ USUAL_FREE_SHARE, USUAL_FREE_SHARE_PER_VOXEL = 0.15, 0.5
 UNDECIDED_VOXELS = 1.0
 # How far the rest moves the surface inward, if all frames see through.
 VOXELS_PER_FREE_SHARE = 40.0
-# What part of its weight a frame has that saw a voxel hidden behind a surface: all to half a voxel's diagonal
-# (or 1.5 standard deviations) behind it, this part from this many voxels more on. What is hidden may be solid
-# or air: with full weight such frames make whatever is thinner than the truncation thick. On a panel of 16 mm
-# each side lay 1.9 mm too far out by exact depth from true poses; so weighed, it lies 0.1 mm off.
+# Weight of a frame that saw a voxel hidden behind a surface: full up to half a voxel's diagonal (or 1.5
+# standard deviations) behind the surface, this share of it from this many voxels farther on. What is hidden
+# may be solid or air: with full weight, such frames make everything thinner than the truncation thicker. Each
+# side of a panel of 16 mm lay 1.9 mm too far out with exact depth and true poses, and lies 0.1 mm off now.
 HALF_DIAGONAL, FADING_VOXELS, HIDDEN_SHARE = 0.87, 0.5, 0.001
 
 

@@ -55,9 +55,9 @@ FINE_VOXEL_M, COARSE_VOXEL_M = 0.0075, 0.01
 # Where usual poses are less certain, whole frames lie off, and their noise is not cut closely: else faces of
 # a real cabinet (10 mm) come out less flat. The limit is that of good poses in `stages.track.verdict`.
 CLOSE_POSE_SIGMA_M = 0.005
-# The object is found in the scene, and then fused from all frames. The scene has this many of a longer
-# recording, and no fewer than one in ten: of 30 a second three. Of 1,000 frames around a chair, F at 5 mm is
-# .9945 with 300 and .9947 with all, in a third of the time.
+# The object is found in the scene, and afterwards fused from all frames. The scene of a longer recording is
+# fused from this many frames, but at least one in ten: three a second at 30 Hz. Of 1,000 frames around a
+# chair, 300 give an F at 5 mm of .9945 in a third of the time, and all give .9947.
 SCENE_FRAMES, SCENE_STEP = 300, 10
 # The typical distance is the median over this many frames.
 DISTANCE_FRAMES = 60

@@ -58,12 +58,13 @@ STILL_M = 1e-5
 # Columns of a step: rotation (3), shift (3), logarithm of the size, and how far out the surface lies.
 SIZE, OUT = 6, 7
 RIGID, SIZED, SIZED_OUT = tuple(range(6)), tuple(range(7)), tuple(range(8))
-# How much the last is held at nothing: what is either, as of a ball, counts as size (chosen here).
+# Weight of a prior that holds the last unknown at 0: what may be either, as on a ball, counts as size (chosen
+# here).
 HELD = 0.01
-# A sample counts by the mean cosine of the normals about it, from nothing at this one to all at 1: among so
-# many samples within this many voxels. Without, a mug, a vase and a pot came to lie 0.61 to 0.83 mm too low,
-# as their rims are rounded, and with it 0.06 to 0.62 mm. The other side of a sheet, beyond this cosine, says
-# nothing of it; an edge counts a little, as handles are all edge.
+# A sample is weighted by the mean cosine of the normals about it (this many samples within this many voxels):
+# 0 at the first value, 1 at a cosine of 1. Without weights, a mug, a vase and a pot came to lie 0.61 to 0.83
+# mm too low, because their rims are rounded; with weights 0.06 to 0.62 mm. The other side of a sheet, beyond
+# this cosine, is left out. An edge counts a little, because handles are all edge.
 FLAT, ABOUT, ABOUT_VOXELS, SHEET_COSINE, LEAST_COUNT = 0.8, 48, 2.0, -0.5, 0.001
 # Two poses are one if no more lies between them (chosen here).
 SAME_RAD, SAME_SHARE = np.radians(8.0), 0.02
