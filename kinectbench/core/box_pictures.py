@@ -165,7 +165,7 @@ def _inside(points_world: Float64, frame: int, sequence: Sequence, trajectory: T
 
 
 def _background(sequence: Sequence, frame: int) -> Rgb:
-    """A frame in colour, or its depth in grey, darker farther away: (height, width, 3) uint8 RGB."""
+    """Return a frame in colour, or its depth in grey, darker farther away: (height, width, 3) uint8 RGB."""
     shape = (sequence.camera.height, sequence.camera.width)
     color_rgb = sequence.color_rgb(frame)
     if color_rgb is not None and color_rgb.shape[:2] == shape:

@@ -117,7 +117,7 @@ MIN_COARSE_VARIANCE = 0.01
 
 
 def image_sharpness(gray: NDArray[np.uint8]) -> float:
-    """Ratio of fine to coarse detail of an image; NaN for an image without detail.
+    """Return the ratio of fine to coarse detail of an image; NaN for an image without detail.
 
     The variance of the Laplacian (Pech-Pacheco et al., "Diatom autofocusing in brightfield microscopy", ICPR
     2000), divided by that of the smoothed image, so that the ratio depends little on the scene and not on
@@ -137,7 +137,7 @@ def image_sharpness(gray: NDArray[np.uint8]) -> float:
 
 
 def relative_blur(sharpness: Float64) -> Float64:
-    """The blur of each frame, relative to the recording's median frame.
+    """Return the blur of each frame, relative to the recording's median frame.
 
     Args:
         sharpness: (n,), NaN where unknown.

@@ -5,6 +5,6 @@ from statistics import median
 
 
 def known_median(values: Iterable[float | None]) -> float | None:
-    """The median of the values that are not None; None if there are none."""
+    """Return the median of the values that are not None; None if there are none."""
     known = [value for value in values if value is not None]
     return median(known) if known else None

@@ -79,7 +79,7 @@ def read_obj(content: bytes) -> Triangles:
 
 
 def _corner(word: bytes, vertices: int) -> int:
-    """The 0-based vertex index of a corner such as `7`, `7/2/1`, or `-1` (the last vertex so far)."""
+    """Return the 0-based vertex index of a corner such as `7`, `7/2/1`, or `-1` (the last vertex so far)."""
     index = int(word.partition(b"/")[0])
     return index - 1 if index > 0 else vertices + index if index < 0 else -1
 
@@ -248,7 +248,7 @@ def numbers_of(content: bytes, start: int = 0) -> NDArray[np.float64]:
 
 
 def _column(rows: NDArray[np.generic], element: _Element, name: str) -> NDArray[np.float64]:
-    """The values of the scalar property `name` of an element in all its rows."""
+    """Return the values of the scalar property `name` of an element in all its rows."""
     place = 0
     for one in element.properties:
         if one.name == name:
@@ -311,7 +311,7 @@ def _row(data: NDArray[np.generic], position: int, element: _Element) -> tuple[i
 
 
 def _count(data: NDArray[np.generic], position: int, one: _Property) -> int:
-    """The length of the list of the property `one` that begins at index `position` of the data."""
+    """Return the length of the list of the property `one` that begins at index `position` of the data."""
     if position + one.count_width > len(data):
         raise ValueError("cut short in its faces; write it again")
     assert one.count is not None, "a list"

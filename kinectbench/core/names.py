@@ -17,14 +17,14 @@ LISTED = 40
 
 
 def reserved_problem(category: str) -> str | None:
-    """Why a category's name is reserved for the mean over all categories; None if it is not."""
+    """Return why a category's name is reserved for the mean over all categories; None if it is not."""
     if category.lower() in RESERVED:
         return f"'{category}' is what the mean over all categories is called; choose another"
     return None
 
 
 def category_problem(category: str) -> str | None:
-    """Why a category cannot have this name, in a few words; None if the name is valid."""
+    """Return why a category cannot have this name, in a few words; None if the name is valid."""
     return name_problem(category) or reserved_problem(category)
 
 
@@ -71,7 +71,7 @@ class Clash(NamedTuple):
 
 
 def unlike(kind: str, name: str, other: str) -> str:
-    """The error message for two names of a kind, such as "objects", that differ only by case."""
+    """Return the error message for two names of a kind, such as "objects", that differ only by case."""
     return f"the {kind} '{other}' and '{name}' differ by case only: rename one of them"
 
 

@@ -27,13 +27,13 @@ def render_page(template: str, shown: Mapping[str, object]) -> str:
 
 
 def png_uri(png: bytes) -> str:
-    """A PNG file as a `data:` address."""
+    """Return a PNG file as a `data:` address."""
     return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 @cache
 def environment() -> "Environment":
-    """The Jinja environment: it finds the templates in the package, and escapes values."""
+    """Return the Jinja environment: it finds the templates in the package, and escapes values."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     made = Environment(
@@ -54,7 +54,7 @@ def _shown(value: object) -> object:
 
 
 def _packaged(name: str) -> "Markup":
-    """The unescaped content of a file of the package, by its path below the package."""
+    """Return the unescaped content of a file of the package, by its path below the package."""
     from markupsafe import Markup
 
     return Markup(resources.files("kinectbench").joinpath(name).read_text(encoding="utf-8"))

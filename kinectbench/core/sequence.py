@@ -41,7 +41,7 @@ class FrameStore(Protocol):
     """Random access to the frames of a sequence."""
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Depth of one frame as recorded: (height, width) uint16, 0 = no measurement."""
+        """Return depth of one frame as recorded: (height, width) uint16, 0 = no measurement."""
         ...
 
     def color_encoded(self, index: int) -> tuple[str, bytes] | None:
@@ -97,7 +97,7 @@ class Sequence:
         return len(self.stamps_ns)
 
     def depth_m(self, index: int) -> Float32:
-        """Depth of one frame in metres along z: (height, width) float32, 0 = no measurement."""
+        """Return depth of one frame in metres along z: (height, width) float32, 0 = no measurement."""
         depth_m = depth_in_metres(self.frames.depth_native(index), self.depth_scale)
         if self.depth_correction_per_m is None:
             return depth_m
@@ -108,7 +108,7 @@ class Sequence:
         return ahead(lambda index: self.depth_m(int(index))[::step_px, ::step_px], frames)
 
     def calibrated(self, calibration: DepthCalibration) -> "Sequence":
-        """The same recording with its depth corrected by a calibration."""
+        """Return the same recording with its depth corrected by a calibration."""
         if calibration.is_none:
             return replace(self, depth_correction_per_m=None)
         correction = calibration.correction_per_m(self.camera.width, self.camera.height)

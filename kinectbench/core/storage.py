@@ -29,7 +29,7 @@ _half_filled: set[Path] = set()
 
 
 def name_problem(name: str, also: str = "") -> str | None:
-    """Why a recording, object or method cannot have this name, in a few words; None if it can.
+    """Return why a recording, object or method cannot have this name, in a few words; None if it can.
 
     Args:
         name: the name as somebody wrote it.

@@ -65,7 +65,7 @@ def open_plain(path: Path) -> BufferedReader:
 
 
 def size_of(file: IO[bytes]) -> int:
-    """The size of an open file in bytes, even if its path now leads to another file."""
+    """Return the size of an open file in bytes, even if its path now leads to another file."""
     return os.fstat(file.fileno()).st_size
 
 
@@ -261,7 +261,7 @@ def _can_be(way: PurePosixPath) -> bool:
 
 
 def quoted(value: object) -> str:
-    """A parsed value as text for messages: its shortened `repr`."""
+    """Return a parsed value as text for messages: its shortened `repr`."""
     return printable(reprlib.repr(value))
 
 

@@ -94,7 +94,7 @@ def upright_masks(sequence: Sequence, masks: Callable[[int], Bools | None]) -> C
         return masks
 
     def moved(index: int) -> Bools | None:
-        """The corrected mask of a frame: (height, width) bool; None if it has no mask."""
+        """Return the corrected mask of a frame: (height, width) bool; None if it has no mask."""
         mask = masks(index)
         return None if mask is None else frames.mask(index, mask)
 

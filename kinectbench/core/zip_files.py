@@ -65,7 +65,7 @@ def open_zip(
 
 
 def _listed(file: IO[bytes]) -> tuple[int, int]:
-    """The number of files and the size of the directory in bytes, from the end record.
+    """Return the number of files and the size of the directory in bytes, from the end record.
 
     Like zipfile, it expects the zip64 record right before its locator.
     """

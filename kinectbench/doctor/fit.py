@@ -72,7 +72,7 @@ class PoseConvention:
         return sum(getattr(self, field.name) != field.default for field in fields(self))
 
     def text(self) -> str:
-        """The differences from the default convention, in words."""
+        """Return the differences from the default convention, in words."""
         parts = [
             "world to camera (inverse)" if self.inverse else "",
             AXES_IN_WORDS[self.axes],

@@ -223,7 +223,7 @@ def _place(root: Path, name: str) -> str:
 
 
 def _relative(path: Path, root: Path) -> str:
-    """The name of a file relative to its recording's path; "" for the path itself."""
+    """Return the name of a file relative to its recording's path; "" for the path itself."""
     if path == root:
         return ""
     whole, above = str(path), f"{root}{os.sep}"

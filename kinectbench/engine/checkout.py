@@ -116,7 +116,7 @@ class _Listing:
 
 
 def store_of(job: Job) -> Store:
-    """The store of a job whose root is a URL."""
+    """Return the store of a job whose root is a URL."""
     url = url_of(job.root)
     assert url is not None, "a benchmark on this machine is not fetched"
     return Store(url)
@@ -274,7 +274,7 @@ def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
 
 
 def _local_rows(job: Job) -> list[object]:
-    """The names, sizes and times (nanoseconds) of the files of a recording outside the store."""
+    """Return the names, sizes and times (nanoseconds) of the files of a recording outside the store."""
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     with storage_errors(job.source):
         files = source_files(job.source, follow_links=job.recording.follow_links)

@@ -157,7 +157,7 @@ class Run(Generic[Task, Result]):
                 self.listener.warn(line, self.tasks[number])
 
     def _outcome(self, future: "Future", number: int) -> Result | WorkerLost | None:
-        """The outcome of a task; None if the task is tried again at the end, or runs elsewhere.
+        """Return the outcome of a task; None if the task is tried again at the end, or runs elsewhere.
 
         Raises:
             TimeoutError: the result has not arrived in time; the future will end again.
@@ -204,5 +204,5 @@ class Run(Generic[Task, Result]):
 
 
 def dask_line(error: BaseException) -> str:
-    """The message of a Dask error, in one line."""
+    """Return the message of a Dask error, in one line."""
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -297,7 +297,7 @@ class DrawnMasks:
         return on is not None and on.image == image_digest(sequence, frame)
 
     def _with(self, new_entries: Mapping[str, DrawnOn]) -> Self:
-        """A copy with additional entries; masks.json is written if there are any."""
+        """Return a copy with additional entries; masks.json is written if there are any."""
         if not new_entries:
             return self
         entries = {**self.entries, **new_entries}

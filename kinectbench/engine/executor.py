@@ -44,7 +44,7 @@ class Executor(Protocol):
     """Runs tasks, several at a time."""
 
     def slots(self) -> int:
-        """The number of tasks that can run at the same time now."""
+        """Return the number of tasks that can run at the same time now."""
 
     def outcomes(
         self,

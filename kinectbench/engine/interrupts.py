@@ -106,7 +106,7 @@ def ignore_interrupts() -> None:
 
 
 def interrupted_status() -> int:
-    """The exit status of an interrupted process: 143 after SIGTERM, else 130, as in shells."""
+    """Return the exit status of an interrupted process: 143 after SIGTERM, else 130, as in shells."""
     return 128 + (signal.SIGTERM if signal.SIGTERM in _asked else signal.SIGINT)
 
 

@@ -26,7 +26,7 @@ MMAP_BYTES = 32 << 20
 
 @cache
 def package_versions() -> Mapping[str, str]:
-    """The local versions of all packages that determine results, by name; "none" if not installed."""
+    """Return the local versions of all packages that determine results, by name; "none" if not installed."""
     return {"kinectbench": __version__, "Python": python_version()} | {
         name: package_version(name) or "none" for name in PACKAGES
     }

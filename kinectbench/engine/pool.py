@@ -39,7 +39,7 @@ class Pool:
     processes: int
 
     def slots(self) -> int:
-        """The number of processes."""
+        """Return the number of processes."""
         return self.processes
 
     def outcomes(

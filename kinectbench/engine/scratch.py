@@ -49,7 +49,7 @@ def clear_scratch() -> None:
 
 
 def _prefix() -> str:
-    """The prefix of scratch folder names: it has the id of the main process, also in its workers."""
+    """Return the prefix of scratch folder names: it has the id of the main process, also in its workers."""
     parent = multiprocessing.parent_process()
     return f"{PREFIX}{os.getpid() if parent is None else parent.pid}-"
 

@@ -62,7 +62,7 @@ class StageSettings(Settings):
     ADDED: ClassVar[tuple[str, ...]] = ()
 
     def fingerprinted(self) -> dict[str, JsonValue]:
-        """The settings in the stage's fingerprint and manifest, as plain JSON values."""
+        """Return the settings in the stage's fingerprint and manifest, as plain JSON values."""
         values = self.model_dump(mode="json")
         for dotted in self.ADDED:
             *above, key = dotted.split(".")

@@ -115,11 +115,11 @@ class Stage:
         return VERSIONS[self.name]
 
     def settings(self, job: Job) -> Mapping[str, JsonValue]:
-        """The settings that the stage depends on, as plain JSON values."""
+        """Return the settings that the stage depends on, as plain JSON values."""
         return self.needs(job).fingerprinted()
 
     def sources(self, job: Job) -> Mapping[str, Source]:
-        """The stage's inputs from outside `build/`, by name, as they are on the disk now."""
+        """Return the stage's inputs from outside `build/`, by name, as they are on the disk now."""
         return {name: SOURCES[name](job) for name in self.outside(job)}
 
 

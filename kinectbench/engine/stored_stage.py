@@ -26,7 +26,7 @@ REBUILD = "remove the folder and build again"
 
 
 def stored_folder(recording: str, artefact: Artefact) -> str:
-    """The folder of an artefact in the store, relative to the benchmark's root."""
+    """Return the folder of an artefact in the store, relative to the benchmark's root."""
     return f"build/{recording}/{artefact.stage}/{artefact.fingerprint}"
 
 
@@ -156,7 +156,7 @@ def _parsed(text: bytes, place: str, artefact: Artefact) -> Manifest:
 
 
 def _parts(manifest: Manifest) -> tuple[list[str], list[str]]:
-    """Names of an artefact's files: those packed into a tar, and those stored separately."""
+    """Return the names of an artefact's files: those packed into a tar, and those stored separately."""
     names = sorted(manifest.files)
     if manifest.stage not in PACKED:
         return [], names

@@ -96,7 +96,7 @@ def refuse_large(folder: Path) -> None:
 
 
 def no_release(path: Path) -> ReleaseError:
-    """The error for a folder, a file, a URL or a missing path in place of a release."""
+    """Return the error for a folder, a file, a URL or a missing path in place of a release."""
     if url_of(path) is None and not path.exists():
         return ReleaseError(f"{path}: there is no such file or folder; correct the path", what="not-one")
     advice = "give the folder that `publish` wrote, or that was downloaded"

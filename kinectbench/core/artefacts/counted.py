@@ -56,7 +56,7 @@ class PairResult:
     tallies: Mapping[str, Tally] = field(default_factory=dict)
 
     def tally_under(self, protocol: str) -> Tally:
-        """The voxel counts that a protocol's scores are computed from."""
+        """Return the voxel counts that a protocol's scores are computed from."""
         return self.tallies.get(protocol, self.tally)
 
 
@@ -68,5 +68,5 @@ class CountedPair(StoredPart):
     result: PairResult
 
     def line(self) -> str:
-        """The line of .counted.jsonl: JSON with a line break."""
+        """Return the line of .counted.jsonl: JSON with a line break."""
         return canonical_json(self.json_value()) + "\n"

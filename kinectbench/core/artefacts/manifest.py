@@ -108,5 +108,5 @@ class Sources(Stored):
         return {name: file.sha256 for name, file in self.files.items()}
 
     def text(self) -> str:
-        """The JSON text of the file, compact and on one line: there may be thousands of entries."""
+        """Return the JSON text of the file, compact and on one line: there may be thousands of entries."""
         return canonical_json(self.json_value())

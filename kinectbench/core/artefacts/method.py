@@ -143,7 +143,7 @@ class MethodFile(Stored):
         return self
 
     def meant(self, key: str) -> str | None:
-        """The known key that an unknown key misspells; None if it resembles none."""
+        """Return the known key that an unknown key misspells; None if it resembles none."""
         return next((known for known in type(self).model_fields if is_misspelt(key, known)), None)
 
 
@@ -189,7 +189,7 @@ class PredictedFile(StoredPart):
     digest: Blake3 = Field(description="BLAKE3 hash of its bytes")
 
     def line(self) -> str:
-        """The line of .predicted.jsonl: JSON with a line break."""
+        """Return the line of .predicted.jsonl: JSON with a line break."""
         return canonical_json(self.json_value()) + "\n"
 
 
@@ -207,7 +207,7 @@ class TrainingRow(StoredPart):
     )
 
     def line(self) -> str:
-        """The row as a line to print."""
+        """Return the row as a line to print."""
         more = "" if self.validation_iou is None else f", validation IoU {self.validation_iou:.3f}"
         return f"step {self.step}, epoch {self.epoch:.2f}: loss {self.loss:.4g}{more}"
 

@@ -51,7 +51,7 @@ class BoxPart(StoredPart):
         )
 
     def box(self) -> OrientedBox:
-        """The part as an `OrientedBox`."""
+        """Return the part as an `OrientedBox`."""
         return OrientedBox(self.center_m, self.size_m, self.yaw_rad)
 
 

@@ -299,7 +299,7 @@ class ScoreTable(Stored):
         return [row for row in self.rows if row.heading == protocol]
 
     def left_out_line(self, protocol: str) -> str:
-        """A sentence on the number of pairs that a protocol leaves out; "" if it leaves out none."""
+        """Return a sentence on the number of pairs that a protocol leaves out; "" if it leaves out none."""
         count, pairs = len(self.all_unknown_pairs.get(protocol, ())), len(self.pairs(protocol))
         if not count:
             return ""
@@ -309,7 +309,7 @@ class ScoreTable(Stored):
         )
 
     def csv(self) -> str:
-        """The text of scores.csv: a line for each row, with the method's name in the first column."""
+        """Return the text of scores.csv: a line for each row, with the method's name in the first column."""
         columns = tuple(name for name in fields_of(ScoreRow) if name not in fields_of(ByThreshold))
         buffer = io.StringIO()
         writer = csv.writer(buffer, lineterminator="\n")

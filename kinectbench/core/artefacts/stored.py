@@ -122,7 +122,7 @@ class Stored(StoredPart):
     MAX_VALUES: ClassVar[int] = MOST_VALUES
 
     def text(self) -> str:
-        """The JSON text of the file."""
+        """Return the JSON text of the file."""
         return pretty_json(self.json_value())
 
     def write(self, folder: Path) -> None:
@@ -184,7 +184,7 @@ class Stored(StoredPart):
 
     @classmethod
     def _missing(cls, content: object) -> str:
-        """The first required key that an object lacks, or ""."""
+        """Return the first required key that an object lacks, or ""."""
         keys = (field.alias or name for name, field in cls.model_fields.items() if field.is_required())
         return next((key for key in keys if isinstance(content, dict) and key not in content), "")
 
@@ -224,7 +224,7 @@ def known(value: float | np.floating[Any], decimals: int | None = None) -> float
 
 
 def number(value: float | None) -> float:
-    """The inverse of `known`: NaN for None, as JSON has no NaN and no infinity."""
+    """Return the inverse of `known`: NaN for None, as JSON has no NaN and no infinity."""
     return math.nan if value is None else value
 
 

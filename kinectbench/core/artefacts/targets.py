@@ -118,7 +118,7 @@ def _target(row: list[str]) -> Target:
 
 
 def _row_problem(row: list[str], columns: int) -> str | None:
-    """Why a line of targets.csv that must have `columns` columns is invalid; None if it is valid."""
+    """Return why a line of targets.csv that must have `columns` columns is invalid; None if it is valid."""
     if len(row) != columns:
         return f"{len(row)} columns instead of {columns}"
     share = row[len(EARLIER_COLUMNS)] if len(row) > len(EARLIER_COLUMNS) else ""
@@ -157,7 +157,7 @@ def targets_text(targets: Sequence[Target], columns: Sequence[str] = ()) -> str:
 
 
 def by_recording(targets: Iterable[Target]) -> dict[str, list[Target]]:
-    """The targets of each recording, in their order."""
+    """Return the targets of each recording, in their order."""
     groups: dict[str, list[Target]] = {}
     for target in targets:
         groups.setdefault(target.recording, []).append(target)
@@ -204,7 +204,7 @@ class Splits(ReleaseFile):
 
 
 def sums_text(sums: Mapping[str, str]) -> str:
-    """The text of SHA256SUMS for {relative path: SHA-256}."""
+    """Return the text of SHA256SUMS for {relative path: SHA-256}."""
     return "".join(f"{sha256}  {name}\n" for name, sha256 in sorted(sums.items()))
 
 
@@ -226,7 +226,7 @@ def parse_sums(text: str, where: str) -> dict[str, str]:
 
 
 def list_of_files(sums: str) -> str:
-    """The text of SHA256SUMS without the line of benchmark.json."""
+    """Return the text of SHA256SUMS without the line of benchmark.json."""
     lines = sums.splitlines(keepends=True)
     return "".join(line for line in lines if not line.endswith(f"  {BENCHMARK_JSON}\n"))
 

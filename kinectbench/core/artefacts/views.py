@@ -20,7 +20,7 @@ Angles = tuple[float, float, float]
 
 
 def _must(what: str, is_so: Callable[[object], bool]) -> AfterValidator:
-    """A validator that raises ValueError("must " + what) for a value that `is_so` rejects."""
+    """Return a validator that raises ValueError("must " + what) for a value that `is_so` rejects."""
 
     def checked(value: object) -> object:
         if not is_so(value):
@@ -159,7 +159,7 @@ class MasksFile(Stored):
 
     @classmethod
     def of(cls, drawn_on: Mapping[str, DrawnOn]) -> Self:
-        """The file with these entries, by file name."""
+        """Return the file with these entries, by file name."""
         return cls.model_validate({file: on if on.picture else on.image for file, on in drawn_on.items()})
 
     @property

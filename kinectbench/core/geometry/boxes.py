@@ -11,7 +11,7 @@ from kinectbench.core.types import Bools, Float64
 
 
 def yaw_rotation(yaw_rad: float) -> Float64:
-    """The (3, 3) rotation about z by `yaw_rad`, counter-clockwise seen from above."""
+    """Return the (3, 3) rotation about z by `yaw_rad`, counter-clockwise seen from above."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
@@ -56,12 +56,12 @@ class OrientedBox:
         return rigid(yaw_rotation(self.yaw_rad), self.center_m)
 
     def grown(self, margin_m: float) -> "OrientedBox":
-        """The box with every side moved out by `margin_m`, metres; without its anchor."""
+        """Return the box with every side moved out by `margin_m`, metres; without its anchor."""
         x, y, z = (edge + 2 * margin_m for edge in self.size_m)
         return OrientedBox(self.center_m, (x, y, z), self.yaw_rad)
 
     def corners_floor(self) -> Float64:
-        """The eight corners (8, 3) in the floor frame, metres."""
+        """Return the eight corners (8, 3) in the floor frame, metres."""
         signs = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"))
         local = signs.reshape(3, 8).T * np.array(self.size_m)
         return transform_points(self.T_floor_box, local)

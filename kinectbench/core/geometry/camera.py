@@ -76,7 +76,7 @@ class DepthRenderer:
         self._scene, self._tensor = raycaster(mesh)
 
     def depth_m(self, camera: Camera, T_world_camera: Float64) -> Float32:
-        """Depth along z in metres, (height, width) float32, 0 where the mesh is not hit."""
+        """Return depth along z in metres, (height, width) float32, 0 where the mesh is not hit."""
         rays = np.empty((camera.height, camera.width, 6), np.float32)
         rays[..., :3], rays[..., 3:] = T_world_camera[:3, 3], camera.rays() @ T_world_camera[:3, :3].T
         # Directions have z = 1 in the camera's frame, so the ray parameter is the depth.

@@ -9,7 +9,7 @@ SAME_PLACE_M = 1e-8
 
 
 def joined_vertices(vertices: Float64, faces: Int32) -> tuple[Float64, Int32]:
-    """The mesh with vertices at equal positions merged, and without faces that degenerate by merging.
+    """Return the mesh with vertices at equal positions merged, and without faces that degenerate by merging.
 
     A collapsed face has no area, and its edges have no partner. Marching cubes makes such faces where a value
     lies exactly on the level, and a sphere of latitudes and longitudes has them at its poles.
@@ -46,7 +46,7 @@ def is_closed(faces: Int32) -> bool:
 
 
 def why_open(faces: Int32) -> str:
-    """Why a mesh is not closed, in words; "" if it `is_closed`."""
+    """Return why a mesh is not closed, in words; "" if it `is_closed`."""
     from kinectbench.core.geometry.pieces import sorted_edges
 
     if not len(faces):
@@ -62,7 +62,7 @@ def why_open(faces: Int32) -> str:
 
 
 def outwards(vertices: Float64, faces: Int32) -> Int32:
-    """The faces (m, 3) of a closed mesh with each connected piece oriented outwards.
+    """Return the faces (m, 3) of a closed mesh with each connected piece oriented outwards.
 
     A void inside a piece is a piece of its own. Its faces turn outwards too, so it counts as solid.
     """

@@ -50,7 +50,7 @@ class DepthCalibration:
         return not self.coefficients_per_m.any()
 
     def correction_per_m(self, width: int, height: int) -> Float32:
-        """The correction to add to 1 / depth at each pixel: (height, width) float32, 1/m."""
+        """Return the correction to add to 1 / depth at each pixel: (height, width) float32, 1/m."""
         columns, rows = _polynomials(np.arange(width), width), _polynomials(np.arange(height), height)
         of_degrees = np.zeros((DEGREE + 1, DEGREE + 1))
         of_degrees[tuple(np.transpose(TERMS))] = self.coefficients_per_m
@@ -79,7 +79,7 @@ TOO_FAR = f"depth beyond {MOST_MM / 1000:g} m"
 
 
 def depth_in_mm(depth_m: Float32) -> NDArray[np.uint16]:
-    """Depth of any shape in metres as whole millimetres, 0 = no measurement.
+    """Return depth of any shape in metres as whole millimetres, 0 = no measurement.
 
     Depth beyond 65.535 m does not fit into 16 bits and becomes 0. Clamping it would create a surface that was
     never measured.

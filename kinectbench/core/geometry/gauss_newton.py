@@ -104,7 +104,7 @@ def eliminated(products: Float64, first: int, information: Float64) -> tuple[Flo
 
 
 def weighted_products(rows: Float64, weights: Float64) -> Float64:
-    """The sum of w r r^T, (n, n), over rows r of (m, n) with weights w (m,)."""
+    """Return the sum of w r r^T, (n, n), over rows r of (m, n) with weights w (m,)."""
     sums = np.zeros((rows.shape[1], rows.shape[1]))
     add_products(sums, np.ascontiguousarray(rows.T), weights, len(weights))
     return np.asarray(symmetric_matrix(sums))

@@ -6,7 +6,7 @@ from kinectbench.core.types import Float32, Float64
 
 
 def image_normals(surface: Float64, depth_m: Float32, reach_px: int = 1) -> Float64:
-    """Unit normals towards the camera, from neighbouring pixels; NaN if a neighbour is missing.
+    """Return unit normals towards the camera, from neighbouring pixels; NaN if a neighbour is missing.
 
     Args:
         surface: (height, width, 3) points, camera axes.

@@ -78,7 +78,7 @@ class TriangleMesh:
         return normals
 
     def keep_faces(self, mask: Bools) -> "TriangleMesh":
-        """The mesh of the faces where mask (m,) is true; vertices that no face uses are dropped."""
+        """Return the mesh of the faces where mask (m,) is true; vertices that no face uses are dropped."""
         faces = self.faces[mask]
         used = np.zeros(len(self.vertices), dtype=bool)
         used[faces] = True
@@ -87,7 +87,7 @@ class TriangleMesh:
         return TriangleMesh(self.vertices[used], renumber[faces], colors)
 
     def transformed(self, T: Float64) -> "TriangleMesh":
-        """The mesh with its vertices mapped by a rigid transform (4, 4)."""
+        """Return the mesh with its vertices mapped by a rigid transform (4, 4)."""
         return replace(self, vertices=transform_points(T, self.vertices))
 
 
@@ -101,7 +101,7 @@ def join(meshes: Sequence[TriangleMesh]) -> TriangleMesh:
 
 
 def box_mesh(box: OrientedBox) -> TriangleMesh:
-    """The closed mesh of a box, in the frame `floor` of the box (z up), metres."""
+    """Return the closed mesh of a box, in the frame `floor` of the box (z up), metres."""
     return TriangleMesh(box.corners_floor(), BOX_FACES)
 
 

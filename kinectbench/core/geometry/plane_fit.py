@@ -9,7 +9,7 @@ HYPOTHESES = 400
 
 
 def ransac_plane(points: Float64, normals: Float64, rng: np.random.Generator, inlier_m: float) -> Float64:
-    """The plane (4,) with most inliers, by one-point RANSAC: each trial is a point with its normal.
+    """Return the plane (4,) with most inliers, by one-point RANSAC: each trial is a point with its normal.
 
     Args:
         points: (n, 3), metres.

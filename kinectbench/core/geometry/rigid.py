@@ -41,7 +41,7 @@ def is_rigid(T: Float64) -> bool:
 
 
 def similarity_scale(T: Float64) -> float:
-    """The scale of a (4, 4) similarity."""
+    """Return the scale of a (4, 4) similarity."""
     return float(np.cbrt(np.linalg.det(T[:3, :3])))
 
 

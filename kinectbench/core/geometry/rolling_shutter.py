@@ -43,7 +43,7 @@ class RollingShutter:
 def upright_depth(
     depth: NDArray[np.uint16], units_per_m: float, camera: Camera, motion: Float64, readout_s: float
 ) -> NDArray[np.uint16]:
-    """Depth (height, width) as a global shutter would record it.
+    """Return depth (height, width) as a global shutter would record it.
 
     Args:
         depth: (height, width) uint16, 0 = none.
@@ -83,7 +83,7 @@ def upright_gray(
 def upright_mask(
     mask: Bools, depth_m: NDArray[np.float32], camera: Camera, motion: Float64, readout_s: float
 ) -> Bools:
-    """A mask as a global shutter would record it.
+    """Return a mask as a global shutter would record it.
 
     Args:
         mask: (height, width) bool, a mask of depth as recorded.

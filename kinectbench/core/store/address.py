@@ -29,7 +29,7 @@ ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT")
 
 
 def url_of(path: str | Path) -> str | None:
-    """The URL that a path argument stands for, without trailing slash; None for a local path."""
+    """Return the URL that a path argument stands for, without trailing slash; None for a local path."""
     match = _URL.fullmatch(str(path))
     if match is None:
         return None
@@ -40,7 +40,7 @@ def url_of(path: str | Path) -> str | None:
 
 
 def other_scheme(path: str | Path) -> str | None:
-    """An error message for a URL of an unsupported scheme; None for any other path."""
+    """Return an error message for a URL of an unsupported scheme; None for any other path."""
     match = _OTHER.match(str(path))
     if match is None or url_of(path) is not None or Path(path).parts[:1] != (f"{match[1]}:",):
         return None
@@ -48,7 +48,7 @@ def other_scheme(path: str | Path) -> str | None:
 
 
 def unusable(text: str) -> str | None:
-    """Why a URL that the user typed is invalid; None if it is valid or the text is no URL.
+    """Return why a URL that the user typed is invalid; None if it is valid or the text is no URL.
 
     Call this before the text becomes a Path, which merges slashes, so that `s3:///x` would name the bucket x.
     """
@@ -76,17 +76,17 @@ def is_web(url: str) -> bool:
 
 
 def joined(url: str, name: str) -> str:
-    """The URL of a file below a URL; `name` is relative, with "/" between folders."""
+    """Return the URL of a file below a URL; `name` is relative, with "/" between folders."""
     return posixpath.join(url, name)
 
 
 def parent_of(url: str) -> str:
-    """The URL of the parent folder."""
+    """Return the URL of the parent folder."""
     return url.rpartition("/")[0]
 
 
 def shown(place: str | Path) -> str:
-    """A path or URL to print, without user, password and query."""
+    """Return a path or URL to print, without user, password and query."""
     url = url_of(place)
     return str(place) if url is None else _shown(url)
 

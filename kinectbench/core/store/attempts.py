@@ -219,7 +219,7 @@ def _heard_of(host: str) -> None:
 def _given_up_for(
     place: str, host: str, since: float, error: Exception, answers: Callable[[], object] | None
 ) -> StorageError:
-    """The error after failures since `since` (`time.monotonic`); `error` is the last failure.
+    """Return the error after failures since `since` (`time.monotonic`); `error` is the last failure.
 
     It is a `StoreGoneError` if the whole store is down: the host was given up before, or `answers` fails too.
     """

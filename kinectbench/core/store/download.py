@@ -126,7 +126,7 @@ def download(
 
 
 def partial_downloads(path: Path) -> list[Path]:
-    """The partial downloads of a file, which lie beside its final path."""
+    """Return the partial downloads of a file, which lie beside its final path."""
     names = path.parent.glob("*" + ENDING) if path.parent.is_dir() else ()
     # The name between is a hash: x.1.tgz.HASH.part is no part of x.
     return [each for each in names if each.name.removesuffix(ENDING).rpartition(".")[0] == path.name]
@@ -291,7 +291,7 @@ def _any_answers(urls: Sequence[str]) -> None:
 
 
 def _next(url: str, answer: http.client.HTTPResponse) -> str | None:
-    """The target URL of a redirect; None if the response is the file itself."""
+    """Return the target URL of a redirect; None if the response is the file itself."""
     status = answer.status
     if status in (http.HTTPStatus.OK, http.HTTPStatus.PARTIAL_CONTENT):
         return None

@@ -137,7 +137,7 @@ def compare_poses(T_estimate: Float64, T_reference: Float64) -> TrajectoryError:
 
 
 def align_positions(points_b: Float64, points_a: Float64) -> Float64:
-    """The rigid T_a_b that minimises the sum of |a_i - T_a_b b_i|^2.
+    """Return the rigid T_a_b that minimises the sum of |a_i - T_a_b b_i|^2.
 
     Source: Umeyama, "Least-squares estimation of transformation parameters" (PAMI 1991), without scale.
 
@@ -151,7 +151,7 @@ def align_positions(points_b: Float64, points_a: Float64) -> Float64:
 
 
 def align_worlds(T_estimate: Float64, T_reference: Float64) -> Float64:
-    """The rigid transform from the estimate's world to the reference's, also for degenerate positions.
+    """Return the rigid transform from the estimate's world to the reference's, also for degenerate positions.
 
     It aligns the positions, as for the ATE. With fewer than three poses, or if the cameras stand still or
     move along a line (less than 5 cm rms about it), the rotation comes from the orientations.

@@ -96,7 +96,7 @@ def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
 
 
 def middle_depth_m(depths_m: Iterable[Float32]) -> float | None:
-    """The median depth in the middle third of images, metres; None if none has depth there.
+    """Return the median depth in the middle third of images, metres; None if none has depth there.
 
     Args:
         depths_m: (height, width) each, metres, 0 = none.
@@ -140,7 +140,7 @@ def looked_at(T_world_camera: Float64, depth_m: float | None) -> Float64:
 
 
 def covered_arc_rad(T_world_camera: Float64, depth_m: float | None) -> float | None:
-    """The arc of directions, from above, from which the cameras look at one point.
+    """Return the arc of directions, from above, from which the cameras look at one point.
 
     The directions are projected onto the horizontal plane. The arc is the full circle minus the largest gap
     between two of them.
@@ -179,7 +179,7 @@ def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
 
 
 def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> Float64:
-    """Ratio of the points of each frame that each other frame sees, from their depth and poses.
+    """Return the ratio of the points of each frame that each other frame sees, from their depth and poses.
 
     A frame sees a point if the depth at the point's pixel agrees with the point within 5 %.
 

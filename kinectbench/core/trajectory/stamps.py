@@ -80,7 +80,7 @@ def check_unit(stamps_ns: Sequence[int], where: str) -> list[str]:
 
 
 def no_times(stamps_ns: Sequence[int]) -> str:
-    """Why stamps cannot be the times of frames (they may be time steps, for example); "" if they can.
+    """Return why stamps cannot be the times of frames (they may be time steps, for example); "" if they can.
 
     Args:
         stamps_ns: of images, in the order of recording, nanoseconds.
@@ -150,7 +150,7 @@ class StampFaults:
 
 
 def typical_period_ns(stamps_ns: Int64) -> int:
-    """The typical interval between frames, ignoring gaps; 0: unknown.
+    """Return the typical interval between frames, ignoring gaps; 0: unknown.
 
     It is the median of the forward steps that are shorter than 1.5 times their lower quartile. Where every
     third frame is missing, the plain median would be two steps.

@@ -39,7 +39,7 @@ def read_text(path: Path, most_bytes: int = MOST_BYTES) -> str:
 
 
 def text_rows(path: Path, most_bytes: int = MOST_BYTES) -> list[tuple[str, str]]:
-    """The rows of a text file, without comments (#) and empty lines, as pairs ("FILE, line N", row).
+    """Return the rows of a text file, without comments (#) and empty lines, as pairs ("FILE, line N", row).
 
     Raises:
         RecordingError: the file cannot be read, is not text, or is too large.

@@ -63,7 +63,7 @@ class Trajectory:
         return RollingShutter(self.health.readout_s or 0.0, self.health.color_delay_s or 0.0, motion)
 
     def assumed_pose_sigma_m(self, frame: int) -> float:
-        """`pose_sigma_m` of a frame, or the largest plausible error if it is unknown, metres."""
+        """Return `pose_sigma_m` of a frame, or the largest plausible error if it is unknown, metres."""
         sigma_m = np.nan if self.pose_sigma_m is None else float(self.pose_sigma_m[frame])
         return UNCHECKED_POSE_SIGMA_M if np.isnan(sigma_m) else sigma_m
 

@@ -41,7 +41,7 @@ def advice_on(error: RecordingError) -> str:
 
 
 def advised(line: str, advice: str) -> str:
-    """A message with advice (of `advice_on`) at its end."""
+    """Return a message with advice (of `advice_on`) at its end."""
     return f"{line}; {advice}" if advice else line
 
 

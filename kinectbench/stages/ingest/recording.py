@@ -181,7 +181,7 @@ class Recording(ABC):
         """
 
     def __len__(self) -> int:
-        """Number of listed frames, damaged ones included."""
+        """Return the number of listed frames, damaged ones included."""
         return len(self.places)
 
     @property

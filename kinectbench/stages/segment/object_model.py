@@ -65,7 +65,7 @@ def write_object(model: ObjectModel, folder: Path) -> None:
 
 
 def _candidates(floor: Floor) -> tuple[FloorCandidate, ...]:
-    """The planes among which the floor was chosen, as floor.json has them."""
+    """Return the planes among which the floor was chosen, as floor.json has them."""
     return tuple(
         FloorCandidate(
             plane_world=each.plane,

@@ -165,14 +165,14 @@ def _find(
 
 
 def _support(chosen: Segmentation) -> Floor | None:
-    """The plane that the object stands on; None if it hangs, or is held."""
+    """Return the plane that the object stands on; None if it hangs, or is held."""
     return None if chosen.hangs else chosen.floor
 
 
 def _rules(
     found: _Found, camera: Camera, trajectory: Trajectory, segmentation: ObjectCuts, underside: Underside
 ) -> Rules:
-    """The rules by which the voxels of the found object's grid are labelled."""
+    """Return the rules by which the voxels of the found object's grid are labelled."""
     support = _support(found.chosen)
     layers = floor_layers(support, segmentation, found.grid.voxel_size_m)
     ray_width_m = grid_ray_width_m(camera, trajectory, found.grid)
@@ -180,7 +180,7 @@ def _rules(
 
 
 def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidBody:
-    """The solid from the odd or the even frames alone, for comparison."""
+    """Return the solid from the odd or the even frames alone, for comparison."""
     seen, larger = enlarged_observation(half, found.scale), rules.enlarged(found.scale)
     try:
         shape = solidify(seen, found.neighbours, larger, found.beyond_box)

@@ -181,7 +181,7 @@ class _Checker:
         return float(np.median(residuals)) if len(residuals) else np.nan
 
     def _sound(self, wrong: list[int]) -> Int64:
-        """The reference frames that were compared, without the frames `wrong`."""
+        """Return the reference frames that were compared, without the frames `wrong`."""
         return self.compared[np.isin(self.compared, list(self.found)) & ~np.isin(self.compared, wrong)]
 
     def _sides(self, frame: int, sound: Int64) -> list[list[int]]:
@@ -321,7 +321,7 @@ class _TypicalQuality:
 
     @classmethod
     def of(cls, registrations: Iterable[Registration]) -> "_TypicalQuality":
-        """The quality that nine of ten registrations reach, minus a margin."""
+        """Return the quality that nine of ten registrations reach, minus a margin."""
         figures = [(each.inlier_share, each.intensity_correlation) for each in registrations]
         inliers, correlation = np.array(figures or [(0.0, np.nan)]).T
         known = correlation[np.isfinite(correlation)]

@@ -163,7 +163,7 @@ class MapCache:
     _read: dict[int, ReducedFrame] = field(default_factory=dict)
 
     def __getstate__(self) -> dict[str, object]:
-        """The state to pickle, without the maps, which are computed again on demand."""
+        """Return the state to pickle, without the maps, which are computed again on demand."""
         return {**vars(self), "_kept": OrderedDict()}
 
     def copied(self) -> "MapCache":
@@ -262,7 +262,7 @@ def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
 
 
 def _reduction(camera: Camera) -> int:
-    """The reduction factor: the number of pixels, in each direction, that form a working pixel."""
+    """Return the reduction factor: the number of pixels, in each direction, that form a working pixel."""
     return max(1, round(camera.width / WORKING_WIDTH_PX))
 
 
@@ -277,7 +277,7 @@ def _halved_inputs(camera: Camera, depth_m: Float32, intensity: Float32) -> tupl
 
 
 def reduced_camera(camera: Camera, factor: int) -> Camera:
-    """The camera whose pixels are blocks of `factor` x `factor` pixels; a remainder is cut off."""
+    """Return the camera whose pixels are blocks of `factor` x `factor` pixels; a remainder is cut off."""
     shift = (factor - 1) / 2
     return Camera(
         camera.width // factor,

@@ -55,7 +55,7 @@ class ConstraintCorrection:
 
 
 def median(values: Float64) -> float:
-    """The median of the finite values of an array (n,); NaN if there are none."""
+    """Return the median of the finite values of an array (n,); NaN if there are none."""
     of = values[np.isfinite(values)]
     return float(np.median(of)) if len(of) else np.nan
 

@@ -138,7 +138,7 @@ class _Graph:
         return np.asarray(np.einsum("mi,mij,mj->m", errors, self.information, errors))
 
     def cost(self, poses: Float64, kernel: float) -> float:
-        """The sum of the kernel costs of all constraints and priors."""
+        """Return the sum of the kernel costs of all constraints and priors."""
         squares = self.squared(poses)
         total = float((kernel * squares / (kernel + squares)).sum())
         for _, error in self._priors(poses):
@@ -147,7 +147,7 @@ class _Graph:
         return total
 
     def step(self, poses: Float64, kernel: float, damping: float) -> Float64:
-        """The twists (k, 6) of one damped Gauss-Newton step."""
+        """Return the twists (k, 6) of one damped Gauss-Newton step."""
         k = len(poses)
         errors = _errors(poses, self.measured, self.ends)[..., None]
         information = self.weights(poses, kernel)[:, None, None] * self.information

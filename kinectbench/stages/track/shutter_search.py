@@ -76,7 +76,7 @@ def find_shutter(maps: MapCache, odometry: Odometry) -> RollingShutter | None:
 
 
 def motions_of(frames: Sequence[Followed | None], stamps_s: Float64) -> Float64:
-    """The camera's motion at each frame, (n, 12), from the odometry; see `rolling_shutter.motions`."""
+    """Return the camera's motion at each frame, (n, 12), from the odometry; see `rolling_shutter.motions`."""
     T = np.array([np.full((4, 4), np.nan) if each is None else each.T_segment_camera for each in frames])
     segment = np.array([-1 if each is None else each.segment for each in frames], np.int64)
     return motions(T.reshape(-1, 4, 4), segment, stamps_s)

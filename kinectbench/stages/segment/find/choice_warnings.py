@@ -161,7 +161,7 @@ def _gap_within_m(points: Float64, others: Float64, most_m: float) -> float:
 
 
 def _distance_m(points: Float64, point: Float64) -> float:
-    """The smallest distance between points (n, 3) and one (3,); inf if n is 0."""
+    """Return the smallest distance between points (n, 3) and one (3,); inf if n is 0."""
     return float(np.linalg.norm(points - point, axis=1).min(initial=np.inf))
 
 

@@ -248,7 +248,7 @@ def level_floor(
 
 
 def floor_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """The height up to which surface is floor, metres: the setting, reduced for near cameras."""
+    """Return the height up to which surface is floor, metres: the setting, reduced for near cameras."""
     return settings.floor_cut_m * floor.scale
 
 

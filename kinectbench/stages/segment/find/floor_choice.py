@@ -125,7 +125,7 @@ class PlaneChoice:
         return f"; {share} of the surface lies on the likeliest plane, but {REASONS[best.reason]}"
 
     def scaled(self, scale: float) -> "PlaneChoice":
-        """The same planes in a world that is `scale` times as large."""
+        """Return the same planes in a world that is `scale` times as large."""
         larger = np.array([1.0, 1.0, 1.0, scale])
         chosen = None if self.chosen is None else replace(self.chosen, plane=self.chosen.plane * larger)
         return PlaneChoice(
@@ -335,7 +335,7 @@ def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]
 
 
 def _turn_deg(one: PlaneCandidate, other: PlaneCandidate) -> float:
-    """The angle between the normals of two planes, degrees."""
+    """Return the angle between the normals of two planes, degrees."""
     return float(np.degrees(np.arccos(np.clip(one.plane[:3] @ other.plane[:3], -1, 1))))
 
 

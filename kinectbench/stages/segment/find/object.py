@@ -337,7 +337,7 @@ def _find_on_floor(
 
 
 def _object_in_box(scene: Scene, above: Bools, box: OrientedBox) -> ObjectOnFloor:
-    """The object in a given box; `above` (n,) marks the points of the scene above the floor."""
+    """Return the object in a given box; `above` (n,) marks the points of the scene above the floor."""
     points_floor = scene.points_floor[above]
     in_box = box.contains(points_floor)
     if not len(in_box):

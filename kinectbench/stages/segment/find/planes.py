@@ -66,7 +66,7 @@ class SceneSurface:
         return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], SPACING_QUANTILE))
 
     def focus_above_m(self, plane: Float64) -> float:
-        """The height of the focus above a plane (4,)."""
+        """Return the height of the focus above a plane (4,)."""
         return float(self.focus_world @ plane[:3] + plane[3])
 
 
@@ -153,7 +153,7 @@ def _surrounds(patch: Float64, thing: Float64) -> bool:
 
 
 def _nearest_piece(points: Float64, focus: Float64, cell_m: float) -> Float64 | None:
-    """The connected piece (k, 3) of points nearest to the focus; None if none is large enough."""
+    """Return the connected piece (k, 3) of points nearest to the focus; None if none is large enough."""
     if len(points) < SMALL_CELLS:
         return None
     label: Int64 = connected(points, cell_m).astype(np.int64)

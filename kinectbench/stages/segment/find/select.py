@@ -195,6 +195,6 @@ def fit_box(
 
 
 def triple(values: Float64) -> tuple[float, float, float]:
-    """A vector (3,) as a tuple."""
+    """Return a vector (3,) as a tuple."""
     x, y, z = (float(value) for value in values)
     return x, y, z

@@ -192,7 +192,7 @@ def _plate_m(
 
 
 def _moved_up(floor: Floor, by_m: float) -> Floor:
-    """The floor moved up by a height, metres."""
+    """Return the floor moved up by a height, metres."""
     plane_world = floor.plane_world - np.array([0, 0, 0, by_m])
     return replace(floor, plane_world=plane_world, T_floor_world=floor_frame(plane_world))
 
@@ -206,7 +206,7 @@ def _before(depth_m: Float32, watched: Watched) -> Bools:
 
 
 def _largest(points: Float64) -> Float64:
-    """The largest connected part of points (n, 3), without sparse points at edges and occlusions."""
+    """Return the largest connected part of points (n, 3), without sparse points at edges and occlusions."""
     if not len(points):
         return points
     cells = np.floor(points / CELL_M).astype(np.int64)

@@ -136,7 +136,7 @@ def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> tuple[float, 
 
 
 def _of_trajectory(trajectory: Trajectory) -> list[str]:
-    """A warning if the trajectory is graded "not good": the shape cannot be better than the poses."""
+    """Return a warning if the trajectory is graded "not good": the shape cannot be better than the poses."""
     health = trajectory.health
     if health is None or health.grade != "not good":
         return []
@@ -151,7 +151,7 @@ def _of_trajectory(trajectory: Trajectory) -> list[str]:
 
 
 def _of_floor(floor: Floor) -> list[str]:
-    """A warning if the floor is hardly flat: it may be another surface."""
+    """Return a warning if the floor is hardly flat: it may be another surface."""
     if not floor.found or floor.noise_m <= MAX_FLOOR_NOISE_M:
         return []
     if floor.given:

@@ -79,7 +79,7 @@ class IouEstimate:
 
 
 def volume_share_per_mm(mesh: TriangleMesh) -> float:
-    """The share of a closed mesh's volume (metres) that changes if its surface moves by 1 mm."""
+    """Return the share of a closed mesh's volume (metres) that changes if its surface moves by 1 mm."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     area_m2 = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
     return 0.001 * area_m2 / max(mesh.volume_m3, 1e-9)
@@ -157,7 +157,7 @@ def estimate_iou(
 
 
 def _known_surface_share(shape: SolidShape) -> float:
-    """The share of the solid's voxel faces that have known voxels on both sides."""
+    """Return the share of the solid's voxel faces that have known voxels on both sides."""
     solid, known = shape.solid, shape.labels != Label.UNKNOWN
     faces = of_known = 0
     for axis in range(3):
@@ -205,7 +205,7 @@ def _regions_sigma(shape: SolidShape, expected: _Volumes) -> float:
 def _reasons(
     frontiers: tuple[Frontier, ...], per_mm: float, shifted_share: float, checked: bool
 ) -> tuple[str, ...]:
-    """A line for each cause of a wider interval."""
+    """Return a line for each cause of a wider interval."""
     reasons = (
         (
             any(not each.underside for each in frontiers),

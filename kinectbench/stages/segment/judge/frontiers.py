@@ -72,7 +72,7 @@ class Frontier:
     obstructed: bool = False
 
     def restored(self, scale: float) -> "Frontier":
-        """The same frontier in a world that is `scale` times as large."""
+        """Return the same frontier in a world that is `scale` times as large."""
         (a, b), (x, y, z) = self.size_m, self.center_m
         return replace(
             self,

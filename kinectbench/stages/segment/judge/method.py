@@ -25,7 +25,7 @@ from kinectbench.stages.segment.solid.evidence import Rules
 
 
 def _curve(at: NDArray[np.floating], share: NDArray[np.floating]) -> Curve:
-    """An interpolated probability as pairs (x, probability), rounded for quality.json."""
+    """Return an interpolated probability as pairs (x, probability), rounded for quality.json."""
     return tuple((round(float(x), 4), round(float(y), 4)) for x, y in zip(at, share, strict=True))
 
 
@@ -45,7 +45,7 @@ def _air(rules: Rules) -> AirMethod:
 
 
 def method(rules: Rules) -> SolidMethod:
-    """The constants by which a solid is made.
+    """Return the constants by which a solid is made.
 
     Args:
         rules: the object's rules, not enlarged.

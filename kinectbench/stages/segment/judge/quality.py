@@ -134,7 +134,7 @@ def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
 
 
 def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
-    """A frontier as quality.json writes it: rounded, and with advice where to stand.
+    """Return a frontier as quality.json writes it: rounded, and with advice where to stand.
 
     `first_rad` is the direction from the object to the first camera, from x of the floor frame.
     """
@@ -200,7 +200,7 @@ def _warnings(
     advice: tuple[str, ...],
     unknown: float,
 ) -> list[str]:
-    """A line for each fault of a solid.
+    """Return a line for each fault of a solid.
 
     Args:
         unsupported: the warnings of `_unsupported`, which the result includes.

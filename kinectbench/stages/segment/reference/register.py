@@ -112,7 +112,7 @@ class Sampled:
         return np.asarray(scene.compute_distance(near).numpy(), dtype=np.float64)
 
     def few(self, most: int) -> NDArray[np.int64]:
-        """Indices of at most `most` of the samples that may be matched, evenly chosen."""
+        """Return indices of at most `most` of the samples that may be matched, evenly chosen."""
         places = np.flatnonzero(self.counted)
         return places[:: max(1, -(-len(places) // most))]
 
@@ -217,7 +217,7 @@ def best_scale(ours: Sampled, theirs: Sampled, T: Float64, free: Sequence[int]) 
 
 
 def mirror_image(theirs: Sampled) -> Sampled:
-    """The reference's mirror image."""
+    """Return the reference's mirror image."""
     flip = np.array([-1.0, 1.0, 1.0])
     mesh = TriangleMesh(theirs.mesh.vertices * flip, theirs.mesh.faces[:, ::-1].copy())
     return replace(theirs, mesh=mesh, points=theirs.points * flip, normals=theirs.normals * flip)
@@ -307,7 +307,7 @@ def settled(
     chosen, few = ours.few(samples), theirs.few(samples)
 
     def advance(T: Float64) -> tuple[Float64, float]:
-        """The next pose, and how far the step to it moved the samples, metres."""
+        """Return the next pose, and how far the step to it moved the samples, metres."""
         back: Float64 = np.linalg.inv(T).astype(np.float64)
         turned = T[:3, :3] / np.cbrt(np.linalg.det(T[:3, :3]))
         far_there, there = theirs.tree.query(transform_points(back, ours.points[chosen]))

@@ -83,7 +83,7 @@ class Rules:
     stands: bool = True
 
     def enlarged(self, scale: float) -> "Rules":
-        """The same rules in a world that is 1 / scale times as large."""
+        """Return the same rules in a world that is 1 / scale times as large."""
         return replace(self, ray_width_m=self.ray_width_m / scale, limits=self.limits.enlarged(scale))
 
 

@@ -92,12 +92,12 @@ def median_ray_width_m(camera: Camera, trajectory: Trajectory, middle_world: Flo
 
 
 def grid_ray_width_m(camera: Camera, trajectory: Trajectory, grid: Grid) -> float:
-    """`median_ray_width_m` at the middle of a grid."""
+    """Return `median_ray_width_m` at the middle of a grid."""
     return median_ray_width_m(camera, trajectory, transform_points(grid.T_world_grid, grid.size_m / 2))
 
 
 def surround_grid(grid: Grid, floor: Floor) -> Grid:
-    """A coarse grid that holds the cube of any pair in framing `object`, in any orientation.
+    """Return a coarse grid that holds the cube of any pair in framing `object`, in any orientation.
 
     Its cells are as wide as four voxels of `grid`, and wider around very large objects.
     """
@@ -162,7 +162,7 @@ def choose_resolution(
 
 
 def enlarged_observation(seen: Observation, scale: float) -> Observation:
-    """The same observation in a world that is 1 / scale times as large."""
+    """Return the same observation in a world that is 1 / scale times as large."""
     if scale == 1:
         return seen
     grid = seen.grid

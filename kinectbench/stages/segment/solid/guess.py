@@ -38,7 +38,7 @@ SIGNED_INSIDE_SHARE = np.array(
 
 
 def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) -> Float32:
-    """The probability that each unseen voxel is inside; 0 outside `unseen`.
+    """Return the probability that each unseen voxel is inside; 0 outside `unseen`.
 
     Args:
         evidence: the class of each voxel.
@@ -67,7 +67,7 @@ def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) ->
 
 
 def measured_probability(signed_m: NDArray[np.floating], voxel_size_m: float) -> Float32:
-    """The probability that an observed voxel is inside, by its signed distance (metres)."""
+    """Return the probability that an observed voxel is inside, by its signed distance (metres)."""
     voxels = signed_m / np.float32(voxel_size_m)
     # Most observed voxels are far in front of a surface, where the share is its last value.
     near = voxels < SIGNED_VOXELS[-1]

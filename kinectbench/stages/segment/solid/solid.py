@@ -47,7 +47,7 @@ class SolidBody:
     mesh: TriangleMesh
 
     def restored(self, grid: Grid, scale: float) -> Self:
-        """The same solid in a world that is `scale` times as large, on the grid given."""
+        """Return the same solid in a world that is `scale` times as large, on the grid given."""
         if scale == 1:
             return self
         return replace(self, grid=grid, mesh=TriangleMesh(self.mesh.vertices * scale, self.mesh.faces))
