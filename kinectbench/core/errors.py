@@ -141,5 +141,5 @@ def internal_error(error: BaseException) -> str:
 
 
 def pydantic_message(error: Mapping[str, object]) -> str:
-    """The message of a pydantic error, without the prefix "Value error, " of this project's own checks."""
+    """Return a pydantic error's message, without the prefix "Value error, " of this project's own checks."""
     return str(error["msg"]).removeprefix("Value error, ")

@@ -117,7 +117,7 @@ def _placed(gltf: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
 
 
 def _T_parent_node(facts: dict[str, Any]) -> Float64:
-    """A node's transform (4, 4) to its parent: from a matrix by columns, or scale, rotation, translation."""
+    """Return a node's transform (4, 4) to its parent, given by columns or as scale, rotation, translation."""
     if "matrix" in facts:
         return np.array(facts["matrix"], dtype=np.float64).reshape(4, 4).T
     rotation = rotation_from_quaternion_xyzw(np.array(facts.get("rotation", (0, 0, 0, 1)), float).reshape(4))

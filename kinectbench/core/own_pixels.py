@@ -55,7 +55,7 @@ def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
     """
 
     def beside_m(index: int) -> Float32:
-        """Depth of a frame well outside its mask (height, width), metres; 0 elsewhere and without mask."""
+        """Return depth well outside a frame's mask (height, width), metres; 0 elsewhere or without a mask."""
         import cv2
 
         mask = masks(index)
@@ -68,7 +68,7 @@ def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
 
 
 def whole(sequence: Sequence) -> Sequence:
-    """The unmasked recording behind a result of `by_own_pixels`; other recordings are returned unchanged."""
+    """Return the unmasked recording behind a result of `by_own_pixels`, or another recording unchanged."""
     own = sequence.frames
     return replace(sequence, frames=own.frames, beside_m=None) if isinstance(own, OwnPixels) else sequence
 

@@ -168,7 +168,7 @@ def mesh_outlines(mesh: TriangleMesh, viewpoint: Viewpoint, size_px: int) -> lis
 
 
 def voxel_mesh(density: Float32, cell_m: float, level: float = 0.5) -> TriangleMesh:
-    """The closed surface where densities (nx, ny, nz) cross `level`; cells outside the grid count as 0.
+    """Return the closed surface where densities (nx, ny, nz) cross `level`; they are 0 outside the grid.
 
     Vertices are in metres from the grid's corner; a cell's edge is `cell_m`. Faces look inward, which
     makes no difference to pictures.

@@ -33,7 +33,7 @@ class SensorLimits:
         return cls(line_width_m=NEAR_LINE_M) if longest_m < SMALL_M else cls()
 
     def enlarged(self, scale: float) -> "SensorLimits":
-        """The same limits with every length divided by `scale`, for a world in units of `scale` metres."""
+        """Return the limits with every length divided by `scale`, for a world in units of `scale` metres."""
         return SensorLimits(*(length_m / scale for length_m in astuple(self)))
 
 

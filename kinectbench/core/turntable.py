@@ -50,7 +50,7 @@ def turntable(mesh_floor: TriangleMesh, scene_floor: TriangleMesh | None = None)
 
 
 def surface_colors(vertices: Float64, scene: TriangleMesh | None) -> Float64:
-    """Colours (n, 3) of vertices, RGB, 0 to 255: that of the nearest scene vertex, or clay if none is near.
+    """Return vertices' RGB colours (n, 3), 0 to 255: that of the nearest scene vertex, clay if none is near.
 
     Args:
         vertices: (n, 3), metres, in the scene's frame.

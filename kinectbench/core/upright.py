@@ -40,7 +40,7 @@ class UprightFrames:
     color_registered: bool
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
-        """Depth of a frame as if all rows were measured at once: (height, width) uint16, 0 = no depth."""
+        """Return depth as if all rows were measured at once: (height, width) uint16, 0 = no depth."""
         native, shutter = self.frames.depth_native(index), self.shutter
         if not shutter.readout_s:
             return native
@@ -77,7 +77,7 @@ class UprightFrames:
 
 
 def upright(sequence: Sequence, shutter: RollingShutter | None) -> Sequence:
-    """The recording with its rolling shutter undone, masks included; unchanged if `shutter` is None."""
+    """Return the recording with its rolling shutter undone, also in masks; unchanged if `shutter` is None."""
     if shutter is None:
         return sequence
     frames = UprightFrames(

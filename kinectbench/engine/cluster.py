@@ -217,7 +217,7 @@ class Cluster:
             run.close()
 
     def largest_gb(self) -> float:
-        """The largest `memory_gb` resource of any worker in the last minute; 0 if no worker has one."""
+        """Return the largest `memory_gb` resource of any worker in the last minute; 0 if none has one."""
         self._look()
         return self._largest_gb
 

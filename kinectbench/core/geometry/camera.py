@@ -35,7 +35,7 @@ class Camera:
         return np.array([self.fx, self.fy, self.cx, self.cy])
 
     def every(self, step_px: int) -> "Camera":
-        """The camera of an image subsampled to every `step_px`-th row and column, starting with the first."""
+        """Return the camera of an image subsampled to every `step_px`-th row and column from the first on."""
         width, height = -(-self.width // step_px), -(-self.height // step_px)
         return Camera(width, height, *(float(each) for each in self.intrinsics / step_px))
 
@@ -49,7 +49,7 @@ class Camera:
         return np.stack([x, y, np.ones_like(x)], axis=-1)
 
     def backproject(self, depth_m: NDArray[np.floating]) -> Float64:
-        """Depth (height, width) in metres along z to points (height, width, 3) in the camera frame."""
+        """Convert depth (height, width) in metres along z to points (height, width, 3), camera frame."""
         return self.rays() * np.asarray(depth_m, dtype=np.float64)[..., None]
 
     def project(self, points_camera: NDArray[np.floating]) -> Float64:

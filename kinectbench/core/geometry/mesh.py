@@ -222,7 +222,7 @@ def write_ply(mesh: TriangleMesh, path: Path) -> None:
 
 
 def _ply_types(extra_bytes: int) -> tuple[np.dtype[np.void], np.dtype[np.void]]:
-    """The dtypes of a PLY file's vertex, with `extra_bytes` bytes after its position, and of its triangle."""
+    """Return the dtypes of a PLY's vertex, with `extra_bytes` after its position, and of its triangle."""
     vertex = np.dtype([("xyz", "<f4", 3), ("rest", "u1", extra_bytes)])
     return vertex, np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 

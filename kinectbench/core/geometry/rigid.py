@@ -46,7 +46,7 @@ def similarity_scale(T: Float64) -> float:
 
 
 def similarity_problem(T: Float64) -> str | None:
-    """Why a (4, 4) matrix of finite numbers is no similarity, or has an unusual scale or shift; else None.
+    """Return why a finite (4, 4) matrix is no similarity, or has an unusual scale or shift; None if fine.
 
     A similarity is a rotation with determinant +1 times a scale > 0, plus a shift; it maps column vectors.
     """

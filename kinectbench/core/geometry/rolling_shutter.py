@@ -63,7 +63,7 @@ def upright_gray(
     readout_s: float,
     delay_s: float,
 ) -> NDArray[np.uint8]:
-    """A grey or colour image as a global shutter would record it, at the middle of the depth's readout.
+    """Return a grey or colour image as a global shutter would record it, at the middle of depth's readout.
 
     Args:
         gray: (height, width) or (height, width, 3) uint8.

@@ -240,7 +240,7 @@ class _Download:
 
 
 def _mark(answer: http.client.HTTPResponse) -> str:
-    """The HTTP validator, which changes if the content does (RFC 9110, 8.8); "" if the server gives none."""
+    """Return the HTTP validator, which changes if the content does (RFC 9110, 8.8); "" if none is given."""
     tag = str(answer.headers.get("ETag", ""))
     return str(answer.headers.get("Last-Modified", "")) if not tag or tag.startswith("W/") else tag
 

@@ -83,7 +83,7 @@ class Store:
         return not is_web(self.url)
 
     def place(self, name: str = "") -> str:
-        """The URL of a file (without a name, of the store), shortened and without secrets, for messages."""
+        """Return the URL of a file, or of the store if no name is given, short and without secrets."""
         return printable(shown(joined(self.url, name) if name else self.url), 200)
 
     def read(self, name: str, most_bytes: int = TEXT_BYTES) -> bytes:

@@ -90,7 +90,7 @@ def from_above(T_world_camera: Float64) -> Float64:
 
 
 def median_middle_depth_m(sequence: Sequence, frames: Int64) -> float | None:
-    """Median depth in the middle third of up to 40 of the frames (n,), metres; None if there is none."""
+    """Return the median depth in the middle third of up to 40 of the frames (n,), metres; None if none."""
     some = frames[evenly(len(frames), MIDDLE_FRAMES)]
     return middle_depth_m(sequence.depths_m(some, MIDDLE_STEP_PX))
 

@@ -57,7 +57,7 @@ class Task:
         return self.work / self.model.name
 
     def artefact(self) -> Artefact:
-        """The artefact of the model's files; they depend on the settings and on the mesh file or the seed."""
+        """Return the artefact of the model's files. They depend on the settings, and on mesh file or seed."""
         source = sha256_file(Path(self.model.path)) if self.model.path else sha256_text(str(self.model.seed))
         settings = self.settings.stored(without=ELSEWHERE)
         own = {"split": self.split, "category": self.model.category, "model": self.model.name}

@@ -154,7 +154,7 @@ def large_neighbours(selection: Selection) -> Float64:
 
 
 def _gap_within_m(points: Float64, others: Float64, most_m: float) -> float:
-    """The smallest distance between two sets of points (n, k) and (m, k); inf if it exceeds `most_m`."""
+    """Return the smallest distance between points (n, k) and (m, k); inf if it exceeds `most_m`."""
     from scipy.spatial import cKDTree
 
     return nearest_within(cKDTree(points), others, most_m)[0] if len(points) else np.inf

@@ -57,7 +57,7 @@ class Turntable:
     radius_m: float
 
     def mask(self, depth_m: Float32, camera: Camera) -> Bools:
-        """The pixels of the turning object: (height, width) bool, for depth (height, width) in metres."""
+        """Return the turning object's pixels, (height, width) bool, in depth (height, width) in metres."""
         points = camera.backproject(depth_m)
         if self.floor is None:
             return np.asarray((depth_m > 0) & (np.linalg.norm(points - self.center, axis=-1) < self.radius_m))
@@ -67,7 +67,7 @@ class Turntable:
         return np.asarray((depth_m > 0) & (beside_m < self.radius_m) & (local[..., 2] > clear_m))
 
     def lowest_m(self, depth_m: Float32, camera: Camera) -> float:
-        """The lowest visible height of the turning object above the floor, metres; infinite if not seen."""
+        """Return the turning object's lowest visible height above the floor, metres; infinite if not seen."""
         heights_m = self._local(camera.backproject(depth_m))[self.mask(depth_m, camera), 2]
         return float(np.quantile(heights_m, LOWEST_SHARE)) if len(heights_m) else np.inf
 
@@ -219,7 +219,7 @@ def _largest(points: Float64) -> Float64:
 
 
 def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
-    """The plane below the moving points (n, 3); None if there is none, or they do not rise above it."""
+    """Return the plane below the moving points (n, 3); None if none exists, or they do not rise above it."""
     surface = camera.backproject(watched.still_m)
     normals = image_normals(surface, watched.still_m, NORMAL_REACH_PX)
     chosen = np.isfinite(normals).all(axis=-1)

@@ -178,7 +178,7 @@ def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, .
 
 
 def _stands_on_its_rim(shape: SolidShape, rules: Rules) -> tuple[str, ...]:
-    """A warning if `underside: open` has no effect, because the object stands on its rim on the floor."""
+    """Return a warning if `underside: open` has no effect, as the object stands on its rim on the floor."""
     lowest = shape.solid[..., : rules.layers.below + RIM_LAYERS].any(axis=2)
     standing = int(lowest.sum()) / max(1, int(shape.solid.any(axis=2).sum()))
     from_below = int(shape.underside.sum()) / max(1, int(shape.solid.sum()))
