@@ -89,7 +89,7 @@ def depth_in_mm(depth_m: Float32) -> NDArray[np.uint16]:
 
 
 def too_far_for_mm(depth_m: Float32) -> float:
-    """Return the share of measured pixels whose depth (m) exceeds the range of `depth_in_mm`, or 0."""
+    """Return the share of measured pixels with depth, metres, beyond the range of `depth_in_mm`."""
     measured, too_far = (int(np.count_nonzero(of)) for of in (depth_m > 0, np.rint(depth_m * 1000) > MOST_MM))
     return too_far / max(measured, 1)
 

@@ -9,7 +9,7 @@ from kinectbench.core.types import Bools, Float32
 
 
 def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float32:
-    """Return the distance of each voxel to the nearest set one: exact, and infinite beyond a limit.
+    """Return the distance of each voxel to the nearest set voxel: exact, and infinite beyond a limit.
 
     Squared distances are separable: along each axis in turn, each voxel takes the minimum, over its
     neighbours, of their value plus the squared distance to them (Felzenszwalb, Huttenlocher: Distance

@@ -12,7 +12,7 @@ from kinectbench.core.voxels.pair_file import BLOCK, Packed, unpack
 
 
 def blocks_touched(full: Packed) -> Bools:
-    """Return the blocks of 4^3 cells that hold a set cell, or lie next to one (26 neighbours).
+    """Return the blocks of 4^3 cells that hold a set cell, or touch such a block (26 neighbours).
 
     Args:
         full: (n, n, n / 8) uint8, packed.
@@ -156,7 +156,7 @@ def broad(mask: Bools, cells: int) -> Bools:
 
 
 def from_beyond(cells: Bools) -> Bools:
-    """Return the set cells (nx, ny, nz) that are connected (6 neighbours) to one at the grid's border."""
+    """Return the set cells (nx, ny, nz) that are 6-connected to a set cell at the grid's border."""
     from scipy import ndimage
 
     pieces, count = ndimage.label(cells)

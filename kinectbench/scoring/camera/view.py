@@ -244,7 +244,7 @@ def empty_rows(truth: SpaceTruth, asked: Sequence[Asked]) -> tuple[Scored, ...]:
 
 
 def _over(truth: SpaceTruth, found: Sequence[tuple[Scored, ...]], votes: Votes) -> list[Scored]:
-    """Return the rows that combine several predictions of a view: those of the best, and those of the mean.
+    """Return the rows that combine several predictions of a view: the best prediction's, and their mean.
 
     Under each protocol and kind of registration, the best prediction is the one with the smallest Chamfer
     distance (L1) of the whole shape. `found` has the rows of each prediction.

@@ -100,7 +100,7 @@ def integrate(
     diagonal) is hidden: it may be solid or empty. There the frame's weight falls within half a voxel to a
     thousandth, so that frames from other directions decide. The weight falls in the same way in front of the
     surface, up to 2.5 sigma, because cutting noise on one side only would shift the mean. (If `closely` is
-    false for a frame, it falls only behind the surface, beyond 2 sigma.)
+    false for a frame, the weight falls only behind the surface, beyond 2 sigma.)
 
     A pixel with depth beyond `farthest_m` only updates voxels at least 0.25 m in front of it, as free.
 

@@ -241,7 +241,7 @@ class _Checker:
         )
 
     def _across(self, before: int, frame: int, coarsest: int) -> Disagreement | None:
-        """Register a frame to an earlier one, from its given pose; if not accepted, from zero motion."""
+        """Register a frame to an earlier frame, from its given pose or, if that fails, from zero motion."""
         checked = self._check(frame, [before], coarsest)
         if checked is not None and is_accepted(checked.registration):
             return checked

@@ -87,7 +87,7 @@ def halved(depth_m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def smoothed_depth(depth_m, gate):  # type: ignore[no-untyped-def]
-    """Average depth over 5 x 5 pixels, except those that differ by `gate` times depth or more."""
+    """Average depth over 5 x 5 pixels, except pixels that differ by `gate` times depth or more."""
     height, width = depth_m.shape
     out = np.zeros((height, width), np.float32)
     total, count = np.empty(width, np.float32), np.empty(width, np.float32)
@@ -114,7 +114,7 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
     """Return normals (height, width, 3), each from the pixels two to the left, right, above and below.
 
     A normal is 0 if one of these pixels differs from the centre by more than `gate` times the depth, because
-    they do not show one surface; and at the image border.
+    they do not show one surface. It is also 0 at the image border.
     """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics

@@ -197,7 +197,7 @@ def _torn(health: TrajectoryHealth) -> Iterator[LoopClosure]:
 def _degenerate(health: TrajectoryHealth) -> Iterator[tuple[int, str]]:
     """Yield severity (0 to 2) and share, in words, of the frames whose depth has an unobservable direction.
 
-    Nothing if there are none; only frames with a pose count.
+    Nothing is yielded if there are none. Only frames with a pose count.
     """
     without_pose = {*health.lost, *(each.frame for each in health.rejected)}
     if degenerate := len(set(health.degenerate) - without_pose):

@@ -223,7 +223,7 @@ class Segmentation:
         return self.how == "masks" and not self.floor.found
 
     def neighbours(self, grid: Grid) -> Bools:
-        """Return a mask of an upright grid: voxels near other surface, but not near the object's."""
+        """Return a mask of an upright grid: voxels near other surface, but not near the object's surface."""
         ground_floor, heights_m = self._middles_floor(grid)
         cells = np.floor(ground_floor[..., :2] / self.cell_m).astype(np.int64)
         levels = np.floor(heights_m / self.cell_m).astype(np.int64)

@@ -42,7 +42,7 @@ MAX_BEYOND_SHARE = 0.01
 def moving_frames(
     sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor
 ) -> MovingPart:
-    """Find those of at most 40 good frames with motion: over 2 % of the pixels are nearer than the scene.
+    """Find motion in at most 40 good frames: more than 2 % of the pixels are nearer than the scene.
 
     The pixels are sampled in about 160 columns. A pixel counts if it is nearer by more than max(5 sigma, 0.1
     m), lies more than 0.1 m above the floor (which is measured badly at a grazing angle), and is in a patch

@@ -159,7 +159,7 @@ def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
 def solid_box(shape: SolidBody, floor: Floor, yaw_rad: float | None = None) -> OrientedBox:
     """Return the upright box around a solid, floor frame, with 0.5 % of its vertices outside on each side.
 
-    Without a yaw, it is the box of least ground area.
+    Without a yaw, it is the box of smallest ground area.
     """
     points_floor = transform_points(floor.T_floor_world, shape.mesh.vertices)
     return fit_box(points_floor, yaw_rad, BOX_LEFT_OUT)

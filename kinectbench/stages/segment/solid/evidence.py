@@ -213,8 +213,8 @@ def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float
     """Return which of the voxels `behind` a surface are too far behind it to belong to the object.
 
     The limit is `SHELL_M`, or one and a half voxels if that is more. It is applied to the fused distance, and
-    to the distance from the nearest voxel `in_front` of a surface, because far behind a surface the fused one
-    is too short.
+    to the distance from the nearest voxel `in_front` of a surface, because far behind a surface the fused
+    distance is too short.
     """
     shell_m = max(SHELL_M, SHELL_VOXELS * voxel_m)
     # A surface lies half a voxel from the voxels on both of its sides.

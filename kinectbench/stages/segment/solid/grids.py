@@ -1,4 +1,4 @@
-"""The grids of an object: their voxel size, extent and layers, and the labels of the coarse one."""
+"""The grids of an object: their voxel size, extent and layers, and the labels of the coarse grid."""
 
 from dataclasses import dataclass, replace
 
