@@ -98,6 +98,6 @@ class Grid:
         return np.array(self.shape, dtype=np.float64) * self.voxel_size_m
 
     def coarser(self, factor: int) -> "Grid":
-        """Return the grid over the same box, cells `factor` times as large; `factor` must divide the shape."""
+        """Return the grid over the box with cells `factor` times as large; `factor` must divide the shape."""
         nx, ny, nz = (n // factor for n in self.shape)
         return Grid((nx, ny, nz), self.voxel_size_m * factor, self.T_world_grid)
