@@ -318,7 +318,7 @@ class _Builder:
         return b == a + 1 and not self.lost[each.a : each.b].any()
 
     def _agreed(self, constraints: Sequence[Constraint]) -> tuple[int, Constraint] | None:
-        """Return how many constraints agree with one of them at most, and that one; None if too few agree."""
+        """Return (number, constraint): how many agree with the most supported one; None if too few agree."""
         relative = [self._T_group_group(each) for each in constraints]
         best: tuple[int, Constraint] | None = None
         for each, T in zip(constraints, relative, strict=True):
