@@ -24,9 +24,9 @@ class Card:
 
     Attributes:
         row: its row of the triage.
-        tone: the class that colours the decision: "good", "warn" or "bad".
+        tone: the CSS class that colours the decision: "good", "warn" or "bad".
         figures: estimated IoUs and underside in one line.
-        incomplete: its large unseen parts, one line each, unless a reason states them.
+        incomplete: its large unseen parts, one line each, without those that `row.reasons` already states.
         pictures: pictures of views as `data:` URLs.
     """
 

@@ -267,7 +267,10 @@ def _out_of_bounds(table: ScoreTable) -> Iterator[str]:
 
 
 def _in_field(value: object, extra: Mapping[str, object], key: str) -> Iterator[str]:
-    """Yield a sentence for each value out of bounds in a field and its parts; `extra` has its bounds."""
+    """Yield a sentence for each value out of bounds in a field and its parts.
+
+    `extra` has the field's bounds. `key` is the field's name in the sentence, as a path such as `a.b.0`.
+    """
     if extra and value not in (None, "") and (why := _outside(value, extra)):
         yield f"'{key}' is {printable(repr(value), 60)}, but {why}"
     elif isinstance(value, StoredPart) or (is_dataclass(value) and not isinstance(value, type)):

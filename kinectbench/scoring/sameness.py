@@ -26,7 +26,11 @@ class Held(NamedTuple):
 
 
 def content_of(*arrays: NDArray[np.generic]) -> Held:
-    """Return the digest, and the constant value if any, of a prediction's grid or of its shape's arrays."""
+    """Summarise a prediction: a hash of its arrays and, if all cells of its grid are equal, their value.
+
+    Args:
+        arrays: the grid alone, or the points and faces of a predicted surface (then `constant` is None).
+    """
     digest = hashlib.blake2b(digest_size=16)
     for array in arrays:
         digest.update(f"{array.shape} {array.dtype}".encode())

@@ -125,7 +125,10 @@ def _matches(name: str, part: str) -> bool:
 
 
 def _inside(above: Path, part: str) -> Iterator[Path]:
-    """Yield the entries of a folder that match one part of a pattern."""
+    """Yield the entries of a folder that match one part of a pattern.
+
+    A part without wildcards yields one path, which is not checked to exist.
+    """
     if not any(sign in part for sign in SIGNS):
         yield above / part
     elif above.is_dir():

@@ -117,8 +117,8 @@ class BuildRegistration:
 
     Attributes:
         true_frame: (n,) int64, index in the truth of each frame of the build's sequence, -1 for none.
-        shown: (n,) bool, the frame has a true camera pose: it is in the truth, and shows the simulated scene
-            instead of another one.
+        shown: (n,) bool, whether the frame has a true camera pose. False for frames that are not in the
+            truth, and for frames of another scene, which the simulator can insert as a fault.
         T_truth_built: (4, 4), maps the build's world to the truth's world; the identity if not aligned.
         aligned: whether `T_truth_built` was computed from the trajectories.
     """

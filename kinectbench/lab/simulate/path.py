@@ -31,7 +31,7 @@ GOLDEN_SHARE = (np.sqrt(5) - 1) / 2
 
 @dataclass(frozen=True)
 class Waves:
-    """Smooth random functions of time: each is a sum of k sines, with standard deviation 1.
+    """Smooth random curves over time: each is a sum of k sines, with standard deviation 1.
 
     Attributes:
         frequency_hz: (k,) frequencies of the sines, the same for all curves.

@@ -54,14 +54,15 @@ def score_grid_in_space(
     jobs: int,
     progress: Progress,
 ) -> ScoreTable:
-    """Score the test split of a method whose predictions are in the grids of the pairs; return its table.
+    """Score, in space, a method that predicts voxels in each pair's grid, on the test split; return its table.
 
     Args:
         release: the release that was predicted.
-        asked: the method's files, and its thresholds or how to choose them.
+        asked: the method's prediction files, and its thresholds or how to choose them.
         method: the method's name.
         protocols: camera, aligned or both.
-        missing: "error" or "empty"; only stated in the table's settings, as `asked` already follows it.
+        missing: "error" or "empty", how missing predictions were treated when `asked` was made; here it is
+            only noted in the table.
         jobs: number of processes.
         progress: called with (test views done, test views in all).
 

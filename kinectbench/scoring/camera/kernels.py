@@ -29,7 +29,16 @@ def faces_of_cells(packed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _faces(packed, inside, axes, signs):  # type: ignore[no-untyped-def]
-    """Return the number of faces; write as many as fit into the arrays. Eight cells are tested at once."""
+    """Write the faces between occupied and free cells into the arrays; return how many faces there are.
+
+    Faces that do not fit into the arrays are only counted. Eight cells are tested at once.
+
+    Args:
+        packed: as in `faces_of_cells`.
+        inside: output, the first result of `faces_of_cells`; may be empty, to count only, like the other two.
+        axes: output, the second result.
+        signs: output, the third result.
+    """
     count, last = 0, packed.shape[2] - 1
     free = np.empty(6, np.int64)
     for i in range(1, packed.shape[0] - 1):

@@ -147,11 +147,12 @@ def _all_sums(views: Iterable[CalibrationView]) -> list[tuple[Float64, Float64]]
 
 
 def _sums(view: CalibrationView) -> tuple[Float64, Float64] | None:
-    """Return two normal matrices (k + 1, k + 1) of a pair; None if fewer than 10 k points overlap.
+    """Return two normal matrices (k + 1, k + 1) of a pair, where k is the number of correction coefficients.
 
-    Each is the sum of w J J^T over the points, where J is (derivatives of the residual with respect to the k
-    coefficients, residual) and w a weight. In the first matrix, the relative pose of the pair is fixed; in
-    the second, it is eliminated.
+    Each is the sum of w J J^T over the overlapping points, where J is (derivatives of the residual with
+    respect to the coefficients, residual) and w a weight. In the first matrix, the relative pose of the pair
+    is fixed; in the second, it is eliminated. The result is None if the number of overlapping points is below
+    10 * k.
     """
     k = len(TERMS)
     rows, residuals, weights = _linearised(view)

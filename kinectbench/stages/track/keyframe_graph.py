@@ -1,7 +1,4 @@
-"""Connect keyframes by constraints: between covisible keyframes, at loop closures, and between segments.
-
-A new constraint is a registration accepted in both directions. Only a few are tried for each keyframe.
-"""
+"""Connect keyframes by constraints: between covisible keyframes, at loop closures, and between segments."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -23,7 +20,7 @@ from kinectbench.stages.track.tracked import Constraint, ConstraintKind
 
 # Number of rounds. With texture, keyframes are so well constrained that further rounds add little.
 ROUNDS_WITH_COLOR, ROUNDS_WITHOUT = 2, 3
-# Tries per keyframe and round: with similar keyframes, and with keyframes of a predicted shared view.
+# Few tries per keyframe and round: with similar keyframes, and with keyframes of a predicted shared view.
 SIMILAR_PER_KEYFRAME, COVISIBLE_PER_KEYFRAME = 2, 3
 # Pairs below these values mostly fail to register, and cost time.
 MIN_SIMILARITY, MIN_SHARED_VIEW = 0.25, 0.3
@@ -33,8 +30,7 @@ NEAR_IN_ORDER = 3
 DRIFT_SHARE, DRIFT_M, DRIFT_RAD = 0.1, 0.15, 0.35
 # Two registrations between two segments confirm each other within this, and what the angle moves 1 m away.
 AGREE_M, AGREE_RAD = 0.06, 0.06
-# A joining constraint's inlier ratio is at most this much below that of consecutive keyframes: a chair's back
-# resembles its front.
+# Limit on the inlier ratio of joining constraints, below the odometry's: a chair's back resembles its front.
 INLIER_MARGIN = 0.015
 # Number of constraints between two groups for which the neighbouring keyframes are tried, too.
 JOINS_CONFIRMED = 5
@@ -51,7 +47,7 @@ class KeyframeGraph:
     Attributes:
         keyframes: (k,) frame indices of the keyframes.
         T_world: (k, 4, 4), NaN where a keyframe's segment could not be joined.
-        constraints: the accepted constraints, with their weights.
+        constraints: the accepted ones, with weights. All but odometry's were accepted in both directions.
         refused: constraints rejected, switched off by the optimisation, or outside the world.
         joined: indices of the segments that were joined into the world.
         thumbnails: (k,) thumbnails of the keyframes.
@@ -70,10 +66,12 @@ class KeyframeGraph:
 def build_graph(
     maps: MapCache, features: FeatureCache, odometry: Odometry, T_given: Float64 | None = None
 ) -> KeyframeGraph:
-    """Find constraints between keyframes, join segments, and optimise the poses, in several rounds.
+    """Find constraints between keyframes, join trajectory segments, and optimise the poses, in rounds.
+
+    A segment is a stretch of frames tracked in a world of its own.
 
     Args:
-        maps: maps of the frames; their depth is calibrated here.
+        maps: maps of the frames. This function estimates a depth calibration and sets it in `maps`.
         features: features of the frames.
         odometry: keyframes, and constraints between consecutive keyframes.
         T_given: (n, 4, 4) given poses of all frames, used as a weak prior; or None.
@@ -258,7 +256,10 @@ class _Builder:
         return np.asarray(invert_rigid(self.T_world[a]) @ self.T_world[b])
 
     def _joining_constraints(self) -> dict[tuple[int, int], list[Constraint]]:
-        """Return {(lower, higher group): constraints between them of nearly the odometry's inlier ratio}."""
+        """Return the constraints that are good enough to join groups: {(lower, higher group): list}.
+
+        Their inlier ratio is at most `INLIER_MARGIN` below the median of the odometry constraints.
+        """
         along = [each.registration for each in self.constraints if each.kind == "odometry"]
         typical_share = np.median([each.inlier_share for each in along] or [0.0])
         between: dict[tuple[int, int], list[Constraint]] = defaultdict(list)

@@ -193,7 +193,7 @@ def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
 
 
 def _face_colors(mesh: "trimesh.Trimesh") -> NDArray[np.uint8]:
-    """Return RGB colours (m, 3) of a mesh's faces; more than 64 colours are reduced to 64."""
+    """Return RGB colours (m, 3) of a mesh's faces; more than 64 colours are reduced to at most 64."""
     visual = mesh.visual
     default = np.round(np.array(DEFAULT_RGB) * 255).astype(np.uint8)
     faces = len(mesh.faces)

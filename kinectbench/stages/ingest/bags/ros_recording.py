@@ -255,7 +255,11 @@ def _pair(
 def _is_registered(
     bag: RosBag, depth: ImageTopic, color: ImageTopic | None, size_px: tuple[int, int]
 ) -> tuple[bool, list[str]]:
-    """Return (whether colour is registered by name or frame_id and has depth's `size_px`, warnings)."""
+    """Return (whether depth and colour are registered to each other, warnings).
+
+    They are if the depth topic's name says so or both topics have the same frame_id, and the colour images
+    have the size `size_px` of the depth images. There is a warning if only the size differs.
+    """
     if color is None:
         return False, []
     if not (_same_frame(depth, color) or is_named_registered(depth)):

@@ -66,7 +66,9 @@ KINDS = (
 
 
 def foreign_file(path: Path) -> str | None:
-    """What a file is that no reader recognises, and what to do, as an error message; None for unknown kinds.
+    """Return an error message for a file that no reader recognises: what kind of file it is, and what to do.
+
+    The result is None if the kind is unknown. An empty file is reported as empty.
 
     Raises:
         OSError: the file cannot be read.

@@ -37,7 +37,7 @@ def cell_scale(scale: float, spacing_m: float, cell_m: float) -> float:
 
 
 def enlarged_box(box: OrientedBox, factor: float) -> OrientedBox:
-    """Return the box with its centre and its size multiplied by a factor, without its anchor."""
+    """Scale a box about the origin: multiply its centre and its size by `factor`, and drop its anchor."""
     x, y, z = (factor * value for value in box.center_m)
     a, b, c = (factor * value for value in box.size_m)
     return OrientedBox((x, y, z), (a, b, c), box.yaw_rad)
