@@ -11,7 +11,7 @@ from kinectbench.cli.common import SOME_FAILED, Common, Predictions, takes
 
 
 def _known_baselines(incomplete: str) -> list[str]:
-    """Return the names of baselines that begin with `incomplete`, for completion in the shell."""
+    """Return the baselines whose names begin with `incomplete`, for completion in the shell."""
     from kinectbench.scoring.baselines.registry import BASELINES
 
     return [name for name in BASELINES if name.startswith(incomplete)]

@@ -311,7 +311,7 @@ def _row(data: NDArray[np.generic], position: int, element: _Element) -> tuple[i
 
 
 def _count(data: NDArray[np.generic], position: int, one: _Property) -> int:
-    """Return the length of the list of the property `one` that begins at index `position` of the data."""
+    """Return the length of a list of the property `one`; the list begins at index `position` of `data`."""
     if position + one.count_width > len(data):
         raise ValueError("cut short in its faces; write it again")
     assert one.count is not None, "a list"

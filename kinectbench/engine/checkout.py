@@ -166,7 +166,7 @@ def fetch_named(store: Store, job: Job) -> None:
 
 
 def name_there(store: Store, job: Job, key: str) -> str | None:
-    """Return the name in the store of the file or folder to which a key of the recording refers.
+    """Return the store's name for the file or folder to which a key of the recording refers.
 
     The key is "path", "masks" or "reference". The result is None if the key is not set, or if it is an
     absolute path: such a path is on a disk that all machines share, not in the store.
@@ -256,7 +256,7 @@ def files_of_recording(store: Store, job: Job) -> list[StoredObject]:
 
 
 def sources_name(job: Job, listed: Sequence[StoredObject]) -> str:
-    """Return the name of the file in the store with the hashes of a recording's files.
+    """Return the name under which the store has the hashes of a recording's files.
 
     The name changes with the names, sizes and ETags of the listed files (without ETags, with their times);
     for an absolute path, with the names, sizes and times of the files there. It also changes with the version

@@ -139,7 +139,7 @@ class Run(Generic[Task, Result]):
         yield self.tasks[number], outcome
 
     def _note_orphaned(self, event: dict[str, Any]) -> None:
-        """Record the tasks of a worker that the scheduler reports as removed."""
+        """If the scheduler reports that a worker was removed, record the tasks that the worker had."""
         if event.get("action") != "remove-worker":
             return
         gone = {*event.get("processing-tasks", ()), *event.get("lost-computed-tasks", ())}

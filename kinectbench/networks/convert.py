@@ -173,7 +173,7 @@ def _find_index(model: Path) -> Path:
 
 
 def fitting_config(tensors: Mapping[str, StoredTensor], index: Path) -> MethodSettings:
-    """Return the configuration of a network whose first layer is as wide as that of the checkpoint.
+    """Return the network configuration whose first layer has the width of the checkpoint's.
 
     Raises:
         StorageError: the checkpoint is not of 3D-RecGAN++.

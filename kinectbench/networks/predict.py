@@ -138,10 +138,11 @@ def run_of(
 
 
 def _code_sha256(trained: Trained) -> str:
-    """Return one hash of the file with the network's class and of the files that it imports from its folder.
+    """Return one hash of the network's code: the file that defines its class, and files imported there.
 
-    The folder is that of the outermost package with the class or, without a package, that of its module.
-    Subfolders, and imports of imports, are included; installed packages are not.
+    Imported files count if they are in the folder of the outermost package with the class or, without a
+    package, in the folder of the class's module. Subfolders, and imports of imports, are included; installed
+    packages are not.
     """
     module = sys.modules[type(trained.network).__module__]
     root, packages = Path(inspect.getfile(module)).resolve().parent, module.__name__.count(".")

@@ -118,10 +118,11 @@ class RecAE(Network):
 
 
 def _tile_of(layers: Sequence[nn.Module], base: Tensor, place: tuple[int, ...], cells: int) -> Tensor:
-    """Return one tile of the output of doubling layers with ReLU between them, without computing the rest.
+    """Compute one tile of the output of doubling layers, but not the rest of the output.
 
-    An output cell of a layer depends on the input cell that contains it, and on the neighbours of this input
-    cell. So at every layer, a margin of one cell around the tile is enough.
+    There is a ReLU between two layers. An output cell of a layer depends on the input cell that contains it,
+    and on the neighbours of this input cell. So at every layer, a margin of one cell around the tile is
+    enough.
 
     `layers` are transposed convolutions 4^3 of stride 2; `base` (1, c, n, n, n) is the input of the first.
     The tile (1, 1, cells, cells, cells) has the indices `place` (3,) along the axes.

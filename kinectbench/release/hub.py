@@ -99,7 +99,7 @@ def _refuse_other(name: str, others: Set[str]) -> None:
 
 
 def _refusal(name: str, error: Exception) -> StorageError:
-    """Return an error of the hub as a StorageError with a message of one line, with advice."""
+    """Convert an error of the hub to a StorageError, whose message is one line and gives advice."""
     status = getattr(getattr(error, "response", None), "status_code", None)
     said = printable((str(error).strip().splitlines() or [type(error).__name__])[0], 200)
     if status in (401, 403) or type(error).__name__ == "LocalTokenNotFoundError":

@@ -155,7 +155,7 @@ def collect(job: Job, folder: Path) -> RecordingPart:
 
 
 def _turntable(mesh_floor: TriangleMesh, T_floor_world: Float64, reconstruction: Path | None) -> str:
-    """Return a strip of pictures of the object from all around as a `data:` URL.
+    """Return pictures of the object from all sides, in one strip: a `data:` URL.
 
     The object is coloured if the scene's mesh is. `reconstruction` is the folder with that mesh, or None.
     """

@@ -79,7 +79,7 @@ def _unchecked(table: ScoreTable) -> str:
 
 
 def _closed(table: ScoreTable) -> str:
-    """Return a mark with the number of open meshes and point clouds that `--close` made solid."""
+    """Return a mark that counts the open meshes and point clouds made solid by `--close`; "" if none."""
     closed = {row.pair for row in table.rows if row.closed is not None}
     views = len({row.pair for row in table.rows})
     return f"{len(closed)} of {views} open, closed by {table.settings.close}" if closed else ""

@@ -175,7 +175,7 @@ def _read(archive: zipfile.ZipFile, name: str, check: Callable[[NpyHeader], None
 
 
 def _check_levels(header: NpyHeader) -> None:
-    """Refuse `levels` of a packed prediction that are no list of 1 to 256 floats; only the header is read."""
+    """Refuse a packed prediction unless `levels` is a list of 1 to 256 floats; only the header is read."""
     types = (np.float16, np.float32)
     is_list = len(header.shape) == 1 and 1 <= header.shape[0] <= MOST_LEVELS
     if not is_list or header.dtype.newbyteorder("=") not in types:
@@ -183,7 +183,7 @@ def _check_levels(header: NpyHeader) -> None:
 
 
 def _check_codes(header: NpyHeader) -> None:
-    """Refuse `codes` of a packed prediction that are no cube of bytes; only the header is read."""
+    """Refuse a packed prediction unless `codes` is a cube of bytes; only the header is read."""
     shape = header.shape
     if header.dtype != np.uint8 or len(shape) != 3 or len(set(shape)) != 1 or not 1 <= shape[0] <= MAX_CELLS:
         raise PredictionError(f"{CODES} must be (n, n, n) uint8 with n from 1 to {MAX_CELLS}")

@@ -227,7 +227,10 @@ def _sorted_cells(packed):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _nearest(query, query_start, query_box, target, target_start, target_box):  # type: ignore[no-untyped-def]
-    """Return the squared distance and the index of each query's nearest target: (2, n) int32."""
+    """Return the squared distance and the index of each query's nearest target: (2, n) int32.
+
+    The arguments are the fields `index`, `start` and `box` of the `Cells` of queries, then of targets.
+    """
     nearest = np.empty((2, len(query)), np.int32)
     least, most = np.empty(target_box.shape[1], np.int32), np.empty(target_box.shape[1], np.int32)
     box_rows, last = target_box.T.copy(), np.int64(0)
@@ -339,7 +342,10 @@ def normal_agreement(first, second, rows):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _moments(solid, cells):  # type: ignore[no-untyped-def]
-    """Return the sum of the offsets of the occupied cells around each cell: (n, 3) int16, at most 49 * 6."""
+    """Return the sum of the offsets of the occupied cells around each cell: (n, 3) int16, at most 49 * 6.
+
+    `solid` is the packed grid of occupied cells; `cells` (n,) are as `Cells.index`.
+    """
     moments = np.zeros((len(cells), 3), np.int16)
     side, last = solid.shape[0], solid.shape[2] - 1
     for n in range(len(cells)):

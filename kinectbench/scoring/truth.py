@@ -69,7 +69,7 @@ def read_packed_truth(path: Path, sha256: str, others: Sequence[str] = ()) -> Pa
 
 
 def read_voxel_size(path: Path, sha256: str) -> float:
-    """Read the edge of a cell of the 256-grid of a published pair, metres.
+    """Read the voxel size of a published pair: the edge of a cell of its 256-grid, metres.
 
     Raises:
         ReleaseError: the file is missing, or differs from the published one.

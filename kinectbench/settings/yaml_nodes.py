@@ -328,7 +328,7 @@ def find(
 
 
 def replaced(node: yaml.Node | None, path: tuple[str | int, ...], value: yaml.Node) -> yaml.Node:
-    """Return a copy of a node with `value` at the end of a path; aliases of the old nodes stay unchanged."""
+    """Return a copy of a node in which `path` leads to `value`; old nodes, and so aliases, are unchanged."""
     if not path:
         return value
     head, tail = path[0], path[1:]

@@ -36,7 +36,7 @@ class Label(IntEnum):
 
 @dataclass(frozen=True)
 class OnGrid:
-    """Base of an npz file with a voxel grid and arrays of its shape, each under the name of its field.
+    """Base of npz files with a voxel grid and arrays of the grid's shape, each stored under its field's name.
 
     Attributes:
         FILE: name of the file.

@@ -89,7 +89,7 @@ def any_in_space(protocols: Iterable[str]) -> bool:
 
 
 def fields_of(kind: type) -> dict[str, FieldInfo]:
-    """Return the pydantic fields of a class of such values by name, in the order of the file."""
+    """Return {name: pydantic field} of a pydantic dataclass, in the order of its file."""
     fields: dict[str, FieldInfo] = vars(kind)["__pydantic_fields__"]
     return fields
 

@@ -277,7 +277,7 @@ class ScaledPart(StoredPart):
 
 
 def array_in_file(shape: tuple[int, ...], dtype: type = np.float64) -> tuple[object, ...]:
-    """Annotations of a field with a finite array of this shape and type; the file has nested lists.
+    """Return annotations for a field with an array of this shape and type; in the file, it is nested lists.
 
     Texts, booleans, NaN and infinity are refused, and for an integer `dtype` also floats.
     """

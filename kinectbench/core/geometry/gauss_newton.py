@@ -126,7 +126,7 @@ def add_products(sums, rows, weights, m):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def symmetric_matrix(lower):  # type: ignore[no-untyped-def]
-    """The full symmetric matrix from its lower triangle."""
+    """Return the full symmetric matrix, given its lower triangle."""
     return lower + np.tril(lower, -1).T
 
 

@@ -22,7 +22,7 @@ def sorted_edges(faces):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _counted(numbers, shift, digits):  # type: ignore[no-untyped-def]
-    """One pass of a radix sort, which is stable.
+    """Return `numbers` (n,) int64 after one pass of a radix sort, which is stable.
 
     The sort key is the 32 bits of each number from bit `shift` on. Every key must be less than `digits`.
     """
@@ -61,7 +61,7 @@ def pieces_of(faces, vertices: int):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, inline="always")
 def _top(above, vertex):  # type: ignore[no-untyped-def]
-    """Return the root of a vertex in a union-find forest, and halve the path to it."""
+    """Return a vertex's root in a union-find forest, and halve the path; `above` (n,) has the parents."""
     while above[vertex] != vertex:
         above[vertex] = above[above[vertex]]
         vertex = above[vertex]

@@ -141,7 +141,8 @@ def _ascending(stamps_s: Float64) -> Float64:
 def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
     """Transform a point from the camera's axes at mid-readout to those `since_s` later.
 
-    The point is (x, y, 1) / over_z. The result is the transformed point times over_z.
+    The point is (x, y, 1) / over_z, metres. The result is the transformed point times over_z. `motion` (12,)
+    is as in `RollingShutter.motion`.
     """
     half_s = 0.5 * since_s
     ax = since_s * (motion[0] + half_s * motion[6])
@@ -161,7 +162,10 @@ def _seen_from(x, y, over_z, motion, since_s):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[no-untyped-def]
-    """Return u and v, (height, width) each, of the recorded pixel for each pixel of the corrected image."""
+    """Return u and v, (height, width) each, of the recorded pixel for each pixel of the corrected image.
+
+    Arguments as in `upright_gray`, but `intrinsics` is (fx, fy, cx, cy).
+    """
     height, width = depth_m.shape
     fx, fy, cx, cy = intrinsics
     at_u, at_v = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
@@ -180,7 +184,7 @@ def _taken_at(depth_m, intrinsics, motion, readout_s, delay_s):  # type: ignore[
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _depth_at_once(depth, units_per_m, intrinsics, motion, readout_s):  # type: ignore[no-untyped-def]
-    """Return the depth at mid-readout; see `upright_depth`.
+    """Return the depth at mid-readout; see `upright_depth`. `intrinsics` is (fx, fy, cx, cy).
 
     It is interpolated between four recorded pixels, or taken from the nearest one at depth edges.
     """

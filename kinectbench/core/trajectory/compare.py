@@ -191,7 +191,7 @@ def _relative_errors(
 
 
 def _pieces(positions: Float64) -> tuple[Int64, Int64]:
-    """Return the first and the last pose of pieces of the path that are about 1 m long: index arrays.
+    """Find pieces of the path, each about 1 m long; return the indices of their first and last poses.
 
     Each pose is paired with the later pose closest to 1 m along the path, if that is 0.9 to 1.1 m away.
     """

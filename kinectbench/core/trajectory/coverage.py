@@ -179,9 +179,10 @@ def _arc_rad(directions_world: Float64, T_world_camera: Float64) -> float:
 
 
 def covisibility(sequence: Sequence, T_world_camera: Float64, frames: Int64) -> Float64:
-    """Return the ratio of the points of each frame that each other frame sees, from their depth and poses.
+    """Compute, for each pair of frames, the ratio of the points of one frame that the other frame sees.
 
-    A frame sees a point if the depth at the point's pixel agrees with the point within 5 %.
+    The points are computed from depth and poses. A frame sees a point if the depth at the point's pixel
+    agrees with the point within 5 %.
 
     Args:
         sequence: the recording.

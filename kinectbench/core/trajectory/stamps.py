@@ -182,5 +182,5 @@ def find_stamp_faults(stamps_ns: ArrayLike) -> StampFaults:
 
 
 def find_doubled(digests: Sequence[bytes]) -> tuple[int, ...]:
-    """Return indices of frames with the digest of the frame before: the driver delivered an image twice."""
+    """Find frames whose digest equals the previous frame's: the driver delivered an image twice."""
     return tuple(i for i in range(1, len(digests)) if digests[i] == digests[i - 1])

@@ -40,7 +40,7 @@ def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float3
 def _along_last(cells, reach, squared):  # type: ignore[no-untyped-def]
     """Write each cell's squared distance, voxels, to the nearest set cell along the last axis into `squared`.
 
-    A distance larger than `reach` is written as reach^2 + 1.
+    `cells` and `squared` are (nx, ny, nz). A distance larger than `reach` is written as reach^2 + 1.
     """
     nx, ny, nz = cells.shape
     beyond = reach * reach + 1

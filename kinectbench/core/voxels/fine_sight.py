@@ -68,7 +68,11 @@ def seen_closely(
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _rarely_seen_beside_unseen(marks, seen, state):  # type: ignore[no-untyped-def]
-    """Return the flat indices of voxels seen along one or two directions that touch (26) an unseen voxel."""
+    """Return flat indices of voxels seen along one or two directions that have an unseen neighbour (of 26).
+
+    `marks` is the result of `ways_along`. `seen` is 0 at unseen voxels; BLOCKED voxels of `state` do not
+    count.
+    """
     nx, ny, nz = marks.shape
     found = []
     for i in range(nx):
@@ -88,7 +92,10 @@ def _rarely_seen_beside_unseen(marks, seen, state):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _some_see(state, cells, ways, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Return for each direction in `ways` (n, 3) whether a camera sees one of the cells (flat indices)."""
+    """Return for each direction in `ways` (n, 3) whether a camera sees one of the cells (flat indices).
+
+    The other arguments are those of `_sees`.
+    """
     _, ny, nz = state.shape
     seeing = np.zeros(len(ways), np.bool_)
     for n in range(len(ways)):
@@ -159,7 +166,7 @@ def _grow(seen, state, bits, ways, stack, heights_m, voxel_m, near_m, least_m): 
 def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ignore[no-untyped-def]
     """Push the 6 neighbours of (i, j, k) that must be tested onto the stack; return its new length.
 
-    These are not blocked, have none of the bits `enough` in `seen`, and are not yet marked in `asked`.
+    These are not BLOCKED (`state`), have none of the bits `enough` in `seen`, and are not marked in `asked`.
     `count` is the stack's length before.
     """
     nx, ny, nz = state.shape
@@ -181,7 +188,8 @@ def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ig
 def _sees(state, i, j, k, way, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
     """Return whether some camera sees the voxel (i, j, k); `way` (3,) is the direction from it to the camera.
 
-    The camera is in a PLACE at least `near_m` away, or outside the grid and at least `least_m` high.
+    The camera is in a PLACE at least `near_m` away, or outside the grid and at least `least_m` high. `state`,
+    `heights_m` and the lengths are as in `Space`.
     """
     nx, ny, nz = state.shape
     along = max(abs(way[0]), abs(way[1]), abs(way[2]))

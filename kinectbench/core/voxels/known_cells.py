@@ -172,7 +172,10 @@ def _set_within(block, level, i, j, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _set_across(block, fine, coarse, i, j, k):  # type: ignore[no-untyped-def]
-    """Set the bytes (8, 8), each 8 cells along z, of a block that crosses a grid's border."""
+    """Set the bytes (8, 8), each 8 cells along z, of a block that crosses a grid's border.
+
+    `fine` and `coarse` are levels, and (i, j, k) is the block's first cell, as in `_set_within`.
+    """
     for a in range(BLOCK):
         for b in range(BLOCK):
             at_fine, at_coarse = _centre(fine[2], i + a, j + b, k), _centre(coarse[2], i + a, j + b, k)

@@ -110,7 +110,7 @@ def ways_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _joined(ours, theirs):  # type: ignore[no-untyped-def]
-    """Join the marks of two sets of directions: all bits, and the sum of both numbers."""
+    """Join two results of `ways_along` for different directions: all bits, and the sum of both numbers."""
     joined, a, b = np.empty_like(ours), ours.reshape(-1), theirs.reshape(-1)
     flat = joined.reshape(-1)
     for n in range(len(flat)):
@@ -253,8 +253,8 @@ def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # 
     """Set in `entering` the counter of a line one step before it enters the grid, for each layer.
 
     Return the counter at which a camera is `near_m` away. `up` is the vertical component of the direction,
-    `step_m` the length of a step, and `slices` the largest number of steps. Cameras are at least `least_m`
-    high.
+    `step_m` the length of a step, and `slices` the largest number of steps. `heights_m` are the layers'
+    heights. Cameras are at least `least_m` high.
     """
     enough = 2 + _steps(np.float32(0), step_m, near_m, slices)
     for layer in range(len(heights_m)):

@@ -69,7 +69,7 @@ def _mark_edges(fixed, faces, axes, shape, packed):  # type: ignore[no-untyped-d
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
-    """Find in each row of cells along w the cells with their centre between two crossings of the mesh.
+    """In each row of cells along w, find the cells whose centre lies between two crossings of the mesh.
 
     Arguments as in `crossings`.
 
@@ -90,7 +90,11 @@ def _between(fixed, faces, axes, shape):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _mark_enclosed(x_first, x_last, y_first, y_last, z_first, z_last, packed):  # type: ignore[no-untyped-def]
-    """Set the cells that lie between `first` and `last`, as `_between` returns them, along all three axes."""
+    """Set in `packed` the cells that are enclosed along all three axes.
+
+    `x_first` and `x_last` are the result of `_between` for w = x: a cell is enclosed along x from the first
+    to the last of them. The others are the same for y and z.
+    """
     nx, ny = z_first.shape
     for i in range(nx):
         for j in range(ny):

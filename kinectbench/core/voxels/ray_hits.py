@@ -96,7 +96,7 @@ def _count_hits(own, hits, code, count):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _walk_column(own, hits, dz):  # type: ignore[no-untyped-def]
-    """Write into `hits` the first hit of each voxel of a column upwards (dz = 1) or downwards (dz = -1)."""
+    """Write to `hits` each voxel's first hit upwards (dz = 1) or downwards (-1); `own`: a column's states."""
     n = len(own)
     for c in range(1, n - 1):
         k = n - 1 - c if dz > 0 else c

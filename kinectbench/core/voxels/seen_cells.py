@@ -56,10 +56,11 @@ def _pixels(exact: Float64, count: int) -> NDArray[np.uint32]:
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def _reach(depth, sigma, voxel, z):  # type: ignore[no-untyped-def]
-    """Return for each pixel the number of layers of cells along z that it sees, from the first layer on.
+    """For each pixel, count the layers of cells along z that it sees, from the first layer on.
 
-    `z` has the layers' middles; `depth`, `sigma`, `voxel` and `z` are in metres. An extra row and column of 0
-    stand for pixels outside the image.
+    `depth` and `sigma`, its standard deviation, are (height, width); `voxel` is a cell's edge, and `z` (nz,)
+    has the layers' middles. All are in metres. The result is (height + 1, width + 1) uint16: the extra row
+    and column of 0 stand for pixels outside the image.
     """
     reach = np.zeros((depth.shape[0] + 1, depth.shape[1] + 1), np.uint16)
     for v in range(depth.shape[0]):
@@ -124,7 +125,7 @@ def _seen(reach, tiles, columns, rows, nz):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True)
 def _ranges(pixels):  # type: ignore[no-untyped-def]
-    """Return the smallest and the largest pixel coordinate of each block of 8 x 8 cells."""
+    """Return the smallest and the largest of the coordinates `pixels` in each block of 8 x 8 cells."""
     first = np.empty((pixels.shape[0] // BLOCK, pixels.shape[1] // BLOCK), np.int64)
     last = np.empty_like(first)
     for i in range(first.shape[0]):
@@ -138,8 +139,9 @@ def _ranges(pixels):  # type: ignore[no-untyped-def]
 def _state(tiles, span, shape, first):  # type: ignore[no-untyped-def]
     """Return ALL or NONE if all or none of a block's cells are seen, SOME if each cell must be tested.
 
-    `span` has the block's first and last pixel column and its first and last row. `shape` is the shape of the
-    array of pixels, with its extra row and column. `first` is the first of the block's eight layers.
+    `tiles` is the result of `_tiles`. `span` has the block's first and last pixel column and its first and
+    last row. `shape` is the shape of the array of pixels, with its extra row and column. `first` is the first
+    of the block's eight layers.
     """
     left, right, top, bottom = span
     if left == shape[1] - 1 or top == shape[0] - 1:

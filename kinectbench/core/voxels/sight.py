@@ -151,9 +151,9 @@ def without_rising(space: Space, empty: Bools) -> Space:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
-    """Return which camera positions `place` a camera reaches from outside the grid, voxel by voxel.
+    """Return which of the camera positions `place` can be reached from outside the grid, voxel by voxel.
 
-    It moves to any of 6 neighbours, but upwards only into voxels where `may_enter` is set. It enters
+    A camera moves to any of 6 neighbours, but upwards only into voxels where `may_enter` is set. It enters
     the grid through the lowest layer only at such voxels, and through the other sides anywhere.
     """
     nx, ny, nz = place.shape
@@ -186,7 +186,10 @@ def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
-    """For each `asked` voxel, count the rays (of 8 level rays) that reach the grid's border."""
+    """For each `asked` voxel, count the rays (of 8 level rays) that reach the grid's border.
+
+    `state` is as in `Space`: BLOCKED voxels stop a ray. The result is (nx, ny, nz), 0 where not `asked`.
+    """
     nx, ny, nz = state.shape
     ways = np.zeros(state.shape, np.uint8)
     for i in range(nx):

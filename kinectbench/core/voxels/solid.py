@@ -80,9 +80,10 @@ def crossings(fixed, faces, axes, start, shape, touching):  # type: ignore[no-un
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _span(fixed, a, b, c, u, start, count):  # type: ignore[no-untyped-def]
-    """Return the indices of the first and the last of `count` lines along u that may cross a triangle.
+    """Return the indices of the first and the last line that may cross a triangle.
 
-    `a`, `b`, `c` are its vertices' indices in `fixed`; line 0 passes at `start`.
+    The `count` lines are numbered in direction u; line 0 passes at `start`. `a`, `b`, `c` are indices of the
+    triangle's vertices in `fixed`.
     """
     low = min(fixed[a, u], fixed[b, u], fixed[c, u]) - start
     high = max(fixed[a, u], fixed[b, u], fixed[c, u]) - start
@@ -176,7 +177,10 @@ def costs_too_much(vertices_cells: Float64, faces: Int32, shape: tuple[int, int]
 
 @numba.njit(cache=True, nogil=True)
 def _crossable(vertices, faces, shape):  # type: ignore[no-untyped-def]
-    """Return upper bounds: how often faces cross lines in all, and how many faces cross one line."""
+    """Return upper bounds: how often faces cross lines in all, and how many faces cross one line.
+
+    Arguments as in `costs_too_much`.
+    """
     nu, nv = shape
     # How many more rectangles cover a column than the one before, along both sides.
     steps = np.zeros((nu + 3, nv + 3), np.int64)

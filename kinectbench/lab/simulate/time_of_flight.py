@@ -289,7 +289,8 @@ def _patches(depth_m: Float32, albedo: Float32, camera: Camera, step: int) -> tu
 def _patch_rows(depth_m, albedo, lens, step, size):  # type: ignore[no-untyped-def]
     """Compute the patches (n, 9) of `_patches`; normals are from each pixel's neighbours at similar depth.
 
-    `lens` is (fx, fy, cx, cy), `step` the distance of patches in pixels, `size` their (rows, columns).
+    `depth_m` and `albedo` are as in `_patches`. `lens` is (fx, fy, cx, cy), `step` the distance of patches in
+    pixels, `size` their (rows, columns).
     """
     fx, fy, cx, cy = lens
     height, width = depth_m.shape

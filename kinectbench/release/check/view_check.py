@@ -148,8 +148,9 @@ def _reach(depth, mask, K, corner, voxel, partial, reached):  # type: ignore[no-
     """Set in `reached` all cells in which points of masked pixels may lie, given the rounding of depth.
 
     Return the number of pixels whose points lie inside the cube but in no cell of `partial`; -1 if the pixels
-    reach more than `MOST_REACHED` cells. `corner` is the grid's corner in the camera frame and `voxel` the
-    edge of a cell, both in metres; `partial` and `reached` are packed.
+    reach more than `MOST_REACHED` cells. `depth` is in millimetres, and `K` (3, 3) is the camera matrix.
+    `corner` is the grid's corner in the camera frame and `voxel` the edge of a cell, both in metres;
+    `partial` and `reached` are packed.
     """
     lost, visited = 0, 0
     for v in range(depth.shape[0]):

@@ -55,7 +55,7 @@ class ExportFile(Stored):
 
 
 def names_sha256(folder: Path, but: str = EXPORT_JSON) -> str:
-    """Return the SHA-256 of a list of the names of all files in a folder, sorted, one name per line.
+    """Return the SHA-256 of the sorted names of all files in a folder, one name per line.
 
     The file `but`, locks, unfinished downloads and the files of file managers are left out.
     """

@@ -85,7 +85,7 @@ def _file_objects(folder: Path) -> list[dict[str, object]]:
 
 
 def _file_sets(folder: Path) -> list[dict[str, object]]:
-    """Return Croissant's FileSet of each pattern in `FILE_SETS` that matches a file of the release."""
+    """Return a Croissant FileSet for each pattern in `FILE_SETS` that any file of the release matches."""
     return [
         {
             "@type": "cr:FileSet",

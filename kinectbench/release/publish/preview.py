@@ -143,7 +143,7 @@ def _part(
 
 
 def _turntable(objects: Path, built: Path | None) -> str | None:
-    """Return a strip of pictures of the object from all around as a `data:` URL; None if it has no mesh."""
+    """Return pictures of the object from all sides, in one strip: a `data:` URL; None if it has no mesh."""
     if not (objects / OBJECT_FILES[0]).is_file():
         return None
     mesh = read_own_ply(objects / OBJECT_FILES[0])

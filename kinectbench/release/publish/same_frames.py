@@ -87,7 +87,7 @@ def _looked_for(files: Mapping[str, SourceFile]) -> list[str]:
 
 
 def _shared(files: Mapping[str, SourceFile], others: Mapping[str, SourceFile]) -> float:
-    """Return which share of the bytes of the smaller recording lies in files that both recordings have."""
+    """Return what share of the smaller recording's bytes is in files that both recordings have."""
     sizes, others_sizes = ({file.sha256: file.size for file in each.values()} for each in (files, others))
     equal = sum(size for digest, size in sizes.items() if digest in others_sizes)
     return equal / max(1, min(sum(sizes.values()), sum(others_sizes.values())))

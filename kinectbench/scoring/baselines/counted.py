@@ -164,7 +164,7 @@ def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -
 
 
 def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> Thresholds:
-    """Choose the thresholds of a baseline by its counts of the validation split."""
+    """Choose the thresholds of a baseline from its counts on the validation split."""
     tallies = {t: of[name].tally for t, of in counted.items() if t.split == "validation"}
     return searched_thresholds(release.targets, tallies)
 

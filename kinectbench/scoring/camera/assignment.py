@@ -98,7 +98,10 @@ def _round(  # type: ignore[no-untyped-def]
 def _best(  # type: ignore[no-untyped-def]
     point, places, prices, listed: NDArray[np.int64]
 ) -> tuple[float, float, int]:
-    """Return a point's lowest and second-lowest cost among `listed` places, and the cheapest place."""
+    """Return a point's lowest and second-lowest cost among `listed` places, and the cheapest place.
+
+    `point` is (3,); `places` and `prices` are as in `_round`.
+    """
     best, second, place = np.inf, np.inf, -1
     for j in listed:
         x, y, z = places[0, j] - point[0], places[1, j] - point[1], places[2, j] - point[2]
@@ -112,7 +115,10 @@ def _best(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _list(point, places, prices, listed: NDArray[np.int64], costs) -> float:  # type: ignore[no-untyped-def]
-    """Fill `listed` with a point's cheapest places, `costs` with all costs; return the lowest of the rest."""
+    """Fill `listed` with a point's cheapest places, `costs` with all costs; return the lowest of the rest.
+
+    `point` is (3,); `places` and `prices` are as in `_round`.
+    """
     for j in range(len(prices)):
         x, y, z = places[0, j] - point[0], places[1, j] - point[1], places[2, j] - point[2]
         costs[j] = np.sqrt(x * x + y * y + z * z) + prices[j]

@@ -54,7 +54,7 @@ def score_grid_in_space(
     jobs: int,
     progress: Progress,
 ) -> ScoreTable:
-    """Score, in space, a method that predicts voxels in each pair's grid, on the test split; return its table.
+    """Score in space, on the test split, a method that predicts voxels in each pair's grid; return the table.
 
     Args:
         release: the release that was predicted.

@@ -34,7 +34,7 @@ class Solid:
 
 
 def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
-    """Return a mesh that serves as the solid of an open mesh or of points; None if none can be made.
+    """Make a mesh that is used as a shape's solid; None if none can be made.
 
     Args:
         shape: an open mesh, or points.

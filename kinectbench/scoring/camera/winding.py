@@ -165,7 +165,10 @@ def _fill(found, triangles, total, middle, radius, low, high, root, coarse, most
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _number(x, y, z, triangles, total, middle, radius, nodes):  # type: ignore[no-untyped-def]
-    """Return a point's winding number, a lower bound of its distance to the mesh, and the steps taken."""
+    """Return a point's winding number, a lower bound of its distance to the mesh, and the steps taken.
+
+    `triangles`, `total`, `middle` and `radius` are as `_tree` returns them; `nodes` is overwritten.
+    """
     leaves = len(total) // 2
     found, clear, top, steps = 0.0, np.inf, 1, 0
     nodes[0] = 1

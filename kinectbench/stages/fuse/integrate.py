@@ -339,7 +339,10 @@ def _add_clear(new_total, new_weight, new_votes, weights, truncation):  # type: 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
 def _merge(tsdf, weight, new_total, new_weight):  # type: ignore[no-untyped-def]
-    """Merge the sums of a batch into a block's means and weights, and reset the sums to zero."""
+    """Merge the sums of a batch into a block's means and weights, and reset the sums to zero.
+
+    All are (512,): the block's `tsdf` and `weight`, and the sums of weight * distance and of weights.
+    """
     for n in range(BLOCK_CELLS):
         total = weight[n] + new_weight[n]
         tsdf[n] = (tsdf[n] * weight[n] + new_total[n]) / max(total, np.float32(1e-20))

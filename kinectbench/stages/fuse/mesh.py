@@ -107,7 +107,8 @@ def _add_colors(  # type: ignore[no-untyped-def]
     """For each vertex, add the colour of the pixel it projects to, if that pixel's depth agrees.
 
     `total` (n, 3) and `count` (n,) are the sums to add to, for `vertices` (n, 3) in the world frame, metres.
-    `T` (4, 4) maps the world to the camera.
+    `T` (4, 4) maps the world to the camera. `depth_m` (height, width), `color` (height, width, 3) and
+    `intrinsics` (fx, fy, cx, cy) are the frame's.
     """
     fx, fy, cx, cy = intrinsics
     height, width = depth_m.shape

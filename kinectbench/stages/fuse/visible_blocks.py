@@ -146,7 +146,8 @@ def _visible(  # type: ignore[no-untyped-def]
 
     Both `clear_to` and `farthest` have a value for each tile of pixels, metres: the depth up to which voxels
     can only be free, and the depth of the farthest surface that updates voxels (0: none). `T` (4, 4) maps the
-    volume's frame to the camera.
+    volume's frame to the camera. `blocks` (n, 3) are block coordinates, and `block_m` is a block's edge,
+    metres. `intrinsics`, `width` and `height` are those of the image; `truncation_m` is in metres.
     """
     seen = np.zeros(len(blocks), np.uint8)
     fx, fy, cx, cy = intrinsics
@@ -189,7 +190,7 @@ def _span(focal, low, high, by_near, by_far, middle, count):  # type: ignore[no-
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _any_beyond(farthest, left, right, top, bottom, depth_m):  # type: ignore[no-untyped-def]
-    """Whether the farthest depth in any tile of this rectangle is `depth_m` or more; 0 means no depth."""
+    """Whether `farthest` is `depth_m` or more in any tile of a rectangle (inclusive); 0 means no depth."""
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):
             if farthest[row, column] > 0 and farthest[row, column] >= depth_m:
@@ -199,7 +200,7 @@ def _any_beyond(farthest, left, right, top, bottom, depth_m):  # type: ignore[no
 
 @numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
 def _all_beyond(clear_to, left, right, top, bottom, depth_m):  # type: ignore[no-untyped-def]
-    """Whether voxels up to `depth_m` can only be free in all tiles of this rectangle, by their `clear_to`."""
+    """Whether voxels up to `depth_m` can only be free (`clear_to`) in all tiles of a rectangle, inclusive."""
     least = np.float32(np.inf)
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):

@@ -276,7 +276,7 @@ def check_focal_lengths(intrinsics: Intrinsics, size_px: tuple[int, int], file: 
 def rig_calibration(
     color: Intrinsics, color_px: tuple[int, int], color_to_rig: Float64, depth_to_rig: Float64, path: Path
 ) -> ColorCalibration | None:
-    """Compute the calibration of colour relative to depth from ScanNet's poses of both cameras in their rig.
+    """Calibrate colour relative to depth, from the poses that ScanNet gives for both cameras in their rig.
 
     The poses `color_to_rig` and `depth_to_rig` are (4, 4), metres. Return None if one of them is not rigid,
     if there is no colour (its size is 0), or if colour's intrinsics do not fit the size of its images.

@@ -142,12 +142,12 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
 
 
 def named_like_intrinsics(path: Path) -> str:
-    """Return the end of an error message with files that may contain intrinsics; "" if there are none."""
+    """Return the end of an error message: files that may contain intrinsics; "" if there are none."""
     return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:
-    """Return the end of an error message with names of files that `wanted` accepts; "" without such files.
+    """Return the end of an error message: names of files that `wanted` accepts; "" if there are none.
 
     Args:
         path: the recording's folder, which is searched with its direct subfolders; for a file, "" is

@@ -62,7 +62,7 @@ def reduced_depth(native, depth_scale, factor, stored_per_m):  # type: ignore[no
 
 @numba.njit(cache=True, error_model="numpy", nogil=True)
 def halved(depth_m):  # type: ignore[no-untyped-def]
-    """Halve the resolution of depth: the mean of the nearest surface in each 2 x 2 block."""
+    """Halve the resolution of `depth_m`, 0 = none: the mean of the nearest surface in each 2 x 2 block."""
     height, width = depth_m.shape[0] // 2, depth_m.shape[1] // 2
     out = np.zeros((height, width), np.float32)
     for v in range(height):
@@ -163,7 +163,7 @@ def normals_of(depth_m, intrinsics, gate):  # type: ignore[no-untyped-def]
 def chosen_points(depth_m, normals, intensity, intrinsics, n_points):  # type: ignore[no-untyped-def]
     """Sample about `n_points` points with evenly distributed normals; return (m, 8), as `Level.points`.
 
-    Normal-space sampling: Rusinkiewicz & Levoy 2001.
+    Normal-space sampling: Rusinkiewicz & Levoy 2001. The maps are as in `Level`.
 
     A floor fills most of the image but does not constrain motion along it. With uniform sampling, the noise
     of its normals would outweigh the few points that constrain that motion, such as those on table legs.

@@ -122,7 +122,7 @@ def _informative_pairs(maps: MapCache, odometry: Odometry, motion: Float64) -> l
 
 
 class _Search:
-    """Measures the fit of pairs of frames with a rolling shutter undone; large images are halved."""
+    """Undoes a rolling shutter and measures how well pairs of frames then fit; large images are halved."""
 
     def __init__(self, maps: MapCache, pairs: Sequence[_Pair], motion: Float64) -> None:
         self.maps, self.pairs, self.motion = maps, pairs, motion

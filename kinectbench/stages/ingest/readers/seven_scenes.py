@@ -152,7 +152,7 @@ class SevenScenesRecording(FileRecording):
 
 
 def names_beside(names: Iterable[str]) -> tuple[str, ...]:
-    """Return names of files in the parent folder that may belong to a sequence with files `names`."""
+    """Return the files to look for in the parent folder of a sequence that has the files `names`."""
     return FILES_ABOVE if any(map(DEPTH_NAME.fullmatch, names)) else ()
 
 

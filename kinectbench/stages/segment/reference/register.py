@@ -112,7 +112,7 @@ class Sampled:
         return np.asarray(scene.compute_distance(near).numpy(), dtype=np.float64)
 
     def few(self, most: int) -> NDArray[np.int64]:
-        """Return indices of at most `most` of the samples that may be matched, evenly chosen."""
+        """Return indices of evenly chosen samples that may be matched, at most `most` of them."""
         places = np.flatnonzero(self.counted)
         return places[:: max(1, -(-len(places) // most))]
 

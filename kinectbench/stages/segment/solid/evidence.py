@@ -255,7 +255,7 @@ def _least_free_votes(observation: Observation) -> int:
 
 
 def narrow(limits: SensorLimits) -> SensorLimits:
-    """Return the limits with lines of sight of half the width, which also reach into narrow gaps."""
+    """Return the limits with half the width of lines of sight, which then also reach into narrow gaps."""
     return replace(limits, line_width_m=NARROWER * limits.line_width_m)
 
 
