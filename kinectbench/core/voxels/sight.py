@@ -192,19 +192,22 @@ def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
     """
     nx, ny, nz = state.shape
     ways = np.zeros(state.shape, np.uint8)
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                if not asked[i, j, k]:
-                    continue
-                for way in range(9):
-                    dx, dy = way // 3 - 1, way % 3 - 1
-                    if dx == 0 and dy == 0:
-                        continue
-                    a, b = i, j
-                    while 0 <= a < nx and 0 <= b < ny and state[a, b, k] != BLOCKED:
-                        a, b = a + dx, b + dy
-                    ways[i, j, k] += not (0 <= a < nx and 0 <= b < ny)
+    # Which rays of a slice lead out; the first and the last row lie outside the grid.
+    here, onward = np.ones((ny + 2, nz), np.bool_), np.ones((ny + 2, nz), np.bool_)
+    for way in range(9):
+        dx, dy = way // 3 - 1, way % 3 - 1
+        if dx == 0 and dy == 0:
+            continue
+        onward[:] = True
+        # A ray leads out if its next voxel does, so that is visited before.
+        for i in range(nx - 1, -1, -1) if dx > 0 else range(nx):
+            for j in range(ny - 1, -1, -1) if dy > 0 else range(ny):
+                following = (here if dx == 0 else onward)[j + 1 + dy]
+                for k in range(nz):
+                    leads_out = state[i, j, k] != BLOCKED and following[k]
+                    here[j + 1, k] = leads_out
+                    ways[i, j, k] += leads_out and asked[i, j, k]
+            here, onward = onward, here
     return ways
 
 
