@@ -204,7 +204,8 @@ def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
     """Report colour that is mirrored, or not registered to depth although the recording states that it is.
 
-    A note reports colour that is only for display, because it is neither registered nor calibrated.
+    A note reports colour whose registration no edges prove, or colour that is only for display, because it is
+    neither registered nor calibrated.
     """
     if fit is None:
         shapes = (_of_one_shape(frame.bgr, frame.depth) for frame in probe.whole if frame.bgr is not None)
@@ -221,6 +222,12 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
         what = f"colour is said to lie on depth, but its edges are {_where(fit)}"
         advice = "register it, give its calibration, or say `color_registered: false` in camera.json"
         yield Finding("color_not_registered", "warning", what, probe.where, advice)
+    elif probe.recording.color_registered and fit.registration == "unclear":
+        what = (
+            "nothing shows that colour lies on depth; if it does not, tracking and the mesh's colours suffer"
+        )
+        advice = "if it was not aligned when recorded, say `color_registered: false` in camera.json"
+        yield Finding("color_unproven", "note", what, probe.where, advice)
     elif not probe.recording.color_registered and probe.recording.color_calibration is None:
         lies = " although its edges are near those of depth" if fit.clear and not fit.off else ""
         what = f"colour does not lie on depth, or it is not known that it does{lies}: it is for display only"

@@ -70,6 +70,8 @@ def test_where_nothing_shows_registration_it_is_called_assumed(tmp_path: Path) -
     change_images("depth", flat)(folder)
     diagnosis, _ = inspect(folder)
     assert line_of_registration(diagnosis) == "assumed: nothing shows it"
+    unproven = [[each.name for each in of.findings].count("color_unproven") for of in (right, diagnosis)]
+    assert unproven == [0, 1]
     assert not [each for each in diagnosis.findings if each.name == "color_not_registered"]
 
 
