@@ -223,9 +223,7 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
         advice = "register it, give its calibration, or say `color_registered: false` in camera.json"
         yield Finding("color_not_registered", "warning", what, probe.where, advice)
     elif probe.recording.color_registered and fit.registration == "unclear":
-        what = (
-            "nothing shows that colour lies on depth; if it does not, tracking and the mesh's colours suffer"
-        )
+        what = "nothing shows that colour lies on depth; if it does not, tracking and colours suffer"
         advice = "if it was not aligned when recorded, say `color_registered: false` in camera.json"
         yield Finding("color_unproven", "note", what, probe.where, advice)
     elif not probe.recording.color_registered and probe.recording.color_calibration is None:

@@ -58,9 +58,10 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """The verdict in one line."""
+        """The verdict in one line, with the names of the gravest findings, each once."""
         stops, warnings = (
-            [f.name for f in self.findings if f.severity == severity] for severity in SEVERITIES[:2]
+            list(dict.fromkeys(f.name for f in self.findings if f.severity == severity))
+            for severity in SEVERITIES[:2]
         )
         if stops:
             return f"not usable as it is: {', '.join(stops)}"

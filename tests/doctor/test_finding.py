@@ -46,6 +46,13 @@ def test_words() -> None:
     ]
 
 
+def test_the_verdict_names_each_kind_of_finding_once() -> None:
+    findings = [Finding("floor", "warning", what, "") for what in ("a step", "a slope")]
+    assert Diagnosis({}, tuple(findings)).verdict == "usable with care: floor"
+    stops = Finding("no_depth", "stops", "none", "")
+    assert Diagnosis({}, (stops, *findings)).verdict == "not usable as it is: no_depth"
+
+
 def test_registration_that_nothing_shows_is_no_plain_yes() -> None:
     """Even of images without stamps, which are not counted."""
     facts: dict[str, object] = {"color_images": None, "color_size_px": [320, 240], "color_registered": True}
