@@ -16,6 +16,7 @@ from kinectbench.doctor.depth import (
     FARTHEST_DISPARITY,
     depth_quantiles_m,
     is_likely,
+    stored_pattern,
 )
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.fit import FramePair, disagreements, frames_of
@@ -29,7 +30,7 @@ from kinectbench.doctor.trajectory import (
     fits_no_better,
     posed_pairs,
 )
-from kinectbench.stages.ingest.depth_codes import float16_m, ray_lengths, unrotated
+from kinectbench.stages.ingest.depth_codes import ROTATED_SCALES, float16_m, ray_lengths, unrotated
 from kinectbench.stages.ingest.plausibility import COMMON_SCALES
 from kinectbench.stages.ingest.recording import FileRecording
 
@@ -69,7 +70,8 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
     - for float depth, only distance along the ray, because the probe no longer has the original values;
     - if the poses fit as they are: distance along the ray; and other scales, if the poses fit no better than
       a static camera, or fit best at the limit of the search of `lengths`;
-    - else all scales and encodings.
+    - else all scales and encodings; rotated bits come before plain scales if nearly all values are multiples
+      of 8.
     If the poses fit as they are, a candidate must fit clearly better. If the images are not files, as in a
     bag, only scales are candidates.
 
@@ -91,6 +93,9 @@ def check_codes(probe: Probe, poses: PoseFit | None) -> Iterator[Finding]:
         codes = [*(_other_scale(probe) if far_off else ()), *_along_the_ray(probe)]
     else:
         codes = [*_codes(probe)]
+        # A plain scale of 8 times the units fits rotated depth, too, but for the farthest.
+        rotated = [*_rotated()] if stored_pattern(probe).found else []
+        codes = rotated if any(_fit(probe, code) is not None for code in rotated) else codes
     fits = [(code, fit) for code in codes if (fit := _fit(probe, code)) is not None]
     if as_given and poses is not None:
         fits = [each for each in fits if each[1].residual_m < BETTER * poses.residual_m]
@@ -107,14 +112,7 @@ def _codes(probe: Probe) -> Iterator[Code]:
     yield from _other_scale(probe)
     if not isinstance(probe.recording, FileRecording):
         return
-    for scale in (1000.0, 10000.0):
-        written = f"`camera: {{depth_code: rotated, depth_scale: {scale:g}}}`"
-        yield Code(
-            "depth_code",
-            f"stored with rotated bits, {scale:g} units a metre",
-            written,
-            _scaled(scale, unrotated),
-        )
+    yield from _rotated()
     yield Code(
         "depth_code", "the bits of a float16", "`camera: {depth_code: float16}`", lambda d, _: float16_m(d)
     )
@@ -127,6 +125,17 @@ def _codes(probe: Probe) -> Iterator[Code]:
             "write metres as 16-bit mm or .npy: z = n f / (f - b (f - n)), b = value / 65535, "
             f"n = {near_m:g}, f = {far_m:g}",
             _z_buffer(near_m, far_m),
+        )
+
+
+def _rotated() -> Iterator[Code]:
+    for scale in ROTATED_SCALES:
+        written = f"`camera: {{depth_code: rotated, depth_scale: {scale:g}}}`"
+        yield Code(
+            "depth_code",
+            f"stored with rotated bits, {scale:g} units a metre",
+            written,
+            _scaled(scale, unrotated),
         )
 
 

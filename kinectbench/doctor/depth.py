@@ -11,6 +11,7 @@ from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.probe import Probe
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
+from kinectbench.stages.ingest.depth_codes import Pattern, find_pattern
 from kinectbench.stages.ingest.images import advice_on
 from kinectbench.stages.ingest.plausibility import (
     FIND_DEPTH,
@@ -20,6 +21,7 @@ from kinectbench.stages.ingest.plausibility import (
     scale_problem,
     suggested_scale,
 )
+from kinectbench.stages.ingest.recording import FileRecording
 
 # Range of horizontal fields of view of hand-held cameras, degrees.
 NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
@@ -120,6 +122,14 @@ def _measured(probe: Probe) -> NDArray[np.uint16]:
     return np.concatenate([np.zeros(0, np.uint16), *(sample[sample > 0] for sample in samples)])
 
 
+def stored_pattern(probe: Probe) -> Pattern:
+    """Return whether the values of depth appear to have rotated bits; only plain files are judged."""
+    recording = probe.recording
+    plain = isinstance(recording, FileRecording) and recording.depth_code == "plain"
+    is_stored = plain and recording.float_scale is None
+    return find_pattern(frame.depth for frame in probe.whole if is_stored)
+
+
 def is_likely(median_m: float, far_m: float) -> bool:
     """Return whether a median and a 95 % quantile of depth, metres, are plausible for a room."""
     return LIKELY_MEDIAN_M[0] <= median_m <= LIKELY_MEDIAN_M[1] and far_m <= LIKELY_FAR_M
@@ -209,6 +219,15 @@ def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
         f"at {scale:g} units per metre, which is unlikely"
     )
     advice = "find out its unit, and give `depth_scale` (units a metre)"
+    pattern = stored_pattern(probe)
+    if pattern.found:
+        written = f"`depth_code: rotated, depth_scale: {pattern.units:g}`"
+        advice = (
+            f"nearly every value is a multiple of 8: if the bits are rotated, {written}, by which the median "
+            f"would be {pattern.median / pattern.units:.2f} m, which nothing here proves"
+        )
+        yield Finding("depth_scale", severity, what, probe.where, advice)
+        return
     # Some cameras record objects on a table from such a small distance.
     offers = probe.recording.float_scale is None and not math.isclose(better, scale)
     if offers and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):

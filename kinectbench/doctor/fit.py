@@ -144,6 +144,7 @@ class FramePair:
 def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
     """Choose pairs of frames that have poses, evenly over the recording, some near and some distant.
 
+    Of frames in a row with identical depth, only the first is used: repeated images fit any poses that stand.
     The second frame comes 1 to 40 frames after the first one (near the end: before it). If the poses are not
     in the order of time, the second frame is instead one with a similar orientation: the angle between two
     orientations is the same in every convention.
@@ -152,7 +153,9 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
         probe: the probe of the recording.
         poses: (n, 4, 4), poses of the probe's frames, in any convention; NaN where a frame has none.
     """
-    camera, count = probe.small_camera, len(probe.frames)
+    camera, frames = probe.small_camera, probe.frames
+    kept = [i for i, frame in enumerate(frames) if not i or frame.digest != frames[i - 1].digest]
+    count, poses = len(kept), poses[kept]
     has_pose = np.isfinite(poses[:, 0, 0])
     ordered = in_order_of_time(poses)
     rays = camera.rays()[::POINT_STEP, ::POINT_STEP]
@@ -163,12 +166,13 @@ def choose_pairs(probe: Probe, poses: Float64) -> tuple[FramePair, ...]:
         for second in _later(first, count) if ordered else _beside(first, poses):
             if second < 0 or not has_pose[second]:
                 continue
-            if any(probe.frames[i].depth_m.shape != (camera.height, camera.width) for i in (first, second)):
+            of_first_m, of_second_m = frames[kept[first]].depth_m, frames[kept[second]].depth_m
+            if any(depth_m.shape != (camera.height, camera.width) for depth_m in (of_first_m, of_second_m)):
                 continue
-            z = probe.frames[first].depth_m[::POINT_STEP, ::POINT_STEP]
+            z = of_first_m[::POINT_STEP, ::POINT_STEP]
             points = (rays * z[..., None])[z > 0]
             if len(points):
-                pairs.append(FramePair(first, second, points, probe.frames[second].depth_m, camera))
+                pairs.append(FramePair(kept[first], kept[second], points, of_second_m, camera))
     return tuple(pairs)
 
 
@@ -223,15 +227,29 @@ def disagreements(pairs: Sequence[FramePair], T_world_camera: Float64) -> Float6
     """
     residuals = np.empty((len(T_world_camera), len(pairs)))
     for column, pair in enumerate(pairs):
-        points, rows, columns, inside = _project(pair, T_world_camera)
-        expected_m, measured_m = points[..., 2], pair.depth_m[rows, columns]
-        # A point at a pixel without a measurement is not counted.
-        known, silent = inside & (measured_m > 0), inside & (measured_m == 0)
-        off = np.abs(measured_m - expected_m)[known] / (WRONG_SHARE * expected_m[known])
-        wrong = np.where(inside, 0.0, 1.0)
-        wrong[known] = np.minimum(off, 1.0)
-        residuals[:, column] = wrong.sum(axis=-1) / np.maximum((~silent).sum(axis=-1), 1)
+        wrong, _ = point_errors(pair, T_world_camera)
+        counted = np.isfinite(wrong).sum(axis=-1)
+        residuals[:, column] = np.nansum(wrong, axis=-1) / np.maximum(counted, 1)
     return residuals
+
+
+def point_errors(pair: FramePair, T_world_camera: Float64) -> tuple[Float64, NDArray[np.bool_]]:
+    """Return the error of each of a pair's m points (`disagreements`), and whether it is inside the image.
+
+    Args:
+        pair: the pair of frames.
+        T_world_camera: (k, n, 4, 4), k sets of poses of the probe's n frames; those of the pair are finite.
+
+    Returns:
+        (k, m) errors, 0 to 1, NaN at pixels without a measurement; (k, m) bool.
+    """
+    points, rows, columns, inside = _project(pair, T_world_camera)
+    expected_m, measured_m = points[..., 2], pair.depth_m[rows, columns]
+    known = inside & (measured_m > 0)
+    off = np.abs(measured_m - expected_m)[known] / (WRONG_SHARE * expected_m[known])
+    wrong = np.where(inside, np.nan, 1.0)
+    wrong[known] = np.minimum(off, 1.0)
+    return wrong, inside
 
 
 def pair_residual_m(pairs: Sequence[FramePair], T_world_camera: Float64) -> float:

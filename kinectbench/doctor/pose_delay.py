@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.clock_offset import steps_to_vertex
+from kinectbench.doctor.covered import covered
 from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
 from kinectbench.doctor.fit import FramePair, PoseConvention, disagreements, frames_of
@@ -65,6 +66,8 @@ def _trajectory_delay_ns(
 
     Lags up to half a second either way are tried in steps of 50 ms, then in steps of 10 ms around the best
     one, or around 0 if none is clearly better. Only pairs with poses at all lags are used, and at least four.
+    The result is None if the shifted poses do not fit better than the unshifted ones and than a static
+    camera, over the points that both cover.
     """
 
     def costs(lags_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -77,7 +80,29 @@ def _trajectory_delay_ns(
     coarse_ns = _coarse_ns(costs(LAGS_NS))
     lags_ns = FINE_NS + FINE_STEP_NS * round((coarse_ns or 0) / FINE_STEP_NS)
     fine_ns = _fine_ns(lags_ns, costs(np.append(lags_ns, 0)))
-    return coarse_ns if fine_ns is None else fine_ns
+    delay_ns = coarse_ns if fine_ns is None else fine_ns
+    return delay_ns if delay_ns and _gains(probe, given, convention, pairs, delay_ns) else None
+
+
+def _gains(
+    probe: Probe,
+    given: GivenTrajectory,
+    convention: PoseConvention,
+    pairs: tuple[FramePair, ...],
+    delay_ns: int,
+) -> bool:
+    """Whether poses shifted by a delay fit better than unshifted ones and than a static camera.
+
+    Only points count that both cover: shifted to a time when the camera stood, poses leave more of them
+    inside the image.
+    """
+    shifted, unshifted = (convention.apply(_poses(probe, given, pairs, lag_ns)) for lag_ns in (delay_ns, 0))
+    posed = np.isfinite(shifted[:, 0, 0]) & np.isfinite(unshifted[:, 0, 0])
+    usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
+    standing = np.tile(np.eye(4), (len(shifted), 1, 1))
+    points = covered(usable, np.stack([shifted, unshifted, standing]))
+    by_shift = [points.over_both(0, other) for other in (1, 2)]
+    return all(mine < BETTER * theirs for mine, theirs in by_shift)
 
 
 def _coarse_ns(costs: NDArray[np.float64]) -> int | None:

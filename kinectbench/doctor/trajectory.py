@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import covered_arc_rad, middle_depth_m
+from kinectbench.doctor.covered import MUCH_BETTER, Covered, covered
 from kinectbench.doctor.delays import clock_ns
 from kinectbench.doctor.depth import depth_quantiles_m, is_likely
 from kinectbench.doctor.finding import Finding, camera_line
@@ -28,6 +29,7 @@ from kinectbench.doctor.fit import (
 from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths, stated_scale
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
 from kinectbench.doctor.probe import Probe
+from kinectbench.stages.ingest.depth_codes import ROTATED_SCALES
 from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
 
 # Another convention is accepted only if it lowers the disagreement to this ratio.
@@ -41,6 +43,12 @@ HOPELESS, LEAST_PAIRS = 0.6, 3
 CLEARLY_BETTER = 0.8
 # If the camera moved, poses that fit no better than a static camera fit badly.
 MOVED, NO_BETTER = 0.15, 0.9
+# The residual is that of points near a surface, so it decides only if the poses as given have at least this
+# share of the other convention's agreement (1 - disagreement). Measured: exact poses 0.9, wrong ones 0.15.
+LEAST_SUPPORT = 0.5
+# Pairs whose disagreement no convention changes by this much against a static camera do not tell conventions
+# apart. Chosen by hand: noise of a Kinect at 1 m makes about 0.03.
+APART = 0.01
 # Poses prove the depth scale if every other scale fits worse by more than this ratio. Chosen by hand.
 OTHER_SCALE = 0.97
 FACTORS = {1e9: "seconds read as nanoseconds", 1e6: "1000000 times too small", 1e3: "1000 times too small",
@@ -61,6 +69,8 @@ class PoseFit:
         given: disagreement of the poses as given with the depth (`fit.disagreements`), mean over the pairs.
         best: disagreement of the poses in that convention.
         still: disagreement if the camera is taken to be static.
+        moves: whether the poses fit better than a static camera: by disagreement, or clearly over the points
+            that both cover.
         residual_m: median point-to-plane residual in that convention, metres.
         fits: whether the residual is within the depth noise.
         proven: whether the poses fit unchanged, clearly better than in any other unit and than a static
@@ -77,6 +87,7 @@ class PoseFit:
     given: float
     best: float
     still: float
+    moves: bool
     residual_m: float
     fits: bool
     proven: bool
@@ -115,41 +126,74 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
     (unmoved,) = disagreements(pairs, standing[None])
     conventions = list(likely_conventions())
     table = _disagreements(conventions, pairs, poses)
-    fitting = table.min(axis=0) < HOPELESS
+    fitting = _fitting(table, unmoved)
     if not fitting.any() or table[:, fitting].mean(axis=1).min() > CLEARLY_BETTER * unmoved[fitting].mean():
         further = list(further_conventions())
         table = np.concatenate([table, _disagreements(further, pairs, poses)])
         conventions += further
-        fitting = table.min(axis=0) < HOPELESS
+        fitting = _fitting(table, unmoved)
     if fitting.sum() < LEAST_PAIRS:
         return None
     costs = table[:, fitting].mean(axis=1)
-    chosen = _simplest(conventions, costs)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
+    points = covered(usable, np.stack([*(each.apply(poses) for each in conventions), standing]))
+    chosen = _unrefuted(_simplest(conventions, costs), costs, points)
     read = conventions[chosen].apply(poses)
     left_m, given_m = pair_residual_m(usable, read), pair_residual_m(usable, poses)
     # Disagreement counts surfaces that are hidden in the other frame, too: poses that fit as given stay so,
-    # unless the surfaces lie nearer to each other in the other convention.
-    if fits(given_m, usable) and not left_m < given_m:
+    # unless the surfaces lie nearer to each other in the other convention, or few points decide.
+    stays = 1 - costs[0] >= LEAST_SUPPORT * (1 - costs[chosen])
+    stays &= given_m < MUCH_BETTER * left_m or not points.refutes(chosen, 0)
+    if stays and fits(given_m, usable) and not left_m < given_m:
         chosen, read, left_m = 0, poses, given_m
-    still = float(unmoved[fitting].mean())
-    scaled = min(cost for convention, cost in zip(conventions, costs, strict=True) if convention.unit_m != 1)
+    still, best = float(unmoved[fitting].mean()), float(costs[chosen])
+    scaled = [
+        costs[0] < OTHER_SCALE * costs[i] or points.refutes(0, i)
+        for i, convention in enumerate(conventions)
+        if convention.unit_m != 1
+    ]
+    static = len(conventions)
+    moves = bool(best <= NO_BETTER * still or points.refutes(chosen, static))
     fit = fits(left_m, usable)
     lengths = fit_lengths(usable, read) if chosen == 0 else Lengths(1.0, 1.0, 1.0)
-    better = costs[0] < min(OTHER_SCALE * scaled, NO_BETTER * still)
     return PoseFit(
         convention=conventions[chosen],
         given=float(costs[0]),
-        best=float(costs[chosen]),
+        best=best,
         still=still,
+        moves=moves,
         residual_m=left_m,
         fits=fit,
-        proven=fit and chosen == 0 and bool(better) and not lengths.implausible,
+        proven=fit and chosen == 0 and moves and all(scaled) and not lengths.implausible,
         pairs=usable,
         T_world_camera=read[known],
         arc_rad=covered_arc_rad(read[known], middle_depth_m(frame.depth_m for frame in probe.frames)),
         lengths=lengths,
     )
+
+
+def _fitting(table: NDArray[np.float64], unmoved: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which pairs (n,) decide the convention: those that fit in one, and separate one from no motion.
+
+    Pairs that fit equally well if the camera is static, in all conventions, are left out if enough others
+    remain.
+
+    Args:
+        table: (conventions, n), disagreements.
+        unmoved: (n,), disagreements if the camera is static.
+    """
+    fitting = table.min(axis=0) < HOPELESS
+    apart = (np.abs(table - unmoved) > APART).any(axis=0) | (unmoved > MOVED)
+    return fitting & apart if (fitting & apart).sum() >= LEAST_PAIRS else fitting
+
+
+def _unrefuted(chosen: int, costs: NDArray[np.float64], points: Covered) -> int:
+    """Return the convention to use instead of `chosen`: the one of lowest cost that refutes it, and so on."""
+    left = set(range(len(costs)))
+    while better := [i for i in sorted(left) if points.refutes(i, chosen)]:
+        left.remove(chosen)
+        chosen = min(better, key=lambda i: costs[i])
+    return chosen
 
 
 def shows_motion(fit: PoseFit) -> bool:
@@ -163,7 +207,7 @@ def shows_motion(fit: PoseFit) -> bool:
 
 def fits_no_better(fit: PoseFit) -> bool:
     """Whether the camera moved, but the poses fit the depth no better than a static camera would."""
-    return fit.still > MOVED and fit.best > NO_BETTER * fit.still
+    return fit.still > MOVED and not fit.moves
 
 
 def _disagreements(
@@ -291,7 +335,8 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
             advice = (
                 f"or with `depth_scale: {scale:g}`, by which the median of the depth is {at_scale_m:.2f} m"
             )
-            if is_likely(median_m, far_m):
+            by_code = getattr(probe.recording, "depth_code", "plain") == "rotated"
+            if is_likely(median_m, far_m) and not (by_code and scale in ROTATED_SCALES):
                 name, advice = "trajectory_scale", "write the poses in metres"
         if fit.convention.images == "mirrored":
             name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"

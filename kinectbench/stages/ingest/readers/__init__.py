@@ -16,7 +16,13 @@ from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
 from kinectbench.settings.pick import PICK_FILE
-from kinectbench.stages.ingest.depth_codes import SAMPLED_IMAGES, find_pattern
+from kinectbench.stages.ingest.depth_codes import (
+    EVEN_UNITS_MM,
+    ROTATED_SCALES,
+    SAMPLED_IMAGES,
+    Pattern,
+    find_pattern,
+)
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
 from kinectbench.stages.ingest.readers.color_only import without_depth
 from kinectbench.stages.ingest.readers.foreign_files import foreign_file
@@ -277,9 +283,9 @@ def _unknown(path: Path) -> str:
 def _with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
     """Set the recording's depth code: the one that the settings give, or else the one that is detected.
 
-    Rotated bits are searched for if depth is PNG in mm and the settings give no `depth_scale`. In a layout
-    that usually has rotated bits (`often_rotated`), multiples of eight suffice as evidence, without a
-    warning.
+    Rotated bits are searched for if depth is PNG in mm or 0.1 mm. If the settings give `depth_scale`, they
+    only give a warning. If they give `depth_code: rotated`, the values decide the unit. In a layout that
+    usually has rotated bits (`often_rotated`), multiples of eight suffice as evidence, without a warning.
     """
     of_bits = camera.depth_code in ("rotated", "float16")
     if not isinstance(recording, FileRecording) or (of_bits and recording.float_scale is not None):
@@ -292,20 +298,46 @@ def _with_depth_code(recording: Recording, camera: CameraSettings) -> Recording:
         )
     if camera.depth_code == "float16":
         return replace(recording, depth_code="float16", depth_scale=FLOAT_SCALE)
-    if camera.depth_code is not None:
+    if camera.depth_code not in (None, "rotated"):
         return replace(recording, depth_code=camera.depth_code)
-    if camera.depth_scale is not None or recording.depth_scale != MM_SCALE:
+    in_mm = camera.depth_scale is None and recording.depth_scale == MM_SCALE
+    if camera.depth_code == "rotated":
+        recording = replace(recording, depth_code="rotated")
+    elif not in_mm and camera.depth_scale not in ROTATED_SCALES:
         return recording
     pattern = find_pattern(_some_depth(recording))
-    if recording.often_rotated:
+    if recording.often_rotated and in_mm:
         return replace(recording, depth_code="rotated" if pattern.possible else "plain")
-    if not pattern.found:
-        return recording
+    return _by_pattern(recording, pattern, in_mm=in_mm) if pattern.found else recording
+
+
+def _by_pattern(recording: FileRecording, pattern: Pattern, *, in_mm: bool) -> Recording:
+    """Set the depth code and scale that the values of depth (`pattern.found`) suggest, and warn of them.
+
+    Only a warning is added if the recording states another scale than mm (`in_mm` is false).
+    """
     what = f"{recording.path}: nearly every depth value is a multiple of 8"
-    if pattern.likely:
-        note = f"{what}: its bits are rotated, as SUN3D's are, and are put back; if not, `depth_code: plain`"
-        return replace(recording, depth_code="rotated", warnings=(*recording.warnings, note))
-    note = f"{what}: it is read in mm; if its bits are rotated, as SUN3D's are, give `depth_code: rotated`"
+    tenths, whose = ("", "SUN3D") if pattern.units == MM_SCALE else ("; its unit is 0.1 mm", "APC")
+    written = f"`depth_code: rotated, depth_scale: {pattern.units:g}`" if tenths else "`depth_code: rotated`"
+    if recording.depth_code == "rotated":
+        if not (in_mm and tenths) or recording.often_rotated:
+            return recording
+        note = f"{recording.path}: in mm some of its depth would be beyond 16 m: its unit is taken as 0.1 mm"
+        return replace(recording, depth_scale=pattern.units, warnings=(*recording.warnings, note))
+    if in_mm and pattern.likely:
+        undone = f"its bits are rotated, as {whose}'s are, and are put back{tenths}"
+        note = f"{what}: {undone}; if not, `depth_code: plain`"
+        if pattern.median > EVEN_UNITS_MM and not tenths:
+            note += f"; in mm its median is {pattern.median / MM_SCALE:.2f} m: if its unit is 0.1 mm, "
+            note += "`depth_scale: 10000`"
+        return replace(
+            recording,
+            depth_code="rotated",
+            depth_scale=pattern.units,
+            warnings=(*recording.warnings, note),
+        )
+    unit = "mm" if in_mm else f"{recording.depth_scale:g} units per metre"
+    note = f"{what}: it is read in {unit}; if its bits are rotated, as {whose}'s are, give {written}"
     return replace(recording, warnings=(*recording.warnings, note))
 
 

@@ -1,0 +1,93 @@
+"""The pose convention of a camera that turns far between frames, and then stands while depth is repeated."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ingest_writers import png
+
+from kinectbench.core.geometry import Camera, invert_rigid, rigid
+from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.trajectory_file import trajectory_text
+from kinectbench.core.types import Float64
+from kinectbench.doctor import inspect
+from kinectbench.doctor.fit import AXES
+from kinectbench.doctor.probe import probe_recording
+from kinectbench.doctor.trajectory import fit_trajectory, fits_no_better
+from kinectbench.stages.ingest.readers import open_recording
+
+CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
+MOVING, STANDING = 30, 100
+# Half sides of the room around the camera, metres.
+ROOM_M = np.array([0.55, 0.45, 0.6])
+
+
+def turning_poses() -> Float64:
+    """(30, 4, 4): the camera turns by 25 degrees a frame about a tilted axis, and moves by some cm."""
+    poses = []
+    for i in range(MOVING):
+        a, b = np.radians(25 * i), 0.3 * np.sin(1.1 * i)
+        yaw = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+        pitch = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+        at = [0.15 * np.cos(0.9 * i), 0.1 * np.sin(0.7 * i), 0.15 * np.sin(1.3 * i)]
+        poses.append(rigid(yaw @ pitch, np.array(at)))
+    return np.stack(poses)
+
+
+def rendered(T: Float64) -> np.ndarray:
+    """Depth of the room from inside, mm (120, 160) uint16."""
+    rays = CAMERA.rays() @ T[:3, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        hits = np.where(rays == 0, np.inf, (np.sign(rays) * ROOM_M - T[:3, 3]) / rays)
+    return np.rint(1000 * hits.min(axis=-1)).astype(np.uint16)
+
+
+def write(folder: Path, axes: str, standing: int, *, other: bool = False) -> Path:
+    """A folder without times; `axes` are those of the given poses, `other`: they are of another walk."""
+    (folder / "depth").mkdir(parents=True)
+    poses = turning_poses()
+    for i, T in enumerate([*poses, *[poses[-1]] * standing]):
+        (folder / f"depth/{i:04d}.png").write_bytes(png(rendered(T)))
+    given = poses @ invert_rigid(rigid(AXES[axes], np.zeros(3)))
+    given = given[np.random.default_rng(0).permutation(MOVING)] if other else given
+    given = np.concatenate([given, np.repeat(given[-1:], standing, axis=0)])
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    stated = {name: getattr(CAMERA, name) for name in names} | {"depth_scale": 1000}
+    (folder / "intrinsics.json").write_text(json.dumps(stated))
+    rows = trajectory_text(GivenTrajectory(np.arange(len(given)) * 10**9, given))
+    (folder / "trajectory.txt").write_text(rows)
+    return folder
+
+
+@pytest.mark.parametrize("standing", [0, STANDING])
+@pytest.mark.parametrize(
+    ("axes", "reading"),
+    [("robot", "robot axes (x forward, z up)"), ("opengl", "OpenGL axes (y up, z backward)")],
+)
+def test_other_axes_are_found(tmp_path: Path, axes: str, reading: str, standing: int) -> None:
+    diagnosis, _ = inspect(write(tmp_path / "r", axes, standing))
+    assert diagnosis.facts["poses_read_as"] == reading
+    names = {found.name for found in diagnosis.findings}
+    assert "trajectory_reading" in names and not names & {"trajectory_delay", "trajectory_wrong"}
+
+
+@pytest.mark.parametrize("standing", [0, STANDING])
+def test_right_poses_are_not_refused(tmp_path: Path, standing: int) -> None:
+    diagnosis, _ = inspect(write(tmp_path / "r", "optical", standing))
+    assert diagnosis.facts["poses_read_as"] == "as given"
+    names = {found.name for found in diagnosis.findings}
+    assert not names & {"trajectory_delay", "trajectory_wrong", "trajectory_reading", "trajectory_scale"}
+
+
+def test_only_frames_of_new_depth_are_compared(tmp_path: Path) -> None:
+    fit = fit_trajectory(probe_recording(open_recording(write(tmp_path / "r", "optical", STANDING))))
+    assert fit is not None and fit.proven and not fits_no_better(fit)
+    assert all(max(pair.first, pair.second) < MOVING for pair in fit.pairs)
+
+
+@pytest.mark.parametrize("standing", [0, STANDING])
+def test_poses_of_another_walk_are_no_fit(tmp_path: Path, standing: int) -> None:
+    diagnosis, _ = inspect(write(tmp_path / "r", "optical", standing, other=True))
+    names = {found.name for found in diagnosis.findings}
+    assert not names & {"trajectory_delay", "trajectory_reading", "trajectory_scale"}
