@@ -221,10 +221,11 @@ def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     advice = "find out its unit, and give `depth_scale` (units a metre)"
     pattern = stored_pattern(probe)
     if pattern.found:
-        written = f"`depth_code: rotated, depth_scale: {pattern.units:g}`"
+        units = pattern.likelier_units
+        written = f"`depth_code: rotated, depth_scale: {units:g}`"
         advice = (
             f"nearly every value is a multiple of 8: if the bits are rotated, {written}, by which the median "
-            f"would be {pattern.median / pattern.units:.2f} m, which nothing here proves"
+            f"would be {pattern.median / units:.2f} m, which nothing here proves"
         )
         yield Finding("depth_scale", severity, what, probe.where, advice)
         return

@@ -226,3 +226,48 @@ def test_of_floats_no_scale_of_what_they_became_is_offered(base: Path, tmp_path:
     assert "`depth_scale: 100`" in scale
     right, _ = inspect(folder, CameraSettings(depth_scale=100.0))
     assert not right.stops and right.facts["poses_read_as"] == "as given"
+
+
+def tenths(metres: Metres) -> NDArray[np.uint16]:
+    """Rotated bits, 0.1 mm, at 0.3 times the distance: nearly all is below 0.8192 m, as on a shelf."""
+    near = np.rint(3000 * metres)
+    depth = np.where(near < 8192, near, np.where(np.arange(160) % 30 == 0, near, 0)).astype(np.uint16)
+    depth[0, :12], depth[1, :4] = 10000, 20000
+    return rotated(depth)
+
+
+def on_a_shelf(base: Path, folder: Path) -> Path:
+    """The recording with positions and depth 0.3 times as long, its depth in `tenths`."""
+    recoded(base, folder, tenths)
+    rows = np.loadtxt(folder / "poses.txt").reshape(-1, 4, 4)
+    rows[:, :3, 3] *= 0.3
+    np.savetxt(folder / "poses.txt", rows.reshape(-1, 16), fmt="%.12f")
+    return folder
+
+
+@pytest.mark.parametrize("scale", [1000.0, 10000.0, 5000.0])
+def test_rotated_bits_are_offered_before_a_plain_scale(base: Path, tmp_path: Path, scale: float) -> None:
+    folder = on_a_shelf(base, tmp_path / "r")
+    diagnosis, _ = inspect(folder, CameraSettings(depth_scale=scale))
+    (offered,) = [found for found in diagnosis.findings if "poses fit if depth is" in found.what]
+    assert offered.advice == "`camera: {depth_code: rotated, depth_scale: 10000}`"
+
+
+def test_rotated_depth_in_mm_by_mistake_does_not_blame_the_poses(base: Path, tmp_path: Path) -> None:
+    folder = on_a_shelf(base, tmp_path / "r")
+    wrong, _ = inspect(folder, CameraSettings(depth_code="rotated", depth_scale=1000.0))
+    assert "trajectory_scale" not in {found.name for found in wrong.findings}
+    (found,) = [each for each in wrong.findings if each.name == "depth_scale" and "poses" in each.what]
+    assert "`depth_scale: 10000`" in found.advice
+    for settings in (None, CameraSettings(depth_code="rotated")):
+        right, look = inspect(folder, settings)
+        assert look is not None and look.recording.depth_scale == 10000.0
+        assert right.facts["poses_read_as"] == "as given" and not right.stops
+
+
+def test_without_poses_the_hint_names_rotated_bits(base: Path, tmp_path: Path) -> None:
+    folder = on_a_shelf(base, tmp_path / "r")
+    (folder / "poses.txt").unlink()
+    diagnosis, _ = inspect(folder, CameraSettings(depth_scale=1000.0))
+    (found,) = [each for each in diagnosis.findings if each.name == "depth_scale"]
+    assert "`depth_code: rotated, depth_scale: 10000`" in found.advice and "proves" in found.advice

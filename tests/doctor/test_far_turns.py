@@ -19,36 +19,44 @@ from kinectbench.stages.ingest.readers import open_recording
 
 CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
 MOVING, STANDING = 30, 100
-# Half sides of the room around the camera, metres.
-ROOM_M = np.array([0.55, 0.45, 0.6])
+# Half sides of the room around the camera, metres: one in which it turns, and a low one in which it moves
+# along a wall.
+ROOMS_M = {"turns": np.array([0.55, 0.45, 0.6]), "wall": np.array([1.5, 1.5, 0.4])}
 
 
-def turning_poses() -> Float64:
-    """(30, 4, 4): the camera turns by 25 degrees a frame about a tilted axis, and moves by some cm."""
+def walk(kind: str) -> Float64:
+    """(30, 4, 4): the camera turns by 32 degrees a frame, or moves by some 0.3 m and turns before a wall."""
     poses = []
     for i in range(MOVING):
-        a, b = np.radians(25 * i), 0.3 * np.sin(1.1 * i)
+        a, b, at = (
+            np.radians(32 * i),
+            0.3 * np.sin(1.1 * i),
+            [np.cos(0.9 * i), np.sin(0.7 * i), np.sin(1.3 * i)],
+        )
+        at = 0.12 * np.array(at)
+        if kind == "wall":
+            a, b = 0.3 * np.sin(2.1 * i), 0.3 * np.cos(1.7 * i)
+            at = np.array([0.4 * np.sin(0.8 * i), 0.4 * np.cos(0.7 * i), 0.05 * np.sin(i)])
         yaw = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
         pitch = np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
-        at = [0.15 * np.cos(0.9 * i), 0.1 * np.sin(0.7 * i), 0.15 * np.sin(1.3 * i)]
-        poses.append(rigid(yaw @ pitch, np.array(at)))
+        poses.append(rigid(yaw @ pitch, at))
     return np.stack(poses)
 
 
-def rendered(T: Float64) -> np.ndarray:
+def rendered(T: Float64, kind: str) -> np.ndarray:
     """Depth of the room from inside, mm (120, 160) uint16."""
     rays = CAMERA.rays() @ T[:3, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):
-        hits = np.where(rays == 0, np.inf, (np.sign(rays) * ROOM_M - T[:3, 3]) / rays)
+        hits = np.where(rays == 0, np.inf, (np.sign(rays) * ROOMS_M[kind] - T[:3, 3]) / rays)
     return np.rint(1000 * hits.min(axis=-1)).astype(np.uint16)
 
 
-def write(folder: Path, axes: str, standing: int, *, other: bool = False) -> Path:
+def write(folder: Path, kind: str, axes: str, standing: int, *, other: bool = False) -> Path:
     """A folder without times; `axes` are those of the given poses, `other`: they are of another walk."""
     (folder / "depth").mkdir(parents=True)
-    poses = turning_poses()
+    poses = walk(kind)
     for i, T in enumerate([*poses, *[poses[-1]] * standing]):
-        (folder / f"depth/{i:04d}.png").write_bytes(png(rendered(T)))
+        (folder / f"depth/{i:04d}.png").write_bytes(png(rendered(T, kind)))
     given = poses @ invert_rigid(rigid(AXES[axes], np.zeros(3)))
     given = given[np.random.default_rng(0).permutation(MOVING)] if other else given
     given = np.concatenate([given, np.repeat(given[-1:], standing, axis=0)])
@@ -60,34 +68,38 @@ def write(folder: Path, axes: str, standing: int, *, other: bool = False) -> Pat
     return folder
 
 
+@pytest.mark.parametrize("kind", ROOMS_M)
 @pytest.mark.parametrize("standing", [0, STANDING])
 @pytest.mark.parametrize(
     ("axes", "reading"),
     [("robot", "robot axes (x forward, z up)"), ("opengl", "OpenGL axes (y up, z backward)")],
 )
-def test_other_axes_are_found(tmp_path: Path, axes: str, reading: str, standing: int) -> None:
-    diagnosis, _ = inspect(write(tmp_path / "r", axes, standing))
+def test_other_axes_are_found(tmp_path: Path, kind: str, axes: str, reading: str, standing: int) -> None:
+    diagnosis, _ = inspect(write(tmp_path / "r", kind, axes, standing))
     assert diagnosis.facts["poses_read_as"] == reading
     names = {found.name for found in diagnosis.findings}
     assert "trajectory_reading" in names and not names & {"trajectory_delay", "trajectory_wrong"}
 
 
+@pytest.mark.parametrize("kind", ROOMS_M)
 @pytest.mark.parametrize("standing", [0, STANDING])
-def test_right_poses_are_not_refused(tmp_path: Path, standing: int) -> None:
-    diagnosis, _ = inspect(write(tmp_path / "r", "optical", standing))
+def test_right_poses_are_not_refused(tmp_path: Path, kind: str, standing: int) -> None:
+    diagnosis, _ = inspect(write(tmp_path / "r", kind, "optical", standing))
     assert diagnosis.facts["poses_read_as"] == "as given"
     names = {found.name for found in diagnosis.findings}
     assert not names & {"trajectory_delay", "trajectory_wrong", "trajectory_reading", "trajectory_scale"}
 
 
-def test_only_frames_of_new_depth_are_compared(tmp_path: Path) -> None:
-    fit = fit_trajectory(probe_recording(open_recording(write(tmp_path / "r", "optical", STANDING))))
-    assert fit is not None and fit.proven and not fits_no_better(fit)
+@pytest.mark.parametrize("kind", ROOMS_M)
+def test_only_frames_of_new_depth_are_compared(tmp_path: Path, kind: str) -> None:
+    fit = fit_trajectory(probe_recording(open_recording(write(tmp_path / "r", kind, "optical", STANDING))))
+    assert fit is not None and fit.fits and not fits_no_better(fit)
     assert all(max(pair.first, pair.second) < MOVING for pair in fit.pairs)
 
 
+@pytest.mark.parametrize("kind", ROOMS_M)
 @pytest.mark.parametrize("standing", [0, STANDING])
-def test_poses_of_another_walk_are_no_fit(tmp_path: Path, standing: int) -> None:
-    diagnosis, _ = inspect(write(tmp_path / "r", "optical", standing, other=True))
+def test_poses_of_another_walk_are_no_fit(tmp_path: Path, kind: str, standing: int) -> None:
+    diagnosis, _ = inspect(write(tmp_path / "r", kind, "optical", standing, other=True))
     names = {found.name for found in diagnosis.findings}
     assert not names & {"trajectory_delay", "trajectory_reading", "trajectory_scale"}

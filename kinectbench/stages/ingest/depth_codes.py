@@ -90,6 +90,11 @@ class Pattern(NamedTuple):
     units: float
     median: float
 
+    @property
+    def likelier_units(self) -> float:
+        """`units`, or 10000 if the median would be unlikely far in mm."""
+        return ROTATED_SCALES[1] if self.median > EVEN_UNITS_MM else self.units
+
 
 def unrotated(depth: NDArray[np.uint16]) -> NDArray[np.uint16]:
     """Undo the rotation of bits: return depth in mm, uint16, of the same shape; 0 stays 0."""

@@ -115,3 +115,57 @@ def test_a_damaged_image_does_not_hide_the_code(tmp_path: Path) -> None:
 def test_a_code_for_depth_that_is_no_png_is_refused(tmp_path: Path) -> None:
     with raises(RecordingError, "recording.unused-setting"):
         open_recording(write_bag(tmp_path / "r.bag"), CameraSettings(depth_code="rotated"))
+
+
+def shelf(far_share: float) -> Depth:
+    """Depth in 0.1 mm of a shelf at 0.3 to 0.7 m; behind it a wall at 0.9 to 1.3 m, and a gap to 2 m."""
+    rng = np.random.default_rng(7)
+    depth = rng.uniform(3000, 7000, (48, 64)).astype(np.uint16)
+    wall = rng.random(depth.shape) < far_share
+    depth[wall] = rng.uniform(9000, 13000, int(wall.sum())).astype(np.uint16)
+    depth.ravel()[rng.choice(depth.size, 4, replace=False)] = 20000
+    return depth
+
+
+@pytest.mark.parametrize("layout", ["folder", "7scenes"])
+@pytest.mark.parametrize("settings", [CameraSettings(), CameraSettings(depth_code="rotated")])
+def test_rotated_tenths_of_mm_are_recognised_by_depth_beyond_the_range(
+    tmp_path: Path, layout: str, settings: CameraSettings
+) -> None:
+    folder = write_folder(tmp_path / "r") if layout == "folder" else write_seven_scenes(tmp_path / "r")
+    rewrite(folder, rotated(shelf(0.01)))
+    recording = open_recording(folder, settings)
+    np.testing.assert_array_equal(recording.frame(1).depth, shelf(0.01))
+    assert recording.depth_scale == 10000.0
+    (warning,) = recording.warnings
+    assert "its unit is" in warning and "0.1 mm" in warning
+
+
+def test_more_than_a_twentieth_beyond_is_no_pattern() -> None:
+    assert find_pattern([rotated(shelf(0.04))]).found and not find_pattern([rotated(shelf(0.07))]).found
+
+
+def test_a_few_odd_values_do_not_change_the_unit(tmp_path: Path) -> None:
+    """Low bits of all kinds, as of interpolated edges, are not those of farther depth."""
+    depth = rotated(room(800, 3500))
+    depth[10, :40] |= np.arange(40, dtype=np.uint16) % 7 + 1
+    pattern = find_pattern([depth])
+    assert pattern.found and pattern.units == 1000.0
+
+
+def test_both_units_are_named_where_the_values_do_not_say(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    rewrite(folder, rotated(room(4500, 5900)))
+    recording = open_recording(folder)
+    assert recording.depth_scale == 1000.0
+    (warning,) = recording.warnings
+    assert "in mm its median is 5.2" in warning and "`depth_scale: 10000`" in warning
+
+
+def test_a_plain_scale_for_rotated_depth_gets_a_warning(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    rewrite(folder, rotated(shelf(0.01)))
+    recording = open_recording(folder, CameraSettings(depth_scale=10000.0))
+    np.testing.assert_array_equal(recording.frame(0).depth, rotated(shelf(0.01)))
+    (warning,) = recording.warnings
+    assert "give `depth_code: rotated, depth_scale: 10000`" in warning

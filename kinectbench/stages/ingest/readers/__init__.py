@@ -17,7 +17,6 @@ from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.settings.models import CameraSettings
 from kinectbench.settings.pick import PICK_FILE
 from kinectbench.stages.ingest.depth_codes import (
-    EVEN_UNITS_MM,
     ROTATED_SCALES,
     SAMPLED_IMAGES,
     Pattern,
@@ -327,7 +326,7 @@ def _by_pattern(recording: FileRecording, pattern: Pattern, *, in_mm: bool) -> R
     if in_mm and pattern.likely:
         undone = f"its bits are rotated, as {whose}'s are, and are put back{tenths}"
         note = f"{what}: {undone}; if not, `depth_code: plain`"
-        if pattern.median > EVEN_UNITS_MM and not tenths:
+        if pattern.likelier_units != pattern.units:
             note += f"; in mm its median is {pattern.median / MM_SCALE:.2f} m: if its unit is 0.1 mm, "
             note += "`depth_scale: 10000`"
         return replace(
