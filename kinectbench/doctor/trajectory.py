@@ -184,7 +184,7 @@ def _fitting(table: NDArray[np.float64], unmoved: NDArray[np.float64]) -> NDArra
     """
     fitting = table.min(axis=0) < HOPELESS
     apart = (np.abs(table - unmoved) > APART).any(axis=0) | (unmoved > MOVED)
-    return fitting & apart if (fitting & apart).sum() >= LEAST_PAIRS else fitting
+    return np.asarray(fitting & apart if (fitting & apart).sum() >= LEAST_PAIRS else fitting)
 
 
 def _unrefuted(chosen: int, costs: NDArray[np.float64], points: Covered) -> int:

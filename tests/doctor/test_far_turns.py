@@ -26,14 +26,10 @@ ROOMS_M = {"turns": np.array([0.55, 0.45, 0.6]), "wall": np.array([1.5, 1.5, 0.4
 
 def walk(kind: str) -> Float64:
     """(30, 4, 4): the camera turns by 32 degrees a frame, or moves by some 0.3 m and turns before a wall."""
-    poses = []
+    poses: list[Float64] = []
     for i in range(MOVING):
-        a, b, at = (
-            np.radians(32 * i),
-            0.3 * np.sin(1.1 * i),
-            [np.cos(0.9 * i), np.sin(0.7 * i), np.sin(1.3 * i)],
-        )
-        at = 0.12 * np.array(at)
+        a, b = np.radians(32 * i), 0.3 * np.sin(1.1 * i)
+        at = 0.12 * np.array([np.cos(0.9 * i), np.sin(0.7 * i), np.sin(1.3 * i)])
         if kind == "wall":
             a, b = 0.3 * np.sin(2.1 * i), 0.3 * np.cos(1.7 * i)
             at = np.array([0.4 * np.sin(0.8 * i), 0.4 * np.cos(0.7 * i), 0.05 * np.sin(i)])
@@ -48,7 +44,7 @@ def rendered(T: Float64, kind: str) -> np.ndarray:
     rays = CAMERA.rays() @ T[:3, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):
         hits = np.where(rays == 0, np.inf, (np.sign(rays) * ROOMS_M[kind] - T[:3, 3]) / rays)
-    return np.rint(1000 * hits.min(axis=-1)).astype(np.uint16)
+    return np.asarray(np.rint(1000 * hits.min(axis=-1)), np.uint16)
 
 
 def write(folder: Path, kind: str, axes: str, standing: int, *, other: bool = False) -> Path:
