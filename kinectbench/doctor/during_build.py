@@ -19,15 +19,15 @@ from kinectbench.stages.ingest.recording import RawFrame, Recording
 POSES = frozenset({"trajectory_scale", "trajectory_reading", "trajectory_wrong", "trajectory_time_unit"})
 IN_CAMERA = " (under `camera:` in benchmark.yaml)"
 # Findings that ingest itself does not detect; `track` judges the poses, over all frames.
-CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})
+CHECKED = frozenset({"byte_order", "depth_normalised", "invalid_code", "intrinsics_resolution"})
 
 
 def refuse_hopeless(recording: Recording) -> None:
     """Refuse a recording if a fault in all of its frames would make the build fail or its result wrong.
 
     Raises:
-        RecordingError: the depth has swapped bytes; over 2 % of it is a code for missing depth that is read
-            as depth; or the intrinsics are of another image size.
+        RecordingError: the depth has swapped bytes, or was scaled image by image; over 2 % of it is a code
+            for missing depth that is read as depth; or the intrinsics are of another image size.
     """
     probe = probe_recording(recording, few=True)
     for finding in (*check_depth(probe), *check_intrinsics(probe)):

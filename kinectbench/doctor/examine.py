@@ -48,7 +48,7 @@ SAME_UNIT = (
     "write the poses in metres"
 )
 # Findings that make depth meaningless: no further check is useful.
-HOPELESS = frozenset({"no_depth", "byte_order", "depth_sizes"})
+HOPELESS = frozenset({"no_depth", "byte_order", "depth_normalised", "depth_sizes"})
 
 
 def _open_anyhow(

@@ -35,8 +35,8 @@ GRAVITY_UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhoneRecording(FileRecording):
-    """Images of a phone: colour is scaled to depth's size, and depth of low confidence is dropped.
+class ConfidenceRecording(FileRecording):
+    """Images with confidence of depth, as phones with LiDAR write it: depth of low confidence is dropped.
 
     Attributes:
         confidence: file of each frame's confidence image (0, 1, 2); None if there is none.
@@ -63,6 +63,10 @@ class PhoneRecording(FileRecording):
     def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Convert a confidence image (height, width) to 0, 1 or 2: low, middle, high."""
         return image
+
+
+class PhoneRecording(ConfidenceRecording):
+    """Images of a phone: colour is scaled to depth's size, and depth of low confidence is dropped."""
 
     def color(self, index: int) -> tuple[str, bytes] | None:
         """Return a frame's colour image at depth's size: (suffix, encoded image).
