@@ -70,7 +70,7 @@ def marked(depth: Depth, i: int) -> NDArray[np.generic]:
 
 def far_plane(depth: Depth, i: int) -> NDArray[np.generic]:
     """Farther than 13.1 m at 5000 units per metre, in a tenth of the image, beside depth just below it."""
-    return np.minimum(depth * 52.0, 65535)
+    return np.asarray(np.minimum(depth * 52.0, 65535))
 
 
 def stereo_noise(depth: Depth, i: int) -> NDArray[np.generic]:
@@ -81,7 +81,7 @@ def stereo_noise(depth: Depth, i: int) -> NDArray[np.generic]:
 
 
 def some_scaled(depth: Depth, i: int) -> NDArray[np.generic]:
-    return depth / depth.max() * (65535 if i % 2 else 60000)
+    return np.asarray(depth / depth.max() * (65535 if i % 2 else 60000))
 
 
 @pytest.mark.parametrize("change", [marked, far_plane, stereo_noise, some_scaled, by_maximum(8191)])

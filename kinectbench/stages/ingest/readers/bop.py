@@ -162,8 +162,8 @@ def _shared(
         runs = ", ".join(_runs(numbers, group) for group in groups[:MOST_GROUPS])
         raise RecordingError(
             f"{file}: image {other} has another camera than image {first}: {printable(runs, 200)} have "
-            "different cameras: give one group (of one focal length and depth scale, and principal points that "
-            "differ by whole pixels)",
+            "different cameras: give one group (of one focal length and depth scale, and of principal points "
+            "that differ by whole pixels)",
             what="two-cameras",
         )
     shared = K[0].copy()
