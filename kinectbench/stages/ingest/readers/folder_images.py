@@ -28,7 +28,7 @@ DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE 
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 # What librealsense's tools and DexYCB add to the name of an image that lies on the other camera's pixels.
 TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
-# Arrays with a shorter side are no images: cameras have at least 64 x 48 pixels. Larger files are not opened.
+# Arrays with a shorter side are no images of a room (our own bound); larger files are not opened for it.
 LEAST_SIDE_PX, MOST_BYTES = 32, 4096
 # Bytes of a PNG that contain its number of bits.
 HEAD_BYTES = 26
