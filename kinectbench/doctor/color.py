@@ -99,7 +99,7 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
 
 
 def in_no_order(probe: Probe) -> bool:
-    """Return whether frames without poses are in random order: neighbours hardly more similar than distant frames.
+    """Whether frames without poses are in random order: neighbours hardly more similar than distant ones.
 
     The frames of the longest run are compared; distant frames are half that run apart. The result is False if
     the run has fewer than 20 frames, or if neighbours agree in 90 % of their pixels, as with a static camera.

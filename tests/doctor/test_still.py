@@ -85,6 +85,7 @@ def test_frames_in_no_order_of_time_are_of_no_turntable(tmp_path: Path) -> None:
     for i in range(30):
         depth = np.repeat(np.linspace(1500, 700, 48)[:, None], 64, axis=1)
         depth[:28] = rng.uniform(1000, 6000)
+        depth += 3 * np.arange(64)
         (tmp_path / f"r/depth/{i}.png").write_bytes(png(depth.astype(np.uint16)))
     gray = np.full((48, 64, 3), 90, np.uint8)
     for file in (tmp_path / "r/color").iterdir():
