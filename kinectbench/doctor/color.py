@@ -77,7 +77,7 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
     given = probe.recording.given_trajectory
     if given is not None and not in_order_of_time(given.T_world_camera):
         return  # views in no order of time do not resemble their neighbours
-    if given is None and _shuffled(probe):
+    if in_no_order(probe):
         what = "frames that follow each other are no more similar than any two: they are in no order of time"
         advice = "number them in the order in which they were recorded, or give their poses"
         yield Finding("frame_order", "warning", what, probe.where, advice)
@@ -98,14 +98,14 @@ def _odd_frames(probe: Probe) -> Iterator[Finding]:
         yield Finding("odd_frames", "warning", what, f"{probe.where}: frame {odd[0]}", "remove them")
 
 
-def _shuffled(probe: Probe) -> bool:
-    """Return whether frames are in random order: neighbours hardly more similar than distant frames.
+def in_no_order(probe: Probe) -> bool:
+    """Whether frames without poses are in random order: neighbours hardly more similar than distant ones.
 
     The frames of the longest run are compared; distant frames are half that run apart. The result is False if
     the run has fewer than 20 frames, or if neighbours agree in 90 % of their pixels, as with a static camera.
     """
     thumbs = [_thumb(frame) for frame in probe.longest_run()]
-    if len(thumbs) < FEWEST_IN_ORDER:
+    if probe.recording.given_trajectory is not None or len(thumbs) < FEWEST_IN_ORDER:
         return False
     beside, apart = (
         np.mean([_match(first, second) for first, second in zip(thumbs, thumbs[step:], strict=False)])

@@ -19,15 +19,15 @@ from kinectbench.stages.ingest.recording import RawFrame, Recording
 POSES = frozenset({"trajectory_scale", "trajectory_reading", "trajectory_wrong", "trajectory_time_unit"})
 IN_CAMERA = " (under `camera:` in benchmark.yaml)"
 # Findings that ingest itself does not detect; `track` judges the poses, over all frames.
-CHECKED = frozenset({"byte_order", "invalid_code", "intrinsics_resolution"})
+CHECKED = frozenset({"byte_order", "depth_normalised", "invalid_code", "intrinsics_resolution"})
 
 
 def refuse_hopeless(recording: Recording) -> None:
     """Refuse a recording if a fault in all of its frames would make the build fail or its result wrong.
 
     Raises:
-        RecordingError: the depth has swapped bytes; over 2 % of it is a code for missing depth that is read
-            as depth; or the intrinsics are of another image size.
+        RecordingError: the depth has swapped bytes, or was scaled image by image; over 2 % of it is a code
+            for missing depth that is read as depth; or the intrinsics are of another image size.
     """
     probe = probe_recording(recording, few=True)
     for finding in (*check_depth(probe), *check_intrinsics(probe)):
@@ -38,29 +38,32 @@ def refuse_hopeless(recording: Recording) -> None:
             )
 
 
-def likely_cause(recording: Recording) -> str:
+def likely_cause(recording: Recording) -> tuple[str, bool]:
     """Explain a failed build by a fault of the poses, or of the scale or encoding of depth.
 
-    The result is one line; "" if none of these faults is likely. A recording is not refused before the build
-    because of a suspicious depth scale: it may just show a small object.
+    A recording is not refused before the build because of a suspicious depth scale: it may just show a small
+    object.
+
+    Returns:
+        The explanation, one line ("" if none of these faults is likely), and whether the poses prove it:
+            depth alone only shows that a scale is unlikely.
     """
     probe = probe_recording(recording)
     by_depth = [each for each in check_depth(probe) if each.name == "depth_scale"]
-    # Poses determine the scale; depth alone only shows that it is unlikely.
     fit = fit_trajectory(probe)
     for each in check_codes(probe, fit):
         suspicion = "the depth's scale may be wrong" if each.name == "depth_scale" else "depth may be coded"
-        return f"{each.where}: {suspicion}: {each.what}; {each.advice}{IN_CAMERA}"
+        return f"{each.where}: {suspicion}: {each.what}; {each.advice}{IN_CAMERA}", True
     of_poses = list(check_trajectory(probe, fit))
     for each in of_poses:
         if each.name in POSES:
-            return f"{each.where}: {each.what}; {each.advice}"
-    if not by_depth:
-        return ""
-    if fit is not None and fit.proven:
-        return ""
-    each = next((each for each in of_poses if each.name == "depth_scale"), by_depth[0])
-    return f"{each.where}: the depth's scale may be wrong: {each.what}; {each.advice}{IN_CAMERA}"
+            return f"{each.where}: {each.what}; {each.advice}", True
+    if not by_depth or (fit is not None and fit.proven):
+        return "", False
+    proven = next((each for each in of_poses if each.name == "depth_scale"), None)
+    each = proven or by_depth[0]
+    said = f"{each.where}: the depth's scale may be wrong: {each.what}; {each.advice}{IN_CAMERA}"
+    return said, proven is not None
 
 
 class OffsetWatch:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, some_of, watch, watch_some
+from kinectbench.doctor.color import in_no_order
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.probe import Probe
 
@@ -21,7 +22,8 @@ def check_still(probe: Probe) -> Iterator[Finding]:
 
     A static camera is reported as `turntable` if something moves in front of it, and as `one_view` if nothing
     does. A background without depth is reported as `plain_background`, and then nothing else is. Nothing is
-    reported for fewer than six frames.
+    reported for fewer than six frames. Frames in no order of time are not from a static camera: all depth of
+    a camera above a bare floor is the same where nothing stands on it.
     """
     frames = [probe.frames[index] for index in some_of(len(probe.frames))]
     shape = (probe.small_camera.height, probe.small_camera.width)
@@ -35,7 +37,7 @@ def check_still(probe: Probe) -> Iterator[Finding]:
     elif watched.camera_still and not watched.something_moves:
         what = "the camera stands still, and nothing moves before it: all frames show one view"
         yield Finding("one_view", "warning", what, probe.where, WALK)
-    elif watched.camera_still:
+    elif watched.camera_still and not in_no_order(probe):
         has_masks = probe.recording.frame(probe.frames[0].index).mask is not None
         yield Finding("turntable", "warning", _what(watched), probe.where, _advice(has_masks))
 

@@ -292,7 +292,7 @@ def _checked_masks(job: Job) -> Callable[[Path], object] | None:
 
 
 def _explained(job: Job, failure: KinectBenchError) -> str:
-    """Return the message of a failure, preceded by its likely cause if the recording shows one."""
+    """Return the message of a failure with its likely cause, which comes first if the poses prove it."""
     from kinectbench.doctor.during_build import likely_cause
     from kinectbench.stages.ingest.readers import open_recording
 
@@ -300,7 +300,9 @@ def _explained(job: Job, failure: KinectBenchError) -> str:
         recording = open_recording(job.source, job.recording.camera, follow_links=job.recording.follow_links)
         if job.recording.trajectory_mode == "ignore" or job.recording.segment_by:
             recording = replace(recording, given_trajectory=None, trajectory_error="")
-        cause = likely_cause(recording)
+        cause, proven = likely_cause(recording)
     except KinectBenchError:
-        cause = ""  # the recording has since been removed or damaged
+        return str(failure)  # the recording has since been removed or damaged
+    if cause and not proven:
+        return f"{failure}. Perhaps why: {cause}"
     return f"{cause}. What failed: {failure}" if cause else str(failure)

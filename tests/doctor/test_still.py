@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from ingest_writers import jpeg, png, write_folder
 
 from kinectbench.doctor import inspect
 from kinectbench.lab.simulate.simulate import simulate
@@ -74,3 +76,19 @@ def test_poses_of_a_camera_that_stands_still_are_not_read(
     advice, facts = advice_in(tmp_path / "kettle", own_pixels)
     assert facts["poses"] == 12 and "poses_read_as" not in facts and "arc_deg" not in facts
     assert not {"mirrored_images", "trajectory_reading", "trajectory_scale"} & advice.keys()
+
+
+def test_frames_in_no_order_of_time_are_of_no_turntable(tmp_path: Path) -> None:
+    """A camera that is driven over a bare floor, which has the same depth in every frame."""
+    write_folder(tmp_path / "r", [str(i) for i in range(30)])
+    rng = np.random.default_rng(0)
+    for i in range(30):
+        depth = np.repeat(np.linspace(1500, 700, 48)[:, None], 64, axis=1)
+        depth[:28] = rng.uniform(1000, 6000)
+        depth += 3 * np.arange(64)
+        (tmp_path / f"r/depth/{i}.png").write_bytes(png(depth.astype(np.uint16)))
+    gray = np.full((48, 64, 3), 90, np.uint8)
+    for file in (tmp_path / "r/color").iterdir():
+        file.write_bytes(jpeg(gray))
+    advice, _ = advice_in(tmp_path / "r")
+    assert "frame_order" in advice and not NAMES & advice.keys()

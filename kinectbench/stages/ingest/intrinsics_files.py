@@ -17,10 +17,13 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_units import scale_of_keys, yaml_scale
 from kinectbench.stages.ingest.intrinsics import (
     HELD,
+    MATRIX_KEYS,
     MATRIX_SHAPES,
     NEEDED,
+    SAME_AS,
     Intrinsics,
     gives_intrinsics,
+    json_numbers,
     of_four_numbers,
     pinhole,
     read_intrinsics_json,
@@ -142,8 +145,43 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
 
 
 def named_like_intrinsics(path: Path) -> str:
-    """Return the end of an error message: files that may contain intrinsics; "" if there are none."""
+    """Return the end of an error message: files that may contain intrinsics; "" if there are none.
+
+    If a file holds cameras, each under a name, they are printed as benchmark.yaml would take them.
+    """
+    if not path.is_dir():
+        return ""
+    for file in _files_like(path, LIKE_INTRINSICS.fullmatch):
+        cameras = _cameras_inside(path / file)
+        if cameras:
+            names = " and ".join(name for name, _ in cameras)
+            lines = ", ".join(f"{name} as `{line}`" for name, line in cameras)
+            which = "give that of depth, or that of colour if depth lies on colour's pixels"
+            held = f"the camera {names}" if len(cameras) == 1 else f"cameras {names}"
+            return f"; {printable(str(file))} holds {held}: {which}: {lines}"
     return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
+
+
+def _cameras_inside(file: Path) -> list[tuple[str, str]]:
+    """Return name and line for benchmark.yaml of cameras that a JSON file holds as objects, at most four."""
+    raw = dict[str, object]()
+    with suppress(RecordingError, OSError):
+        raw = read_json_object(file, HELD, YAML_BYTES) if file.suffix.lower() == ".json" else {}
+    cameras = list[tuple[str, str]]()
+    for name, value in raw.items():
+        known = (
+            {SAME_AS.get(key, key): each for key, each in value.items()} if isinstance(value, dict) else {}
+        )
+        four = json_numbers([known.get(key) for key in NEEDED])
+        K = next((json_numbers(known[key]) for key in MATRIX_KEYS if key in known), four)
+        if K.size == 9:
+            K = K.reshape(3, 3)
+            K = K.T if K[2, :2].any() else K
+            four = K[[0, 1, 0, 1], [0, 1, 2, 2]]
+        if four.shape == (4,) and np.isfinite(four).all():
+            numbers = ", ".join(f"{key}: {each:.7g}" for key, each in zip(NEEDED, four, strict=True))
+            cameras.append((printable(name), f"camera: {{{numbers}}}"))
+    return cameras[:MOST_NAMED]
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:
@@ -156,15 +194,19 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_fold
         how: words before the names.
         by_folder: whether the predicate gets names with their subfolder, such as pose/000000.npy.
     """
-    if not path.is_dir():
-        return ""
+    names = list(map(str, _files_like(path, wanted, by_folder=by_folder))) if path.is_dir() else []
+    return f"; {how} {printable(', '.join(names))}" if names else ""
+
+
+def _files_like(path: Path, wanted: Callable[[str], object], *, by_folder: bool = False) -> list[Path]:
+    """Return the paths inside a folder of at most four files; see `names_like`."""
     children = sorted(islice(listed_paths(path), LOOKED_AT))
     folders = [child for child in children if child.is_dir() and not child.name.startswith(".")]
     below = (file for folder in folders for file in sorted(islice(listed_paths(folder), LOOKED_AT)))
-    inside = ((file, file.relative_to(path)) for file in (*children, *below) if file.is_file())
-    matches = (name for file, name in inside if wanted(str(name) if by_folder else file.name))
-    names = [str(name) for name in islice(matches, MOST_NAMED)]
-    return f"; {how} {printable(', '.join(names))}" if names else ""
+    inside = (file.relative_to(path) for file in (*children, *below) if file.is_file())
+    return list(
+        islice((file for file in inside if wanted(str(file) if by_folder else file.name)), MOST_NAMED)
+    )
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:

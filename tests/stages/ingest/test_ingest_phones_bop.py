@@ -256,7 +256,26 @@ def test_bop_scene_with_several_objects_or_cameras(tmp_path: Path) -> None:
     cameras = json.loads((folder / "scene_camera.json").read_text())
     cameras["2"]["cam_K"][0] = 70.0
     (folder / "scene_camera.json").write_text(json.dumps(cameras))
-    with raises(RecordingError, "recording.two-cameras", match="image 2 has"):
+    with raises(RecordingError, "recording.two-cameras", match="image 2 .* image 1: 1 and 30, 2 have"):
+        open_recording(folder)
+
+
+def test_only_cameras_of_bop_images_on_disk_count(tmp_path: Path) -> None:
+    """Some images of a scene, beside the whole scene's scene_camera.json, which has three cameras."""
+    folder = bop(tmp_path / "r")
+    cameras = json.loads((folder / "scene_camera.json").read_text())
+    for number in range(31, 80):
+        cameras[str(number)] = cameras["1"] | {"cam_K": [90.0, 0, 31.9 + number // 50, 0, 90.0, 9.3, 0, 0, 1]}
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    recording = open_recording(folder)
+    assert (len(recording), recording.camera.cx) == (3, 31.5)
+    assert "49 of its 52 images have no file in depth/" in recording.warnings[0]
+    for number in (40, 41, 60):
+        cameras[str(number)]["cam_K"][0] = 90.0 + number // 50
+        shutil.copy(folder / "depth/000001.png", folder / f"depth/{number:06d}.png")
+    (folder / "scene_camera.json").write_text(json.dumps(cameras))
+    words = "image 40 has another camera than image 1: 1-30, 40-41, 60 have different cameras: give one group"
+    with raises(RecordingError, "recording.two-cameras", match=words):
         open_recording(folder)
 
 
@@ -326,5 +345,5 @@ def test_bop_images_of_other_cameras_are_refused(tmp_path: Path, place: int, cha
     cameras = json.loads((folder / "scene_camera.json").read_text())
     cameras["30"]["cam_K"][place] += change
     (folder / "scene_camera.json").write_text(json.dumps(cameras))
-    with raises(RecordingError, "recording.two-cameras", match="the first.*whole pixels"):
+    with raises(RecordingError, "recording.two-cameras", match="than image 1.*whole pixels"):
         open_recording(folder)

@@ -30,10 +30,13 @@ from kinectbench.stages.ingest.recording import (
     without_color,
 )
 
+DEPTH_FILE = "depth/{:06d}.png"
 COLOR_FILES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.png", "gray/{:06d}.jpg")
 # Matrices are of one camera if they differ by no more than the first; principal points of images that were
 # cut from one camera's image differ by whole pixels, up to the second.
 MATRIX_TOLERANCE, PARTS_PX = 1e-6, 0.05
+# Largest number of groups of images in a message.
+MOST_GROUPS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,14 +65,17 @@ class BopRecording(FileRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read the cameras, which must agree up to whole-pixel shifts, and choose the object's masks."""
-        cameras = _read_by_image(path / "scene_camera.json")
-        if not cameras or not all(isinstance(camera, dict) for camera in cameras.values()):
+        listed = _read_by_image(path / "scene_camera.json")
+        if not listed or not all(isinstance(camera, dict) for camera in listed.values()):
             raise IntrinsicsError(f"{path / 'scene_camera.json'}: must hold an object for each image")
+        # Data sets are also given out as single images of a scene, beside the whole scene's cameras.
+        cameras = {n: camera for n, camera in listed.items() if (path / DEPTH_FILE.format(n)).is_file()}
+        cameras = cameras or listed  # without any image, the first is reported as missing
         masks, warnings = _masks(path, settings.mask_object)
         files = tuple(
             FrameFiles(
                 number * NS_PER_S,
-                path / "depth" / f"{number:06d}.png",
+                path / DEPTH_FILE.format(number),
                 first_file(path / name.format(number) for name in COLOR_FILES),
                 masks.get(number),
             )
@@ -85,8 +91,10 @@ class BopRecording(FileRecording):
                 f"{path / 'scene_camera.json'}: principal points are {right}, {down} px apart",
                 what="two-cameras",
             )
+        absent = f"{path}: {len(listed) - len(cameras)} of its {len(listed)} images have no file in depth/"
         apart = f"its images have principal points up to {right}, {down} px apart: they are moved to one"
         moved = [f"{path}: {apart}"] if right or down else []
+        moved += [absent] if len(listed) > len(cameras) else []
         intrinsics = recorded.overridden_by(settings)
         poses = [_pose(cameras[number]) for number in sorted(cameras)]
         stamps_ns = [file.stamp_ns for file in files]
@@ -147,21 +155,47 @@ def _shared(
     file = path / "scene_camera.json"
     of_images = [_matrix_and_scale(file, number, camera) for number, camera in sorted(cameras.items())]
     K, scales = np.stack([matrix for matrix, _ in of_images]), np.array([scale for _, scale in of_images])
+    groups = _groups(K, scales)
+    if len(groups) > 1:
+        numbers = np.array(sorted(cameras))
+        first, other = (numbers[group[0]] for group in groups[:2])
+        runs = ", ".join(_runs(numbers, group) for group in groups[:MOST_GROUPS])
+        raise RecordingError(
+            f"{file}: image {other} has another camera than image {first}: {printable(runs, 200)} have "
+            "different cameras: give one group (of one focal length and depth scale, and of principal points "
+            "that differ by whole pixels)",
+            what="two-cameras",
+        )
     shared = K[0].copy()
     shared[:2, 2] = K[:, :2, 2].max(axis=0)
     away_px = shared[:2, 2] - K[:, :2, 2]
-    others = np.abs(K - shared)
-    others[:, :2, 2] = 0
-    cut = (np.abs(away_px - np.rint(away_px)) <= PARTS_PX).all(axis=1)
-    same = cut & (others <= MATRIX_TOLERANCE).all(axis=(1, 2)) & (scales == scales[0])
-    if not same.all():
-        raise RecordingError(
-            f"{file}: image {sorted(cameras)[int(same.argmin())]} has another camera than the first: a "
-            "recording must keep one focal length and depth scale, and principal points that differ by whole "
-            "pixels: give a scene of one sensor",
-            what="two-cameras",
-        )
     return shared, float(scales[0]), tuple((int(x), int(y)) for x, y in np.rint(away_px).tolist())
+
+
+def _groups(K: Float64, scales: Float64) -> list[NDArray[np.intp]]:
+    """Return the indices of images with one camera, a group for each; at most one more than are printed.
+
+    Args:
+        K: (n, 3, 3) pinhole matrices, pixels.
+        scales: (n,) millimetres per unit of depth.
+    """
+    left, groups = np.arange(len(K)), list[NDArray[np.intp]]()
+    while len(left) and len(groups) <= MOST_GROUPS:
+        others = K[left] - K[left[0]]
+        apart_px = others[:, :2, 2].copy()
+        others[:, :2, 2] = 0
+        cut = (np.abs(apart_px - np.rint(apart_px)) <= PARTS_PX).all(axis=1)
+        same = cut & (np.abs(others) <= MATRIX_TOLERANCE).all(axis=(1, 2)) & (scales[left] == scales[left[0]])
+        groups.append(left[same])
+        left = left[~same]
+    return groups
+
+
+def _runs(numbers: NDArray[np.int64], group: NDArray[np.intp]) -> str:
+    """Return a group of images as text, such as "0-29 and 40": runs in the list of image `numbers`."""
+    runs = np.split(group, np.flatnonzero(np.diff(group) > 1) + 1)
+    ends = [(numbers[run[0]], numbers[run[-1]]) for run in runs]
+    return " and ".join(f"{first}" if first == last else f"{first}-{last}" for first, last in ends)
 
 
 def _matrix_and_scale(file: Path, number: int, camera: dict[str, Any]) -> tuple[Float64, float]:

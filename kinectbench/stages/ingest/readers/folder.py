@@ -43,6 +43,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     other_depth,
     unread_depth,
 )
+from kinectbench.stages.ingest.readers.phone_images import ConfidenceRecording, confidence_beside
 from kinectbench.stages.ingest.readers.pose_files import (
     POSE_FILES,
     pose_file,
@@ -55,7 +56,6 @@ from kinectbench.stages.ingest.readers.pose_files import (
 )
 from kinectbench.stages.ingest.recording import (
     COLOR_DELAY,
-    FileRecording,
     FrameFiles,
     first_color_size,
     first_depth_size,
@@ -127,7 +127,7 @@ class DepthFormat:
         return cls(FLOAT_SCALE, given or units, kind=kind, warnings=(warning,) if mm else ())
 
 
-class FolderRecording(FileRecording):
+class FolderRecording(ConfidenceRecording):
     """A folder with `depth/`, optionally `color/` (or rgb/, image/), intrinsics, and optionally a trajectory.
 
     If file names contain stamps, these are the frames' stamps, and pair colour with depth. Without stamps,
@@ -135,10 +135,10 @@ class FolderRecording(FileRecording):
     """
 
     format: ClassVar[str] = "folder"
-    uses: ClassVar[frozenset[str]] = COLOR_DELAY
+    uses: ClassVar[frozenset[str]] = COLOR_DELAY | {"min_confidence"}
     looks_for: ClassVar[str] = (
-        "a folder with depth/*.png, .npy, .npz or .tiff (and color/, masks/, intrinsics.json, "
-        "trajectory.log or pose/), or with 000000-depth.png beside 000000-color.jpg"
+        "a folder with depth/*.png, .npy, .npz or .tiff (and color/, masks/, confidence/, "
+        "intrinsics.json, trajectory.log or pose/), or with 000000-depth.png beside 000000-color.jpg"
     )
     verified: ClassVar[str] = "folders and trajectories that Open3D reads the same"
 
@@ -158,6 +158,7 @@ class FolderRecording(FileRecording):
         files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
+        confidence, full_confidence, unread = confidence_beside(path, files, size_px)
         said, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
         if camera_file is None and said == Intrinsics() and not gives_intrinsics(settings):
             said = _usual_intrinsics(path, depth.stems, size_px)
@@ -178,6 +179,9 @@ class FolderRecording(FileRecording):
             color_registered=first_color_size(files) == size_px if registered is None else registered,
             color_calibration=read_color_calibration(camera_file) if camera_file else None,
             recorded=recorded,
+            confidence=confidence,
+            min_confidence=settings.min_confidence,
+            full_confidence=full_confidence,
             given_trajectory=trajectory,
             trajectory_error=error,
             warnings=(
@@ -188,6 +192,7 @@ class FolderRecording(FileRecording):
                 *said_warnings(path, said, settings),
                 *warnings,
                 *unmatched_masks(path, files),
+                *unread,
             ),
         )
 

@@ -1,13 +1,17 @@
 """Find the images of a plain folder: in depth/ and color/, or side by side with a word in their names."""
 
 import re
+from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from kinectbench.core import listed_paths, printable, read_head
 from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
+from kinectbench.stages.ingest.depth_files import depth_size_px
 from kinectbench.stages.ingest.image_names import counting_key
-from kinectbench.stages.ingest.images import is_depth_png
+from kinectbench.stages.ingest.images import DamagedImageError, is_depth_png
+from kinectbench.stages.ingest.recording import read_image_file
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
 # Names of folders with depth on the pixels of colour, by OpenLORIS, librealsense and ROS.
@@ -24,6 +28,8 @@ DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE 
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 # What librealsense's tools and DexYCB add to the name of an image that lies on the other camera's pixels.
 TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
+# Arrays with a shorter side are no images of a room (our own bound); larger files are not opened for it.
+LEAST_SIDE_PX, MOST_BYTES = 32, 4096
 # Bytes of a PNG that contain its number of bits.
 HEAD_BYTES = 26
 
@@ -42,24 +48,35 @@ class NamedImages:
 
 
 def depth_images(path: Path) -> NamedImages:
-    """Find the depth images in a recording's folder, all of one file type; empty if there are none."""
+    """Find the depth images in a recording's folder, of the most frequent type; empty if there are none."""
     every = _every_depth(path)
     kinds = [file.suffix.lower() for file in every.files]
     raw = [kind for kind in kinds if kind != ".png"]
     pngs = [file for file, kind in zip(every.files, kinds, strict=True) if kind == ".png"]
-    # Pictures of depth may be beside the depth itself.
-    chosen = (
-        ".png"
-        if pngs and not (raw and not any(map(is_16_bit, pngs)))
-        else max(raw, key=raw.count, default="")
-    )
+    # Pictures of depth may be beside the depth itself. The first, .png, is chosen of equally many.
+    among = raw if raw and not any(map(is_16_bit, pngs)) else [".png"] * len(pngs) + raw
+    chosen = next((kind for kind, _ in Counter(among).most_common(1)), "")
     kept = [at for at, kind in enumerate(kinds) if kind == chosen]
     return NamedImages(tuple(every.files[at] for at in kept), tuple(every.stems[at] for at in kept))
 
 
 def _every_depth(path: Path) -> NamedImages:
+    """List the depth images of all types; arrays that are too small are left out if there are others."""
     folder = path / "depth"
-    return in_folder(folder, DEPTH_SUFFIXES) if folder.is_dir() else beside_each_other(path, DEPTH_WORD)
+    every = in_folder(folder, DEPTH_SUFFIXES) if folder.is_dir() else beside_each_other(path, DEPTH_WORD)
+    large = [at for at, file in enumerate(every.files) if not _is_small_array(file)]
+    if not large:
+        return every
+    return NamedImages(tuple(every.files[at] for at in large), tuple(every.stems[at] for at in large))
+
+
+def _is_small_array(file: Path) -> bool:
+    """Whether an intact array is too small for an image, such as a matrix of a calibration."""
+    if file.suffix.lower() != ".npy" or not file.is_file() or file.stat().st_size > MOST_BYTES:
+        return False
+    with suppress(DamagedImageError):
+        return min(depth_size_px(read_image_file(file), str(file))) < LEAST_SIDE_PX
+    return False
 
 
 def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """Common parts for phones with LiDAR: one camera, colour far larger than depth, and confidence."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import IntrinsicsError, RecordingError
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
@@ -20,12 +22,22 @@ from kinectbench.stages.ingest.images import (
     image_header,
 )
 from kinectbench.stages.ingest.intrinsics import Intrinsics, gives_intrinsics
-from kinectbench.stages.ingest.recording import FileRecording, read_image_file
+from kinectbench.stages.ingest.recording import (
+    FileRecording,
+    FrameFiles,
+    first_file,
+    read_image_file,
+    visible,
+)
 
 # Size of ARKit's colour images, used if there is none.
 COLOR_PX = (1920, 1440)
 # ARKit's camera looks along -z with y up, as OpenGL's does.
 OPENGL_FROM_OPTICAL = np.diag([1.0, -1.0, -1.0, 1.0])
+# Values of high confidence: of ARKit (after 0, 1), RTAB-Map (after 0, 50) and Polycam (after 0, 127).
+FULL = (2, 100, 255)
+# Number of images that are looked at for the values of confidence: low and high occur in nearly every image.
+SAMPLED = 16
 # By Polycam's page, intrinsics differ "a pixel or two" between frames, because a phone focuses.
 USUAL_PX = 2.0
 # Frames whose focal lengths differ by more than this share are from several cameras.
@@ -35,16 +47,18 @@ GRAVITY_UP = (0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhoneRecording(FileRecording):
-    """Images of a phone: colour is scaled to depth's size, and depth of low confidence is dropped.
+class ConfidenceRecording(FileRecording):
+    """Images with confidence of depth, as phones with LiDAR write it: depth of low confidence is dropped.
 
     Attributes:
-        confidence: file of each frame's confidence image (0, 1, 2); None if there is none.
+        confidence: file of each frame's confidence image; None if there is none.
         min_confidence: depth with lower confidence counts as no measurement.
+        full_confidence: the value of high confidence in the images; 0 is low, and any other is middle.
     """
 
     confidence: tuple[Path | None, ...] = ()
     min_confidence: int = 0
+    full_confidence: int = 2
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
         """Set depth of low confidence to 0.
@@ -62,7 +76,11 @@ class PhoneRecording(FileRecording):
 
     def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Convert a confidence image (height, width) to 0, 1 or 2: low, middle, high."""
-        return image
+        return np.where(image >= self.full_confidence, np.uint8(2), np.minimum(image, np.uint8(1)))
+
+
+class PhoneRecording(ConfidenceRecording):
+    """Images of a phone: colour is scaled to depth's size, and depth of low confidence is dropped."""
 
     def color(self, index: int) -> tuple[str, bytes] | None:
         """Return a frame's colour image at depth's size: (suffix, encoded image).
@@ -82,6 +100,38 @@ class PhoneRecording(FileRecording):
     def shrunk(self, bgr: NDArray[np.uint8], name: str) -> tuple[str, bytes]:
         """Downsample colour (height, width, 3) to depth's size by averaging: (".png", encoded image)."""
         return shrunk_png(bgr, (self.camera.width, self.camera.height), name)
+
+
+def confidence_beside(
+    path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int]
+) -> tuple[tuple[Path | None, ...], int, tuple[str, ...]]:
+    """Find the images in confidence/ beside depth/, named as those of depth.
+
+    Args:
+        path: the recording's folder.
+        files: the frames.
+        size_px: width and height of the depth images; confidence of another size is not used.
+
+    Returns:
+        `confidence` and `full_confidence` of `ConfidenceRecording` (no files if none is used), and warnings.
+    """
+    folder = path / "confidence"
+    found = tuple(first_file([folder / f"{frame.depth.stem}.png"]) for frame in files)
+    named = [file for file in found if file is not None]
+    if not named or files[0].depth.parent == path:
+        others = visible(folder, "*.png")
+        unlike = f"{folder}: its {len(others)} images are not read: none is named as a depth image of depth/"
+        return (), 2, (unlike,) if others else ()
+    images = list[NDArray[np.uint8]]()
+    for at in evenly(len(named), SAMPLED).tolist():
+        with suppress(DamagedImageError):  # reported with its frame
+            images.append(decode_color_bgr(read_image_file(named[at]), str(named[at]))[..., 0])
+    values = np.unique(np.concatenate([image.ravel() for image in images])) if images else np.zeros(1, int)
+    if all(image.shape == size_px[::-1] for image in images) and len(values) <= 3 and values[-1] in FULL:
+        return found, int(values[-1]), ()
+    levels = ", ".join(map(str, values[:4])) + (", ..." if len(values) > 4 else "")
+    odd = f"holds the values {levels}, and not 0, 1, 2 (or 0, 50, 100 or 0, 127, 255) on depth's pixels"
+    return (), 2, (f"{folder}: is not read, because it {odd}",)
 
 
 def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int], name: str) -> tuple[str, bytes]:

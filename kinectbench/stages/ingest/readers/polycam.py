@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kinectbench.core import GivenPosesError, RecordingError
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
@@ -97,11 +96,8 @@ class PolycamRecording(PhoneRecording):
             warnings=(*warnings, *varied, *lost),
             confidence=tuple(first_file([inside / "confidence" / f"{stem}.png"]) for stem in stems),
             min_confidence=settings.min_confidence,
+            full_confidence=HIGH,
         )
-
-    def levels(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Convert Polycam's 0, 127 and 255 to 0, 1 and 2; other values to 1."""
-        return np.where(image == HIGH, np.uint8(2), np.minimum(image, np.uint8(1)))
 
 
 def _shared(

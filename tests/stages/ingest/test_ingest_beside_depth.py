@@ -1,0 +1,83 @@
+"""Files beside the depth images: small arrays, other kinds of images, and JSON files with two cameras."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ingest_writers import depth_image, write_folder
+from raising import raises
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.readers import open_recording
+
+COLOR = {"width": 64, "height": 48, "fx": 60.5, "fy": 61.0, "ppx": 31.25, "ppy": 23.0}
+DEPTH = {"fx": 70.0, "fy": 70.0, "cx": 32.0, "cy": 24.0}
+SHOWN = "color_intrinsics as `camera: {fx: 60.5, fy: 61, cx: 31.25, cy: 23}`"
+
+
+@pytest.mark.parametrize("suffix", ["png", "npy"])
+def test_small_arrays_are_no_depth_images(tmp_path: Path, suffix: str) -> None:
+    """Matrices of a calibration, which come first by their names."""
+    folder = write_folder(tmp_path / "r")
+    for name in ("R", "t"):
+        np.save(folder / f"depth/0_{name}.npy", np.eye(3))
+    for i in range(4):
+        if suffix == "npy":
+            (folder / f"depth/{i}.png").unlink()
+            np.save(folder / f"depth/{i}.npy", depth_image(i, 1000.0))
+    recording = open_recording(folder)
+    assert (len(recording), recording.warnings) == (4, ())
+    np.testing.assert_array_equal(recording.frame(3).depth, depth_image(3, 1000.0))
+
+
+@pytest.mark.parametrize(("pngs", "arrays", "kind"), [(4, 3, ".png"), (4, 4, ".png"), (3, 4, ".npy")])
+def test_of_two_kinds_that_with_most_files_is_read(tmp_path: Path, pngs: int, arrays: int, kind: str) -> None:
+    folder = write_folder(tmp_path / "r", [str(i) for i in range(pngs)])
+    for i in range(arrays):
+        np.save(folder / f"depth/{i}.npy", depth_image(i, 1000.0))
+    recording = open_recording(folder)
+    assert len(recording) == max(pngs, arrays) and str(recording.frame(0).name).endswith(kind)
+    assert "keep one kind" in recording.warnings[0]
+
+
+def without_intrinsics(folder: Path, content: object) -> Path:
+    write_folder(folder)
+    (folder / "camera_intrinsic.json").unlink()
+    (folder / "intrinsics.json").write_text(json.dumps(content))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("depth", "shown"),
+    [
+        (DEPTH, "raw_depth as `camera: {fx: 70, fy: 70, cx: 32, cy: 24}`"),
+        (
+            {"K": [[70, 0, 32], [0, 71, 24], [0, 0, 1]]},
+            "raw_depth as `camera: {fx: 70, fy: 71, cx: 32, cy: 24}`",
+        ),
+        (
+            {"cam_K": [70, 0, 0, 0, 71, 0, 32, 24, 1]},
+            "raw_depth as `camera: {fx: 70, fy: 71, cx: 32, cy: 24}`",
+        ),
+    ],
+)
+def test_each_camera_of_a_file_with_two_is_printed(tmp_path: Path, depth: object, shown: str) -> None:
+    cameras = {"color_intrinsics": COLOR, "raw_depth": depth, "extrinsics": {"rotation": [1.0] * 9}}
+    folder = without_intrinsics(tmp_path / "r", cameras)
+    words = (
+        "intrinsics.json holds cameras color_intrinsics and raw_depth: give that of depth, or that of colour"
+    )
+    with raises(RecordingError, "recording.no-intrinsics", match=words) as error:
+        open_recording(folder)
+    assert f": {SHOWN}, {shown}" in str(error.value)
+
+
+def test_one_camera_under_a_name_and_none(tmp_path: Path) -> None:
+    for name, content, words in (
+        ("a", {"color_intrinsics": COLOR}, "holds the camera color_intrinsics: .*as `camera: "),
+        ("b", {"x": {"fx": 1.0}, "y": {"K": "text"}, "z": 3}, "it may stand in intrinsics.json"),
+        ("c", {"x": {**DEPTH, "fx": float("nan")}, "y": []}, "it may stand in intrinsics.json"),
+    ):
+        with raises(RecordingError, "recording.no-intrinsics", match=words):
+            open_recording(without_intrinsics(tmp_path / name, content))
