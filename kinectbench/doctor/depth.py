@@ -36,6 +36,8 @@ MAX_ASPECT = 1.1
 # tables, in the right unit, have medians down to 0.21 m (five data sets: 0.21, 0.31, 0.415, 0.42, 0.43 m).
 LIKELY_MEDIAN_M = (0.2, 6.0)
 LIKELY_FAR_M = 12.0
+# Where depth in mm would show a room, a median nearer than this is unlikely (chosen by hand).
+ROOM_UNITS, ROOM_MEDIAN_M, NEAR_MEDIAN_M = 1000.0, (0.9, 2.5), 0.45
 # With swapped bytes, neighbouring pixels differ by this factor more.
 SMOOTHER = 5.0
 # A maximum that is this frequent, and this far beyond all other values, is an invalid code.
@@ -60,6 +62,8 @@ FULL_SCALES, FULL_FLOAT = (32767, 65280, 65535), 1.0
 # 20 times as many pixels beyond a far depth as within 5 % of it. In a recording that was scaled so, the
 # maximum is in up to 0.01 % of the pixels, and the next value 1 % below.
 SCALED_SHARE, LEAST_SCALED, MOST_AT_FULL, NEXT_BELOW, NEAR_BELOW = 0.9, 3, 0.001, 0.98, 0.95
+# Where values end by themselves, few of the highest 5 % are among the highest 1 %; if cut, a fifth.
+END_OF_VALUES, MOST_AT_END = 0.99, 0.1
 # Highest value of 16 bits.
 HIGHEST = 65535
 # Findings that a proven fit of the poses excludes: with another scale or intrinsics, the poses would not fit.
@@ -231,21 +235,25 @@ def _scaled_by_own_maximum(probe: Probe) -> list[Finding]:
         f"each image was scaled by its own maximum, so depth has no unit (the highest value is {highest} in "
         f"{len(scaled)} of {len(images)} images looked at)"
     )
-    return [Finding("depth_normalised", "stops", what, probe.where, "export raw depth")]
+    severity: Severity = "warning" if of_floats else "stops"  # floats may be metres, cut at 1 m
+    return [Finding("depth_normalised", severity, what, probe.where, "export raw depth")]
 
 
 def _tapers(image: NDArray[np.uint16], highest: int) -> bool:
     """Whether an image's maximum is the end of its values, neither a code nor a limit of the sensor."""
     near = image[(image > NEAR_BELOW * highest) & (image < highest)]
-    at_full = int((image == highest).sum())
+    at_full, at_end = (int((image >= share * highest).sum()) for share in (1, END_OF_VALUES))
     few = at_full <= min(len(near), max(MOST_AT_FULL * image.size, 1))
-    return bool(few and near.max(initial=0) >= NEXT_BELOW * highest)
+    thins_out = at_end < MOST_AT_END * len(near)
+    return bool(few and thins_out and near.max(initial=0) >= NEXT_BELOW * highest)
 
 
 def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     scale = probe.recording.depth_scale
     median, far = (float(each) for each in np.quantile(measured, [0.5, 0.95]))
-    if is_likely(median / scale, far / scale):
+    # Millimetres of a room, read in the smaller unit of TUM, would look like an object on a table.
+    room = scale > ROOM_UNITS and ROOM_MEDIAN_M[0] <= median / ROOM_UNITS <= ROOM_MEDIAN_M[1]
+    if is_likely(median / scale, far / scale) and not (room and median / scale < NEAR_MEDIAN_M):
         return
     better = suggested_scale(median)
     problem = scale_problem(median, scale)

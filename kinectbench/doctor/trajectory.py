@@ -142,19 +142,21 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
     left_m, given_m = pair_residual_m(usable, read), pair_residual_m(usable, poses)
     # Disagreement counts surfaces that are hidden in the other frame, too: poses that fit as given stay so,
     # unless the surfaces lie nearer to each other in the other convention, or few points decide.
-    stays = 1 - costs[0] >= LEAST_SUPPORT * (1 - costs[chosen])
+    # A floor or a wall fits nearly static cameras, too: these show nothing against poses that fit.
+    static = len(conventions)
+    shown, still = points.refutes(chosen, static), float(unmoved[fitting].mean())
+    unshown = costs[chosen] > NO_BETTER * still and not shown
+    stays = 1 - costs[0] >= LEAST_SUPPORT * (1 - costs[chosen]) or not shown
     stays &= given_m < MUCH_BETTER * left_m or not points.refutes(chosen, 0)
-    if stays and fits(given_m, usable) and not left_m < given_m:
+    if fits(given_m, usable) and (unshown or (stays and not left_m < given_m)):
         chosen, read, left_m = 0, poses, given_m
-    still, best = float(unmoved[fitting].mean()), float(costs[chosen])
+    best = float(costs[chosen])
     scaled = [
         costs[0] < OTHER_SCALE * costs[i] or points.refutes(0, i)
         for i, convention in enumerate(conventions)
         if convention.unit_m != 1
     ]
-    static = len(conventions)
-    moves = bool(best <= NO_BETTER * still or points.refutes(chosen, static))
-    fit = fits(left_m, usable)
+    moves, fit = bool(best <= NO_BETTER * still or points.refutes(chosen, static)), fits(left_m, usable)
     lengths = fit_lengths(usable, read) if chosen == 0 else Lengths(1.0, 1.0, 1.0)
     return PoseFit(
         convention=conventions[chosen],

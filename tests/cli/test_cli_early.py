@@ -9,8 +9,8 @@ from small_benchmark import Run, copied
 pytestmark = pytest.mark.xdist_group("commands")
 
 WRONG = {
-    "score no folder": (["score", "nowhere"], 1, "nowhere: no such folder of predictions"),
-    "check no folder": (["check", "nowhere"], 1, "nowhere: no such folder of predictions"),
+    "score no folder": (["score", "nowhere"], 1, "nowhere: there is no such folder"),
+    "check no folder": (["check", "nowhere"], 1, "nowhere: there is no such folder"),
     "protocol": (["score", "mine", "--protocol", "papre"], 2, "no protocol 'papre'"),
     "protocol of baselines": (["score", "--protocol", "papre"], 2, "no protocol 'papre'"),
     "thresholds saved of baselines": (

@@ -159,6 +159,8 @@ class FolderRecording(ConfidenceRecording):
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
         confidence, full_confidence, unread = confidence_beside(path, files, size_px)
+        if confidence and settings.min_confidence:
+            unread = (f"{path}/confidence: depth that it calls less sure is left out (`min_confidence`)",)
         said, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
         if camera_file is None and said == Intrinsics() and not gives_intrinsics(settings):
             said = _usual_intrinsics(path, depth.stems, size_px)

@@ -122,12 +122,15 @@ def confidence_beside(
         others = visible(folder, "*.png")
         unlike = f"{folder}: its {len(others)} images are not read: none is named as a depth image of depth/"
         return (), 2, (unlike,) if others else ()
-    images = list[NDArray[np.uint8]]()
+    seen = list[NDArray[np.uint8]]()
     for at in evenly(len(named), SAMPLED).tolist():
         with suppress(DamagedImageError):  # reported with its frame
-            images.append(decode_color_bgr(read_image_file(named[at]), str(named[at]))[..., 0])
-    values = np.unique(np.concatenate([image.ravel() for image in images])) if images else np.zeros(1, int)
-    if all(image.shape == size_px[::-1] for image in images) and len(values) <= 3 and values[-1] in FULL:
+            data = read_image_file(named[at])
+            if tuple(image_header(data, str(named[at]))[1:]) != size_px:
+                return (), 2, (f"{folder}: is not read, because its images are not of depth's size",)
+            seen.append(np.unique(decode_color_bgr(data, str(named[at]))[..., 0]))
+    values = np.unique(np.concatenate(seen)) if seen else np.zeros(1, int)
+    if len(values) <= 3 and values[-1] in FULL:
         return found, int(values[-1]), ()
     levels = ", ".join(map(str, values[:4])) + (", ..." if len(values) > 4 else "")
     odd = f"holds the values {levels}, and not 0, 1, 2 (or 0, 50, 100 or 0, 127, 255) on depth's pixels"
