@@ -235,8 +235,7 @@ def _scaled_by_own_maximum(probe: Probe) -> list[Finding]:
         f"each image was scaled by its own maximum, so depth has no unit (the highest value is {highest} in "
         f"{len(scaled)} of {len(images)} images looked at)"
     )
-    severity: Severity = "warning" if of_floats else "stops"  # floats may be metres, cut at 1 m
-    return [Finding("depth_normalised", severity, what, probe.where, "export raw depth")]
+    return [Finding("depth_normalised", "stops", what, probe.where, "export raw depth")]
 
 
 def _tapers(image: NDArray[np.uint16], highest: int) -> bool:

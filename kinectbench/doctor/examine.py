@@ -38,7 +38,6 @@ from kinectbench.settings.models import (
     Vector4,
 )
 from kinectbench.stages.ingest.readers import open_recording, recordings_inside
-from kinectbench.stages.ingest.readers.phone_images import ConfidenceRecording
 from kinectbench.stages.ingest.recording import FileRecording, Recording
 
 # Focal length of a Kinect, as a ratio of the image width.
@@ -120,7 +119,7 @@ def inspect(
         recording = replace(recording, given_trajectory=None, trajectory_error="")
     probe = probe_recording(recording)
     findings += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
-    findings += [*_inside(path, recording), *_confidence(recording)]
+    findings += _inside(path, recording)
     early = [*check_clock(probe), *check_depth(probe)]
     if not any(finding.name == "intrinsics" for finding in findings):
         early += check_intrinsics(probe)
@@ -148,13 +147,6 @@ def _inside(path: Path, recording: Recording) -> Iterator[Finding]:
             what = f"another recording lies inside: {where} ({kind}){more}"
             advice = "none of its frames is read here; give it a `path:` of its own"
             yield Finding("recording_inside", "note", what, str(path), advice)
-
-
-def _confidence(recording: Recording) -> Iterator[Finding]:
-    """Report that depth of low confidence, by a phone's own judgement, is not used."""
-    if isinstance(recording, ConfidenceRecording) and recording.min_confidence and any(recording.confidence):
-        what = f"depth whose confidence is below {recording.min_confidence} (of 0, 1 and 2) counts as none"
-        yield Finding("confidence", "note", what, str(recording.path), "`min_confidence` changes this limit")
 
 
 def _by_own_pixels(probe: Probe) -> Finding:

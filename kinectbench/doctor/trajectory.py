@@ -32,7 +32,8 @@ from kinectbench.doctor.probe import Probe
 from kinectbench.stages.ingest.depth_codes import ROTATED_SCALES
 from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
 
-# Another convention is accepted only if it lowers the disagreement to this ratio.
+# Another convention is accepted only if it lowers the disagreement, or the residual of poses that fit as
+# given, to this ratio.
 BETTER = 0.87
 # A convention with more changes must lower the disagreement of a simpler one to this ratio.
 SIMPLER = 0.97
@@ -137,26 +138,17 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
     costs = table[:, fitting].mean(axis=1)
     usable = tuple(pair for pair, fits in zip(pairs, fitting, strict=True) if fits)
     points = covered(usable, np.stack([*(each.apply(poses) for each in conventions), standing]))
-    chosen = _unrefuted(_simplest(conventions, costs), costs, points)
+    still = float(unmoved[fitting].mean())
+    chosen = _chosen(conventions, costs, still, points, usable, poses)
     read = conventions[chosen].apply(poses)
-    left_m, given_m = pair_residual_m(usable, read), pair_residual_m(usable, poses)
-    # Disagreement counts surfaces that are hidden in the other frame, too: poses that fit as given stay so,
-    # unless the surfaces lie nearer to each other in the other convention, or few points decide.
-    # A floor or a wall fits nearly static cameras, too: these show nothing against poses that fit.
-    static = len(conventions)
-    shown, still = points.refutes(chosen, static), float(unmoved[fitting].mean())
-    unshown = costs[chosen] > NO_BETTER * still and not shown
-    stays = 1 - costs[0] >= LEAST_SUPPORT * (1 - costs[chosen]) or not shown
-    stays &= given_m < MUCH_BETTER * left_m or not points.refutes(chosen, 0)
-    if fits(given_m, usable) and (unshown or (stays and not left_m < given_m)):
-        chosen, read, left_m = 0, poses, given_m
-    best = float(costs[chosen])
+    best, residual_m = float(costs[chosen]), pair_residual_m(usable, read)
     scaled = [
         costs[0] < OTHER_SCALE * costs[i] or points.refutes(0, i)
         for i, convention in enumerate(conventions)
         if convention.unit_m != 1
     ]
-    moves, fit = bool(best <= NO_BETTER * still or points.refutes(chosen, static)), fits(left_m, usable)
+    moves = bool(best <= NO_BETTER * still or points.refutes(chosen, len(conventions)))
+    fit = fits(residual_m, usable)
     lengths = fit_lengths(usable, read) if chosen == 0 else Lengths(1.0, 1.0, 1.0)
     return PoseFit(
         convention=conventions[chosen],
@@ -164,7 +156,7 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
         best=best,
         still=still,
         moves=moves,
-        residual_m=left_m,
+        residual_m=residual_m,
         fits=fit,
         proven=fit and chosen == 0 and moves and all(scaled) and not lengths.implausible,
         pairs=usable,
@@ -172,6 +164,41 @@ def fit_trajectory(probe: Probe) -> PoseFit | None:
         arc_rad=covered_arc_rad(read[known], middle_depth_m(frame.depth_m for frame in probe.frames)),
         lengths=lengths,
     )
+
+
+def _chosen(
+    conventions: list[PoseConvention],
+    costs: NDArray[np.float64],
+    still: float,
+    points: Covered,
+    pairs: tuple[FramePair, ...],
+    poses: NDArray[np.float64],
+) -> int:
+    """Return the index of the convention in which the poses fit the depth.
+
+    Args:
+        conventions: c conventions; the first leaves poses as given.
+        costs: (c,) mean disagreement of the pairs in each convention.
+        still: mean disagreement if the camera is static.
+        points: errors of the pairs' points in each convention, and last of a static camera.
+        pairs: the compared pairs of frames.
+        poses: (n, 4, 4), poses as given.
+    """
+    chosen, static = _unrefuted(_simplest(conventions, costs), costs, points), len(conventions)
+    left_m = pair_residual_m(pairs, conventions[chosen].apply(poses))
+    given_m = pair_residual_m(pairs, poses)
+    if not fits(given_m, pairs):
+        return chosen
+    # Nearly static cameras fit a floor or a wall, too: a convention that is no better shows nothing against
+    # poses that fit.
+    moves = points.refutes(chosen, static)
+    if costs[chosen] > NO_BETTER * still and not moves:
+        return 0
+    # Disagreement counts surfaces that are hidden in the other frame, too: poses that fit as given stay so,
+    # unless the surfaces lie clearly nearer to each other in the other convention, or few points decide.
+    enough = 1 - costs[0] >= LEAST_SUPPORT * (1 - costs[chosen]) or not moves
+    refuted = points.refutes(chosen, 0) and given_m >= MUCH_BETTER * left_m
+    return 0 if enough and not refuted and left_m >= BETTER * given_m else chosen
 
 
 def _fitting(table: NDArray[np.float64], unmoved: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -292,10 +292,11 @@ def test_a_name_is_no_markup(command: Command, release: Release, tmp_path: Path)
 def test_no_predictions_at_all(command: Command, release: Release, tmp_path: Path, make: str | None) -> None:
     if make:
         (tmp_path / "mine" / ("" if make == "empty" else "of_another_benchmark")).mkdir(parents=True)
+    begins = "no " if make else "there is no such folder; "
     for name in ("score", "check"):
         result = command(tmp_path, name, "mine", "--benchmark", str(release.folder), "--jobs", "1")
         assert result.status == 1
-        assert len(result.err.splitlines()) == 1 and result.err.startswith("error: mine: ")
+        assert len(result.err.splitlines()) == 1 and result.err.startswith(f"error: mine: {begins}")
 
 
 def test_a_benchmark_that_is_none(command: Command, tmp_path: Path) -> None:

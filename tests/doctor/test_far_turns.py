@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ingest_writers import png
 
-from kinectbench.core.geometry import Camera, invert_rigid, rigid
+from kinectbench.core.geometry import Camera, invert_rigid, rigid, rigid_from_twist
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import trajectory_text
 from kinectbench.core.types import Float64
@@ -22,6 +22,9 @@ MOVING, STANDING = 30, 100
 # Half sides of the room around the camera, metres: one in which it turns, and a low one in which it moves
 # along a wall.
 ROOMS_M = {"turns": np.array([0.55, 0.45, 0.6]), "wall": np.array([1.5, 1.5, 0.4])}
+# A floor that the camera looks down at, from so far, and balls on it: (centre, radius), metres.
+FLOOR_M = 0.8
+BALLS_M = ((np.array([0.1, 0.05, 0.65]), 0.15), (np.array([-0.3, -0.1, 0.7]), 0.1))
 
 
 def walk(kind: str) -> Float64:
@@ -84,6 +87,28 @@ def test_right_poses_are_not_refused(tmp_path: Path, kind: str, standing: int) -
     assert diagnosis.facts["poses_read_as"] == "as given"
     names = {found.name for found in diagnosis.findings}
     assert not names & {"trajectory_delay", "trajectory_wrong", "trajectory_reading", "trajectory_scale"}
+
+
+@pytest.mark.parametrize("far_m", [0.8, 1.5, 2.2])
+def test_right_poses_above_a_floor_stay_as_given(tmp_path: Path, far_m: float) -> None:
+    """Nearly static cameras fit a floor, too, and keep more of it in view: they show nothing."""
+    folder, noise = write(tmp_path / "r", "wall", "optical", 0), np.random.default_rng(0)
+    poses = np.stack([rigid(np.eye(3), at) for at in np.linspace([-far_m, 0, 0], [far_m, 0, 0], 60)])
+    rays = CAMERA.rays()
+    for i, T in enumerate(poses):
+        z = np.full(rays.shape[:2], FLOOR_M)
+        for middle, radius in BALLS_M:
+            a, b = (rays**2).sum(axis=-1), rays @ (middle - T[:3, 3])
+            root = b**2 - a * (((middle - T[:3, 3]) ** 2).sum() - radius**2)
+            z = np.where(root > 0, np.minimum(z, (b - np.sqrt(np.maximum(root, 0))) / a), z)
+        seen_mm = 1000 * z + noise.normal(0, 1, z.shape)
+        (folder / f"depth/{i:04d}.png").write_bytes(png(np.rint(seen_mm).astype(np.uint16)))
+    off = noise.normal(0, [0.1 * np.pi / 180] * 3 + [0.002] * 3, (len(poses), 6))
+    given = np.stack([T @ rigid_from_twist(twist) for T, twist in zip(poses, off, strict=True)])
+    rows = trajectory_text(GivenTrajectory(np.arange(len(given)) * 10**9, given))
+    (folder / "trajectory.txt").write_text(rows)
+    fit = fit_trajectory(probe_recording(open_recording(folder)))
+    assert fit is not None and fit.convention.changes == 0
 
 
 @pytest.mark.parametrize("kind", ROOMS_M)

@@ -13,6 +13,7 @@ from small_benchmark import Run
 from kinectbench.core.errors import RecordingError
 from kinectbench.doctor import inspect
 from kinectbench.doctor.during_build import refuse_hopeless
+from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 
 Depth = NDArray[np.uint16]
@@ -51,8 +52,20 @@ def test_floats_that_were_scaled_by_their_own_maximum(tmp_path: Path) -> None:
         depth = depth_image(i, 1000.0)
         (folder / f"depth/{i}.png").unlink()
         np.save(folder / f"depth/{i}.npy", (depth / depth.max()).astype(np.float32))
-    (found,) = [each for each in inspect(folder)[0].findings if each.name == "depth_normalised"]
-    assert found.severity == "warning"  # they may be metres
+    check_refused(folder)
+
+
+def test_metres_that_were_cut_at_one_are_depth(tmp_path: Path) -> None:
+    """Values do not thin out towards the cut, as they do towards the end of a scene."""
+    folder = write_folder(tmp_path / "r")
+    for i in range(4):
+        metres = 0.8 * depth_image(i, 1000.0) / 1000 + np.random.default_rng(i).normal(0, 0.002, (48, 64))
+        metres[5, 5] = 1.0
+        (folder / f"depth/{i}.png").unlink()
+        np.save(folder / f"depth/{i}.npy", np.where(metres > 1, 0, metres).astype(np.float32))
+    diagnosis, probe = inspect(folder)
+    assert probe is not None and max(frame.depth.max() for frame in probe.whole) == 5000
+    assert "depth_normalised" not in {found.name for found in diagnosis.findings}
 
 
 def test_a_build_refuses_them_in_the_same_words(tmp_path: Path, command: Callable[..., Run]) -> None:
@@ -91,3 +104,11 @@ def test_codes_and_limits_of_sensors_are_none(
 ) -> None:
     folder = recorded(tmp_path / "r", change)
     assert "depth_normalised" not in {found.name for found in inspect(folder)[0].findings}
+
+
+def test_millimetres_of_a_room_in_a_smaller_unit_get_a_warning(tmp_path: Path) -> None:
+    """At 5000 units per metre a wall at 1 to 1.4 m would be an object at 0.2 to 0.28 m."""
+    folder = recorded(tmp_path / "r", lambda depth, i: depth)
+    for scale, count in ((5000.0, 1), (1000.0, 0)):
+        findings = inspect(folder, CameraSettings(depth_scale=scale))[0].findings
+        assert [each.name for each in findings].count("depth_scale") == count

@@ -27,7 +27,7 @@ def test_recordings_are_linked_and_a_command_on_them_is_measured(small: Path, tm
     assert "thing_00000" in text and "thing_00001" in text and hashes(small) == before
     with raises(KinectBenchError, "run.failed", match=r"1; .*verify\.log"):
         many.called(root, "verify", "no_such_release")
-    assert "no release there" in (root / "verify.log").read_text()
+    assert "there is no such file or folder" in (root / "verify.log").read_text()
 
 
 def test_figures_are_times_each_and_their_growth() -> None:

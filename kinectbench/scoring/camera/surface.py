@@ -195,7 +195,7 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
         corner, first, second, across = (part[kept] for part in (corner, first, second, across))
     normals = across / np.where(twice > 0, twice, 1)[:, None]
     total = twice.sum()
-    # If a mesh has no area at all, all triangles count alike.
+    # If a mesh has no area at all, all triangles count the same.
     areas = twice / 2 if total > 0 else np.ones(len(faces))
     most = MESH_SAMPLES if total > 0 else 0
     counts = np.maximum(1, np.rint(areas / areas.sum() * most)).astype(np.int64)

@@ -30,8 +30,9 @@ ROTATED_SCALES = (1000.0, 10000.0)
 BRIGHTEST = 255 << BITS
 # With fewer different values, multiples of eight may be a coincidence.
 LEAST_LEVELS = 16
-# In 0.1 mm, a median nearer than this is unlikely.
-LEAST_MEDIAN_M = 0.2
+# In 0.1 mm, a median nearer than this is unlikely: the Kinect SDK adds a person's number to eight times the
+# mm, and people stand at 2 to 3 m.
+LEAST_MEDIAN_M = 0.3
 # At this median depth both readings of a recording are equally likely: the logarithmic middle between a usual
 # median depth of rooms and shelves and eight times that: 1.5 m * sqrt(8).
 EVEN_MEDIAN_MM = 4243.0
@@ -123,11 +124,8 @@ def find_pattern(images: Iterable[NDArray[np.uint16]]) -> Pattern:
     )
     median = float(np.searchsorted(np.cumsum(counts[:: 1 << BITS]), by_bits[0] / 2))
     farther = by_bits[FARTHER_BITS + 1 :].sum()
-    # One code for missing depth is not depth in 0.1 mm; nor are small numbers added to all values.
-    levels = np.count_nonzero(counts.reshape(-1, 1 << BITS)[:, FARTHER_BITS + 1 :])
     tenths = (
         FARTHER_SHARE * total < farther < by_bits[FARTHER_BITS]
-        and levels >= LEAST_LEVELS
         and median >= LEAST_MEDIAN_M * ROTATED_SCALES[1]
     )
     likely = patterns and median * (1 << BITS) > EVEN_MEDIAN_MM
@@ -140,5 +138,5 @@ def _counts(images: Iterable[NDArray[np.uint16]]) -> NDArray[np.int64]:
     with suppress(RecordingError):
         for image in images:
             counts += np.bincount(image.ravel(), minlength=len(counts))
-    counts[0] = 0
+    counts[[0, -1]] = 0  # both are codes for no measurement
     return counts

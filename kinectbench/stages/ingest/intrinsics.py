@@ -1,21 +1,21 @@
 """Intrinsics from the recording and the settings, and their check against the images."""
 
 import math
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kinectbench.core import IntrinsicsError, RecordingError, parsed_json, quoted
+from kinectbench.core import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera
-from kinectbench.core.trajectory.text_rows import read_numbers, read_text
+from kinectbench.core.trajectory.text_rows import read_numbers
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_units import scale_of_keys
+from kinectbench.stages.ingest.json_values import json_numbers, number_of, read_json_object
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 NEEDED = ("fx", "fy", "cx", "cy")
@@ -28,10 +28,6 @@ LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
 # Focal lengths of square pixels differ by less than the first share of fx, others by more than the second
 # (our own bounds; calibrations of square pixels differ by some 0.5 %).
 SAME_FOCAL, NOT_SQUARE = 0.02, 0.1
-# Limit for poses and intrinsics of 50,000 frames; the number of values has its own limit.
-JSON_BYTES = 16 << 20
-# Limit for the JSON of one frame: apps write a few kilobytes.
-FRAME_JSON_BYTES = 256 << 10
 # librealsense's and Record3D's names of keys; and keys of a matrix instead of fx, fy, cx and cy.
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
 MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "camera_matrix", "K", "k")
@@ -149,7 +145,20 @@ def read_intrinsics_json(path: Path) -> Intrinsics:
         RecordingError: not JSON, a value of the wrong type or out of range, no pinhole matrix, or values that
             contradict each other.
     """
-    raw = read_json_object(path, HELD)
+    return intrinsics_of_keys(read_json_object(path, HELD), path)
+
+
+def intrinsics_of_keys(raw: Mapping[str, object], path: Path) -> Intrinsics:
+    """Make intrinsics from the keys of a JSON object, as `read_intrinsics_json` does.
+
+    Args:
+        raw: the object.
+        path: its file, for messages.
+
+    Raises:
+        RecordingError: a value of the wrong type or out of range, no pinhole matrix, or values that
+            contradict each other.
+    """
     known = {SAME_AS.get(key, key): value for key, value in raw.items() if value is not None}
     keys = [key for key in (*NEEDED, "depth_scale", "depth_factor", "width", "height") if key in known]
     values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
@@ -208,14 +217,6 @@ def read_color_calibration(path: Path) -> ColorCalibration | None:
     if T is None:
         raise RecordingError(f"{path}: 'T_color_depth' must be four rows of a rigid transform")
     return ColorCalibration(camera, tuple(number_of(d, f"{where}: 'distortion'") for d in distortion), T)
-
-
-def json_numbers(value: object) -> Float64:
-    """Return a JSON number (shape ()) or nested list as an array, null as NaN; any other as shape (0,)."""
-    try:
-        return np.array(value, np.float64)
-    except (TypeError, ValueError, OverflowError):  # an integer may be too large
-        return np.empty(0)
 
 
 def read_intrinsics_matrix(path: Path) -> Intrinsics:
@@ -301,68 +302,6 @@ def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> 
     width, height = (int(number_of(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
     matrix = pinhole(_open3d_matrix(raw.get(key), path, key), path)
     return replace(matrix, width=width, height=height)
-
-
-def read_json_object(path: Path, what: str, most_bytes: int = JSON_BYTES) -> dict[str, object]:
-    """Read a JSON object.
-
-    Args:
-        path: the file.
-        what: expected content, for messages.
-        most_bytes: a larger file is refused.
-
-    Raises:
-        RecordingError: the file is too large, not valid JSON, or no object.
-    """
-    return object_of(read_text(path, most_bytes), str(path), what)
-
-
-def read_camera_of_frame(file: Path, what: str, keys: Sequence[str]) -> dict[str, object] | None:
-    """Read the values of `keys` from a frame's JSON file, and add the file's path as "file".
-
-    A missing file gives None. A list of numbers becomes an array, because nested Python lists for all frames
-    would need far more memory than the JSON text. Any other list, and a JSON object, becomes an empty array.
-    `what` is the expected content, for messages.
-
-    Raises:
-        RecordingError: the file is too large, not valid JSON, or no object.
-    """
-    if not file.is_file():
-        return None
-    content = read_json_object(file, what, FRAME_JSON_BYTES)
-    kept = {key: content[key] for key in keys if key in content}
-    lean = {key: json_numbers(v) if isinstance(v, list | dict) else v for key, v in kept.items()}
-    return lean | {"file": str(file)}
-
-
-def object_of(text: str | bytes, where: str, what: str) -> dict[str, Any]:
-    """Parse a JSON object; `where` (the file) and `what` (its expected content) are for error messages.
-
-    Raises:
-        RecordingError: too large, not valid JSON, or no object.
-    """
-    if len(text) > JSON_BYTES:
-        raise RecordingError(f"{where}: is larger than the {JSON_BYTES} bytes that it may have")
-    try:
-        # Python writes NaN for the pose of a lost frame.
-        raw = parsed_json(text if isinstance(text, str) else text.decode("utf-8-sig"), constants=True)
-    except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{where}: is not valid JSON ({error})") from error
-    if not isinstance(raw, dict):
-        raise RecordingError(f"{where}: must hold an object with {what}")
-    return raw
-
-
-def number_of(value: object, where: str) -> float:
-    """Return a JSON value as a float if it is a finite number; `where` (file and key) is for the message.
-
-    Raises:
-        RecordingError: the value is not a finite number.
-    """
-    with suppress(OverflowError):  # an integer may be too large
-        if isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
-            return float(value)
-    raise RecordingError(f"{where} must be a number, not {quoted(value)}")
 
 
 def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:

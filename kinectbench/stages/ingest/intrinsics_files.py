@@ -17,19 +17,17 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_units import scale_of_keys, yaml_scale
 from kinectbench.stages.ingest.intrinsics import (
     HELD,
-    MATRIX_KEYS,
     MATRIX_SHAPES,
     NEEDED,
-    SAME_AS,
     Intrinsics,
     gives_intrinsics,
-    json_numbers,
+    intrinsics_of_keys,
     of_four_numbers,
     pinhole,
     read_intrinsics_json,
     read_intrinsics_matrix,
-    read_json_object,
 )
+from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.recording import first_file, visible
 
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
@@ -68,6 +66,8 @@ LIKE_INTRINSICS = re.compile(
 )
 # Largest number of names in a message, and of entries of a folder to look at.
 MOST_NAMED, LOOKED_AT = 4, 20_000
+# Side of the largest image, pixels, of a camera whose file states none: the limit of JPEG.
+MOST_SIDE_PX = 65_535
 
 
 def find_intrinsics(
@@ -169,17 +169,10 @@ def _cameras_inside(file: Path) -> list[tuple[str, str]]:
         raw = read_json_object(file, HELD, YAML_BYTES) if file.suffix.lower() == ".json" else {}
     cameras = list[tuple[str, str]]()
     for name, value in raw.items():
-        known = (
-            {SAME_AS.get(key, key): each for key, each in value.items()} if isinstance(value, dict) else {}
-        )
-        four = json_numbers([known.get(key) for key in NEEDED])
-        K = next((json_numbers(known[key]) for key in MATRIX_KEYS if key in known), four)
-        if K.size == 9:
-            K = K.reshape(3, 3)
-            K = K.T if K[2, :2].any() else K
-            four = K[[0, 1, 0, 1], [0, 1, 2, 2]]
-        if four.shape == (4,) and np.isfinite(four).all():
-            numbers = ", ".join(f"{key}: {each:.7g}" for key, each in zip(NEEDED, four, strict=True))
+        with suppress(RecordingError):  # of another kind, or no camera's numbers
+            said = intrinsics_of_keys(value, file) if isinstance(value, dict) else Intrinsics()
+            camera = said.camera((said.width or MOST_SIDE_PX, said.height or MOST_SIDE_PX), file)
+            numbers = ", ".join(f"{key}: {getattr(camera, key):.7g}" for key in NEEDED)
             cameras.append((printable(name), f"camera: {{{numbers}}}"))
     return cameras[:MOST_NAMED]
 

@@ -77,6 +77,8 @@ def test_one_camera_under_a_name_and_none(tmp_path: Path) -> None:
     for name, content, words in (
         ("a", {"color_intrinsics": COLOR}, "holds the camera color_intrinsics: .*as `camera: "),
         ("b", {"x": {"fx": 1.0}, "y": {"K": "text"}, "z": 3}, "it may stand in intrinsics.json"),
+        ("d", {"x": {**DEPTH, "fx": 0.0}, "y": {"K": [1] * 9}}, "it may stand in intrinsics.json"),
+        ("e", {"x": {**DEPTH, "cx": 1e300}}, "it may stand in intrinsics.json"),
         ("c", {"x": {**DEPTH, "fx": float("nan")}, "y": []}, "it may stand in intrinsics.json"),
     ):
         with raises(RecordingError, "recording.no-intrinsics", match=words):

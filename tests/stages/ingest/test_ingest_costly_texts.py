@@ -15,7 +15,7 @@ from test_ingest_phones_bop import bop, scanner_app
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.trajectory.stamps import parse_stamp_ns
 from kinectbench.core.trajectory.text_rows import MOST_ROWS, text_rows
-from kinectbench.stages.ingest.intrinsics import FRAME_JSON_BYTES, json_numbers, number_of, object_of
+from kinectbench.stages.ingest.json_values import FRAME_JSON_BYTES, json_numbers, number_of, object_of
 from kinectbench.stages.ingest.readers import open_recording
 
 CAMERA = {"fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24, "w": 64, "h": 48}

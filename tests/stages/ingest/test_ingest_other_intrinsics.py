@@ -13,7 +13,7 @@ from kinectbench.core.geometry import Camera
 from kinectbench.engine.artefact import content_hash
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.bags.ros_recording import RosRecording
-from kinectbench.stages.ingest.intrinsics import number_of, object_of
+from kinectbench.stages.ingest.json_values import number_of, object_of
 from kinectbench.stages.ingest.readers import FORMATS, open_recording, reader_of, source_files
 from kinectbench.stages.ingest.recording import OF_SOME_FORMATS
 

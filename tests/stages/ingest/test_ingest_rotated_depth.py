@@ -153,6 +153,23 @@ def test_a_few_odd_values_do_not_change_the_unit(tmp_path: Path) -> None:
     assert pattern.found and pattern.units == 1000.0
 
 
+def test_codes_for_no_measurement_do_not_change_the_unit() -> None:
+    """Of a room in mm with depth beyond 8.2 m, whose least part a code for 0.1 mm would be."""
+    depth = rotated(room(3100, 5000))
+    depth[10, :20], depth[11, :10] = rotated(np.full(20, 9000, np.uint16)), 65535
+    pattern = find_pattern([depth])
+    assert pattern.found and pattern.units == 1000.0
+
+
+def test_numbers_of_people_in_the_low_bits_do_not_make_tenths_of_mm() -> None:
+    """As the Kinect SDK packs them: eight times the mm, and a number from 1 to 6."""
+    depth = room(2000, 2900) << np.uint16(3)
+    depth[10, :40] += 1
+    depth[11, :20] += 2
+    pattern = find_pattern([depth])
+    assert pattern.units == 1000.0
+
+
 def test_both_units_are_named_where_the_values_do_not_say(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r")
     rewrite(folder, rotated(room(4500, 5900)))

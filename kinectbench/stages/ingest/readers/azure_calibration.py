@@ -9,7 +9,8 @@ from kinectbench.core import IntrinsicsError, RecordingError
 from kinectbench.core.geometry import Camera, rigid
 from kinectbench.core.trajectory.trajectory_file import rigid_or_none
 from kinectbench.core.types import Bools, Float64
-from kinectbench.stages.ingest.intrinsics import Intrinsics, json_numbers, number_of
+from kinectbench.stages.ingest.intrinsics import Intrinsics
+from kinectbench.stages.ingest.json_values import json_numbers, number_of
 from kinectbench.stages.ingest.recording import ColorCalibration
 
 CALIBRATION_FILE = "calibration.json"

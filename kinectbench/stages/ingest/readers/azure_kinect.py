@@ -19,7 +19,7 @@ from kinectbench.core import HEAD_BYTES, UNPACKED_BYTES, RecordingError, is_too_
 from kinectbench.core.trajectory.stamps import LIMIT_NS, NS_PER_S, first_by_stamp
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import DamagedImageError, encode_png
-from kinectbench.stages.ingest.intrinsics import object_of
+from kinectbench.stages.ingest.json_values import object_of
 from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.readers.azure_calibration import (
     CALIBRATION_FILE,

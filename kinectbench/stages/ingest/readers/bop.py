@@ -14,13 +14,8 @@ from kinectbench.core.trajectory.trajectory_file import trajectory_from_matrices
 from kinectbench.core.types import MM_PER_M, Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
-from kinectbench.stages.ingest.intrinsics import (
-    MOST_FOCAL_PX,
-    Intrinsics,
-    json_numbers,
-    read_json_object,
-    scale_warnings,
-)
+from kinectbench.stages.ingest.intrinsics import MOST_FOCAL_PX, Intrinsics, scale_warnings
+from kinectbench.stages.ingest.json_values import json_numbers, read_json_object
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
@@ -30,6 +25,7 @@ from kinectbench.stages.ingest.recording import (
     without_color,
 )
 
+# Names by the BOP format: the image number in six digits.
 DEPTH_FILE = "depth/{:06d}.png"
 COLOR_FILES = ("rgb/{:06d}.png", "rgb/{:06d}.jpg", "gray/{:06d}.png", "gray/{:06d}.jpg")
 # Matrices are of one camera if they differ by no more than the first; principal points of images that were

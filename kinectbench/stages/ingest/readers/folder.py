@@ -158,9 +158,9 @@ class FolderRecording(ConfidenceRecording):
         files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
-        confidence, full_confidence, unread = confidence_beside(path, files, size_px)
-        if confidence and settings.min_confidence:
-            unread = (f"{path}/confidence: depth that it calls less sure is left out (`min_confidence`)",)
+        confidence, full_confidence, of_confidence = confidence_beside(
+            path, files, size_px, settings.min_confidence
+        )
         said, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
         if camera_file is None and said == Intrinsics() and not gives_intrinsics(settings):
             said = _usual_intrinsics(path, depth.stems, size_px)
@@ -194,7 +194,7 @@ class FolderRecording(ConfidenceRecording):
                 *said_warnings(path, said, settings),
                 *warnings,
                 *unmatched_masks(path, files),
-                *unread,
+                *of_confidence,
             ),
         )
 

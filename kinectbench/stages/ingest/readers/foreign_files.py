@@ -6,8 +6,8 @@ from typing import NamedTuple
 from kinectbench.core import open_plain
 from kinectbench.stages.ingest.readers.color_only import AS_READ, MOVE, RECORD
 
-HEAD_BYTES = 512
-TAR_AT, TAR_MAGIC = 257, b"ustar"
+# A tar's first header block, and where its magic lies (POSIX ustar, pax(1)).
+HEAD_BYTES, TAR_AT, TAR_MAGIC = 512, 257, b"ustar"
 
 
 class ForeignKind(NamedTuple):
@@ -52,7 +52,6 @@ KINDS = (
         "a mesh or a cloud of points, without depth images",
         RECORD,
         (b"ply\n", b"ply\r\n", b"glTF", b"# .PCD"),
-        (),
     ),
     ForeignKind(
         "a mesh or a cloud of points, without depth images", RECORD, (), (".obj", ".stl", ".off", ".pcd")

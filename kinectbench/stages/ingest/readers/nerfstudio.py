@@ -33,13 +33,8 @@ from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
-from kinectbench.stages.ingest.intrinsics import (
-    Intrinsics,
-    json_numbers,
-    number_of,
-    read_json_object,
-    scale_warnings,
-)
+from kinectbench.stages.ingest.intrinsics import Intrinsics, scale_warnings
+from kinectbench.stages.ingest.json_values import json_numbers, number_of, read_json_object
 from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.phone_images import (
     OPENGL_FROM_OPTICAL,

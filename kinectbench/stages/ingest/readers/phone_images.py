@@ -103,7 +103,7 @@ class PhoneRecording(ConfidenceRecording):
 
 
 def confidence_beside(
-    path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int]
+    path: Path, files: Sequence[FrameFiles], size_px: tuple[int, int], least: int
 ) -> tuple[tuple[Path | None, ...], int, tuple[str, ...]]:
     """Find the images in confidence/ beside depth/, named as those of depth.
 
@@ -111,6 +111,7 @@ def confidence_beside(
         path: the recording's folder.
         files: the frames.
         size_px: width and height of the depth images; confidence of another size is not used.
+        least: `min_confidence`, for the warning.
 
     Returns:
         `confidence` and `full_confidence` of `ConfidenceRecording` (no files if none is used), and warnings.
@@ -131,7 +132,8 @@ def confidence_beside(
             seen.append(np.unique(decode_color_bgr(data, str(named[at]))[..., 0]))
     values = np.unique(np.concatenate(seen)) if seen else np.zeros(1, int)
     if len(values) <= 3 and values[-1] in FULL:
-        return found, int(values[-1]), ()
+        cut = f"depth of a confidence below {least} (of 0, 1 and 2) is left out: `min_confidence` sets that"
+        return found, int(values[-1]), (f"{folder}: {cut}",) if least else ()
     levels = ", ".join(map(str, values[:4])) + (", ..." if len(values) > 4 else "")
     odd = f"holds the values {levels}, and not 0, 1, 2 (or 0, 50, 100 or 0, 127, 255) on depth's pixels"
     return (), 2, (f"{folder}: is not read, because it {odd}",)

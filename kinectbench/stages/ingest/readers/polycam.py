@@ -16,7 +16,7 @@ from kinectbench.core import GivenPosesError, RecordingError
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import json_numbers, number_of, read_camera_of_frame
+from kinectbench.stages.ingest.json_values import json_numbers, number_of, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,

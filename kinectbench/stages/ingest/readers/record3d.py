@@ -29,7 +29,7 @@ from kinectbench.stages.ingest.images import (
     image_header,
     quantised,
 )
-from kinectbench.stages.ingest.intrinsics import json_numbers, number_of, object_of
+from kinectbench.stages.ingest.json_values import json_numbers, number_of, object_of
 from kinectbench.stages.ingest.readers.archive import Archive, holds
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,

@@ -11,7 +11,7 @@ from kinectbench.core.trajectory.stamps import counted_ns
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.intrinsics import json_numbers, read_camera_of_frame
+from kinectbench.stages.ingest.json_values import json_numbers, read_camera_of_frame
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,

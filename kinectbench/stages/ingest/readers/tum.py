@@ -18,8 +18,9 @@ from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, read_trajectory_file
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.gravity import up_at_rest
-from kinectbench.stages.ingest.intrinsics import HELD, read_color_calibration, read_json_object, said_warnings
+from kinectbench.stages.ingest.intrinsics import HELD, read_color_calibration, said_warnings
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
+from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.pose_files import unread_poses
