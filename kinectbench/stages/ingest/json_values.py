@@ -1,4 +1,4 @@
-"""Read JSON objects and their numbers from files of strangers, within limits of size."""
+"""Read JSON objects and their numbers from untrusted files, within limits of size."""
 
 import math
 from collections.abc import Sequence
