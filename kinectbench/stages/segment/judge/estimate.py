@@ -28,6 +28,9 @@ MISSED_MORE, MISSED_LESS, MISSED_LEAST = 1.2, 0.7, 0.02
 COIN_SIGMAS, DECIDED = 2.0, 0.05
 # An error of 1 mm changes this much of the volume of parts that are 20 mm thick.
 MAX_VOLUME_SHARE_PER_MM = 0.1
+# Of the measured thickness of walls that are too thin to be resolved, half is expected; nothing is possible.
+# They are a reason from this share of the known solid on (chosen by hand).
+EXPECTED_OF_THIN, MAX_UNRESOLVED_SHARE = 0.5, 0.1
 # Poses are a reason if their median error moves more of the volume than this (chosen by hand).
 MAX_SHIFTED_SHARE = 0.03
 
@@ -113,13 +116,15 @@ def estimate_iou(
     pose_error: PoseError,
     frontiers: tuple[Frontier, ...],
     frames: int = FITTED_FRAMES,
+    unresolved: float = 0.0,
 ) -> IouEstimate:
     """Estimate the IoU to the unknown truth, and an interval.
 
     In the known part, only the surface error lowers the IoU. This error is the sum of a constant, a term for
     thin parts, the deviation between the halves of odd and even frames, and the poses' errors, which both
-    halves share. In the unknown part, the voxels' probabilities give the expected volumes. For the interval,
-    each unknown region is inside or outside as a whole.
+    halves share. Of walls too thin to be resolved, half of the measured thickness is expected, and for the
+    interval's lower end nothing. In the unknown part, the voxels' probabilities give the expected
+    volumes. For the interval, each unknown region is inside or outside as a whole.
 
     Args:
         shape: the solid.
@@ -127,6 +132,7 @@ def estimate_iou(
         pose_error: the median error of the poses.
         frontiers: openings that no frame saw into.
         frames: how many frames were fused.
+        unresolved: `unresolved_share` of the solid, in [0, 1].
     """
     sigma_m *= max(1.0, frames / FITTED_FRAMES) ** 0.5
     per_mm = volume_share_per_mm(shape.mesh)
@@ -138,21 +144,24 @@ def estimate_iou(
     # Trusted poses that no frame could check cost nothing in the estimate, but widen the interval.
     most += 1000 * OFF_PER_POSE * (median_m - pose_error.median_m) * per_mm
     least = max(0.0, missing * (1 - MISSED_LESS) - MISSED_LEAST)
+    # Of a wall that is thinner than it was measured, what is left is the IoU.
+    usual_left, least_left = 1 - (1 - EXPECTED_OF_THIN) * unresolved, 1 - unresolved
     expected = _expected(shape)
-    value = expected.iou(missing)
+    value = expected.iou(1 - max(0.0, 1 - missing) * usual_left)
     spread = COIN_SIGMAS * _regions_sigma(shape, expected)
+    worst = 1 - max(0.0, 1 - most) * least_left
     guessed = _Volumes(expected.known, 1 - expected.known, 0.0)
     # Over known voxels alone the same error acts on the known surface, and counts by the known volume.
     of_known = _known_surface_share(shape) / max(expected.known, 1e-9)
     return IouEstimate(
         value,
-        max(0.0, expected.iou(most) - spread),
+        max(0.0, expected.iou(worst) - spread),
         min(guessed.iou(least), expected.iou(least) + spread),
-        guessed.iou(most),
-        max(0.0, 1 - missing * of_known),
-        max(0.0, 1 - (most - MISSED_LEAST) * of_known - MISSED_LEAST),
+        guessed.iou(worst),
+        max(0.0, 1 - missing * of_known) * usual_left,
+        max(0.0, 1 - (most - MISSED_LEAST) * of_known - MISSED_LEAST) * least_left,
         min(1.0, 1 - missing * of_known * (1 - MISSED_LESS) + MISSED_LEAST),
-        _reasons(frontiers, per_mm, shifted, pose_error.checked),
+        _reasons(frontiers, per_mm, unresolved, shifted, pose_error.checked),
     )
 
 
@@ -203,7 +212,7 @@ def _regions_sigma(shape: SolidShape, expected: _Volumes) -> float:
 
 
 def _reasons(
-    frontiers: tuple[Frontier, ...], per_mm: float, shifted_share: float, checked: bool
+    frontiers: tuple[Frontier, ...], per_mm: float, unresolved: float, shifted_share: float, checked: bool
 ) -> tuple[str, ...]:
     """Return a line for each cause of a wider interval."""
     reasons = (
@@ -216,6 +225,10 @@ def _reasons(
             "an underside that nobody saw: what is behind it is a guess",
         ),
         (per_mm > MAX_VOLUME_SHARE_PER_MM, f"thin parts: 1 mm of surface is {per_mm:.0%} of the volume"),
+        (
+            unresolved > MAX_UNRESOLVED_SHARE,
+            f"walls too thin for their thickness to be measured: {unresolved:.0%} of what is known",
+        ),
         (
             shifted_share > MAX_SHIFTED_SHARE,
             f"poses: what they may be off by moves {shifted_share:.0%} of the volume"

@@ -19,7 +19,7 @@ from kinectbench.core.voxels.observation import (
     USUAL_FREE_SHARE_PER_VOXEL,
     VOXELS_PER_FREE_SHARE,
 )
-from kinectbench.stages.segment.judge import estimate, frontiers
+from kinectbench.stages.segment.judge import estimate, frontiers, thin_walls
 from kinectbench.stages.segment.solid import evidence, grids, guess, labels, solid
 from kinectbench.stages.segment.solid.evidence import Rules
 
@@ -41,6 +41,27 @@ def _air(rules: Rules) -> AirMethod:
         directions=evidence.FINE,
         narrower=evidence.NARROWER,
         sheet_voxels=evidence.SHEET_VOXELS,
+    )
+
+
+def _estimate() -> EstimateMethod:
+    return EstimateMethod(
+        off_m=estimate.OFF_M,
+        off_if_thin_m=estimate.OFF_M_IF_THIN,
+        off_per_sigma=estimate.OFF_PER_SIGMA,
+        off_per_pose=estimate.OFF_PER_POSE,
+        fitted_frames=estimate.FITTED_FRAMES,
+        missed_more=estimate.MISSED_MORE,
+        missed_less=estimate.MISSED_LESS,
+        missed_least=estimate.MISSED_LEAST,
+        coin_sigmas=estimate.COIN_SIGMAS,
+        decided=estimate.DECIDED,
+        resolved_voxels=thin_walls.RESOLVED_VOXELS,
+        thickness_block_voxels=thin_walls.BLOCK_VOXELS,
+        expected_of_thin=estimate.EXPECTED_OF_THIN,
+        max_unresolved_share=estimate.MAX_UNRESOLVED_SHARE,
+        max_volume_share_per_mm=estimate.MAX_VOLUME_SHARE_PER_MM,
+        max_shifted_share=estimate.MAX_SHIFTED_SHARE,
     )
 
 
@@ -87,19 +108,6 @@ def method(rules: Rules) -> SolidMethod:
             least_probability=frontiers.LEAST_PROBABILITY,
             enough=frontiers.ENOUGH,
         ),
-        estimate=EstimateMethod(
-            off_m=estimate.OFF_M,
-            off_if_thin_m=estimate.OFF_M_IF_THIN,
-            off_per_sigma=estimate.OFF_PER_SIGMA,
-            off_per_pose=estimate.OFF_PER_POSE,
-            fitted_frames=estimate.FITTED_FRAMES,
-            missed_more=estimate.MISSED_MORE,
-            missed_less=estimate.MISSED_LESS,
-            missed_least=estimate.MISSED_LEAST,
-            coin_sigmas=estimate.COIN_SIGMAS,
-            decided=estimate.DECIDED,
-            max_volume_share_per_mm=estimate.MAX_VOLUME_SHARE_PER_MM,
-            max_shifted_share=estimate.MAX_SHIFTED_SHARE,
-        ),
+        estimate=_estimate(),
         chosen_on="simulated objects of the families looked at, seeds 31, 32 and 41",
     )

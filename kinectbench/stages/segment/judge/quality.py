@@ -27,6 +27,7 @@ from kinectbench.stages.segment.judge.estimate import (
 )
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
+from kinectbench.stages.segment.judge.thin_walls import unresolved_share
 from kinectbench.stages.segment.solid.evidence import Rules
 from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape
 
@@ -84,7 +85,7 @@ def measure_quality(
     together, odd, even, sigma_m = solids.whole, solids.odd, solids.even, solids.surface_sigma_m
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
-    estimate = estimate_iou(together, sigma_m, pose_error, frontiers, solids.frames)
+    estimate = _estimate(solids, pose_error, frontiers)
     unsupported = _unsupported(chosen, together, rules)
     advice = tuple(f.advice(report.first_rad) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
@@ -121,6 +122,11 @@ def measure_quality(
         beyond_share=report.beyond_share,
         method=method(rules),
     )
+
+
+def _estimate(solids: Solids, pose_error: PoseError, frontiers: tuple[Frontier, ...]) -> IouEstimate:
+    whole, unresolved = solids.whole, unresolved_share(solids.whole)
+    return estimate_iou(whole, solids.surface_sigma_m, pose_error, frontiers, solids.frames, unresolved)
 
 
 def _box_part(box: OrientedBox) -> BoxPart:
