@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.targets import Target as Target
 from kinectbench.core.store.address import other_scheme, shown
-from kinectbench.release.contents import MAX_READ_BYTES, no_release
+from kinectbench.release.contents import MAX_READ_BYTES, OBJECT_FILES, no_release
 from kinectbench.release.published import is_there, published_bytes, release_text
 
 FIRST_LINE = 2  # first line of targets.csv with a target
@@ -204,7 +204,11 @@ def open_release(path: Path) -> Release:
         )
     targets = parse_targets(_text(path / TARGETS_CSV, published[TARGETS_CSV]), shown(path / TARGETS_CSV))
     check_names(targets, shown(path / TARGETS_CSV))
-    for problem in (*recording_problems(targets, metadata), *sum_problems(targets, sums)):
+    for problem in (
+        *recording_problems(targets, metadata),
+        *sum_problems(targets, sums),
+        *copy_problems(targets, sums),
+    ):
         raise ReleaseError(f"{shown(path)}: {problem}; download the release again, `verify` says more")
     return Release(path, targets, metadata)
 
@@ -251,3 +255,23 @@ def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator
             yield f"{TARGETS_CSV}, line {line}: {target.file} is not part of the release"
         elif sums[target.file] != target.sha256:
             yield f"{TARGETS_CSV}, line {line}: another SHA-256 for {target.file} than in {SHA256SUMS}"
+
+
+def copy_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
+    """Yield a message for each object whose mesh is byte for byte that of another object.
+
+    What was recorded twice never is. A copy in another split would be trained or chosen on before it is
+    scored; in the same split it would count as one object more. Without a mesh all pairs are compared.
+    """
+    pairs = dict[tuple[str, str], list[str]]()
+    for target in targets:
+        pairs.setdefault((target.recording, target.object), []).append(target.sha256)
+    first = dict[object, tuple[str, str]]()
+    for (recording, thing), hashes in pairs.items():
+        mesh = sums.get(f"objects/{recording}/{OBJECT_FILES[0]}")
+        other, of = first.setdefault(mesh or tuple(sorted(hashes)), (recording, thing))
+        if of != thing:
+            yield (
+                f"{TARGETS_CSV}: {recording} is a copy of {other}, though its object is '{thing}' and not "
+                f"'{of}'; name one object, in one split"
+            )
