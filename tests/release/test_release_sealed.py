@@ -1,4 +1,4 @@
-"""Releases that somebody changed and sealed again: every checksum agrees, and `verify` names what is wrong."""
+"""Releases that somebody changed and sealed again: checksums agree, and `verify` names what is wrong."""
 
 import json
 import re
