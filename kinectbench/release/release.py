@@ -204,11 +204,7 @@ def open_release(path: Path) -> Release:
         )
     targets = parse_targets(_text(path / TARGETS_CSV, published[TARGETS_CSV]), shown(path / TARGETS_CSV))
     check_names(targets, shown(path / TARGETS_CSV))
-    for problem in (
-        *recording_problems(targets, metadata),
-        *sum_problems(targets, sums),
-        *copy_problems(targets, sums),
-    ):
+    for problem in (*recording_problems(targets, metadata), *sum_problems(targets, sums)):
         raise ReleaseError(f"{shown(path)}: {problem}; download the release again, `verify` says more")
     return Release(path, targets, metadata)
 
@@ -258,20 +254,20 @@ def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator
 
 
 def copy_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a message for each object whose mesh is byte for byte that of another object.
+    """Yield a message for each object whose mesh is byte for byte that of an object in another split.
 
-    What was recorded twice never is. A copy in another split would be trained or chosen on before it is
-    scored; in the same split it would count as one object more. Without a mesh all pairs are compared.
+    What was recorded twice never is. A copy would be trained or chosen on before it is scored. Within one
+    split, collections of CAD models do have copies. Without a mesh all pairs are compared.
     """
-    pairs = dict[tuple[str, str], list[str]]()
+    pairs = dict[tuple[str, str, str], list[str]]()
     for target in targets:
-        pairs.setdefault((target.recording, target.object), []).append(target.sha256)
-    first = dict[object, tuple[str, str]]()
-    for (recording, thing), hashes in pairs.items():
+        pairs.setdefault((target.recording, target.object, target.split), []).append(target.sha256)
+    first = dict[object, tuple[str, str, str]]()
+    for (recording, thing, split), hashes in pairs.items():
         mesh = sums.get(f"objects/{recording}/{OBJECT_FILES[0]}")
-        other, of = first.setdefault(mesh or tuple(sorted(hashes)), (recording, thing))
-        if of != thing:
+        other, of, of_split = first.setdefault(mesh or tuple(sorted(hashes)), (recording, thing, split))
+        if of != thing and of_split != split:
             yield (
-                f"{TARGETS_CSV}: {recording} is a copy of {other}, though its object is '{thing}' and not "
-                f"'{of}'; name one object, in one split"
+                f"{TARGETS_CSV}: {recording} ({split}) is a copy of {other} ({of_split}), though its object "
+                f"is '{thing}' and not '{of}'; name one object, in one split"
             )
