@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Concatenate
 import typer
 
 from kinectbench.cli import console
-from kinectbench.core import KinectBenchError, SettingsError
+from kinectbench.core import KinectBenchError, SettingsError, followed
 from kinectbench.core.store.address import shown, url_of
 
 if TYPE_CHECKING:
@@ -25,6 +25,8 @@ CANNOT_BE_USED = 1
 SOME_FAILED = 3
 # Parameters of commands, besides the shared ones, that may be URLs.
 AT_URLS = ("release",)
+# Options that name a file or folder to be written.
+WRITTEN = ("out", "save_thresholds")
 DEFAULT_CONFIG = Path("benchmark.yaml")
 
 
@@ -237,6 +239,7 @@ def takes(
             if not at_url:
                 _ = common.root
             _refuse_urls(options)
+            _refuse_releases(options, any(field.name == "benchmark" for field in shared))
             status = command(common, **options)
             if status:
                 raise typer.Exit(status)
@@ -263,6 +266,27 @@ def _refuse_urls(options: Mapping[str, object]) -> None:
             raise SettingsError(
                 f"{name} {shown(url)}: wanted a path of this machine, not a URL", what="bad-url"
             )
+
+
+def _refuse_releases(options: Mapping[str, object], reads_one: bool) -> None:
+    """Raise an error if what a command writes would lie in a release, which would no longer be the published.
+
+    Args:
+        options: the command's own options.
+        reads_one: whether the command reads a release; others may make one, or replace it whole.
+    """
+    from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
+    from kinectbench.core.artefacts.targets import SHA256SUMS
+
+    for path in (options.get(name) for name in WRITTEN):
+        place = followed(path) if isinstance(path, Path) else Path("/")
+        for folder in (place, *place.parents) if reads_one else place.parents:
+            if (folder / BENCHMARK_JSON).is_file() and (folder / SHA256SUMS).is_file():
+                raise SettingsError(
+                    f"{path}: in a release, {folder.name}/, which must stay as it was published; "
+                    "name another place",
+                    what="already-exists",
+                )
 
 
 def _known_ids(context: typer.Context, incomplete: str) -> list[str]:

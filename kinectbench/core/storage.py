@@ -99,7 +99,8 @@ def append_plain(path: Path, text: str) -> None:
         StorageError: as for `open_to_add`, or the disk is full or read-only.
     """
     with storage_errors(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
+        with reachable(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
         with open_to_add(path) as file:
             file.write(text)
 

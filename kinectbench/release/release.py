@@ -20,7 +20,7 @@ from kinectbench.core.artefacts.targets import (
 )
 from kinectbench.core.artefacts.targets import Target as Target
 from kinectbench.core.store.address import other_scheme, shown
-from kinectbench.release.contents import MAX_READ_BYTES, no_release
+from kinectbench.release.contents import MAX_READ_BYTES, OBJECT_FILES, no_release
 from kinectbench.release.published import is_there, published_bytes, release_text
 
 FIRST_LINE = 2  # first line of targets.csv with a target
@@ -251,3 +251,23 @@ def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator
             yield f"{TARGETS_CSV}, line {line}: {target.file} is not part of the release"
         elif sums[target.file] != target.sha256:
             yield f"{TARGETS_CSV}, line {line}: another SHA-256 for {target.file} than in {SHA256SUMS}"
+
+
+def copy_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
+    """Yield a message for each object whose mesh is byte for byte that of an object in another split.
+
+    What was recorded twice never is. A copy would be trained or chosen on before it is scored. Within one
+    split, collections of CAD models do have copies. Without a mesh all pairs are compared.
+    """
+    pairs = dict[tuple[str, str, str], list[str]]()
+    for target in targets:
+        pairs.setdefault((target.recording, target.object, target.split), []).append(target.sha256)
+    first = dict[object, tuple[str, str, str]]()
+    for (recording, thing, split), hashes in pairs.items():
+        mesh = sums.get(f"objects/{recording}/{OBJECT_FILES[0]}")
+        other, of, of_split = first.setdefault(mesh or tuple(sorted(hashes)), (recording, thing, split))
+        if of != thing and of_split != split:
+            yield (
+                f"{TARGETS_CSV}: {recording} ({split}) is a copy of {other} ({of_split}), though its object "
+                f"is '{thing}' and not '{of}'; name one object, in one split"
+            )

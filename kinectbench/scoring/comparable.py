@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from kinectbench.core import SettingsError
+from kinectbench.core import SettingsError, printable
 from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, ScoreRow, any_in_space
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.scoring.averages import ObjectMeans, object_means
@@ -103,7 +103,7 @@ def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[s
 
 
 def _check_truth(tables: Tables) -> None:
-    """Refuse tables that were scored against different releases."""
+    """Refuse tables that were scored against different releases, or state other hashes of their truth."""
     first, other = next(iter(tables)), next(iter(tables.values()))
     for name, table in tables.items():
         if table.benchmark_sha256 != other.benchmark_sha256:
@@ -112,6 +112,13 @@ def _check_truth(tables: Tables) -> None:
                 f"{other.benchmark_sha256[:12]}; score both against one",
                 what="other-scores",
             )
+        for pair in table.hashes.keys() & other.hashes.keys():
+            if table.hashes[pair].truth != other.hashes[pair].truth:
+                raise SettingsError(
+                    f"{name}: scored against another truth of {printable(pair)} than {first}, though both "
+                    "name one benchmark; score both again",
+                    what="other-scores",
+                )
 
 
 def check_same(tables: Tables, protocol: str) -> None:

@@ -15,7 +15,7 @@ from score_rows import row, table
 
 from kinectbench.core.artefacts.score_figures import AVERAGED
 from kinectbench.core.artefacts.score_marks import MISSING_AS_EMPTY, Mark
-from kinectbench.core.artefacts.scores import Failure, ScoreSettings, ScoreTable
+from kinectbench.core.artefacts.scores import Failure, Hashes, ScoreSettings, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.scoring.averages import object_means
 from kinectbench.scoring.compare import compare, find_methods, find_scores
@@ -207,6 +207,18 @@ def test_refusals(name: str) -> None:
     spoil, message = REFUSED[name]
     with pytest.raises(SettingsError, match=message):
         compare([method("good", 0.2, 3), spoil(method("bad", 0.1, 3))])
+
+
+def test_one_release_has_one_truth() -> None:
+    """Tables that name one benchmark, and state two hashes of one pair's truth, are of two."""
+
+    def scored(name: str, gain: float, truth: str) -> ScoreTable:
+        hashes = {"chair_0/000": Hashes(truth=truth * 64, prediction=None)}
+        return method(name, gain, 3).model_copy(update={"hashes": hashes})
+
+    assert compare([scored("good", 0.2, "a"), scored("bad", 0.1, "a")]).means
+    with raises(SettingsError, "settings.other-scores", match="another truth of chair_0/000 than good"):
+        compare([scored("good", 0.2, "a"), scored("bad", 0.1, "b")])
 
 
 def test_an_incomplete_method_is_left_out_and_named() -> None:

@@ -215,7 +215,8 @@ def parse_sums(text: str, where: str) -> dict[str, str]:
         ReleaseError: a line is malformed, repeated, unsafe or too long; the message names it.
     """
     sums: dict[str, str] = {}
-    for number, line in enumerate(text.splitlines(), start=1):
+    # As `sha256sum` reads it: `splitlines` would also end a line at signs that may be part of a name.
+    for number, line in enumerate(text.removesuffix("\n").split("\n") if text else (), start=1):
         match = _SUM_LINE.fullmatch(line)
         if not match or not _SAFE_PATH.fullmatch(match[2]) or match[2] in sums:
             raise ReleaseError(f"{where}, line {number}: malformed, repeated or unsafe; download it again")

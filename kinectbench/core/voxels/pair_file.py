@@ -242,14 +242,14 @@ def pair_parts(content: bytes, names: Collection[str]) -> list[FileArray]:
 
 
 def checked_parts(values: Arrays, names: Collection[str]) -> Arrays:
-    """Check the shapes and dtypes of the arrays that `names` lists; return `values`.
+    """Check the shapes and dtypes of the arrays that `names` lists; return `values`, matrices as float64.
 
     Raises:
         ValueError: one of these arrays is wrong.
     """
     if fault := _fault_in(values, names):
         raise ValueError(fault)
-    return values
+    return {**values, **{name: as_float64(values[name]) for name in MATRIX_SIDES if name in names}}
 
 
 def pair_keys(content: bytes) -> tuple[str, ...]:
@@ -288,7 +288,18 @@ def checked_pair(kind: type[AnyPair], values: Mapping[str, NDArray[np.generic]],
         raise PairError(f"{where}: {fault}")
     scalars = (*NUMBERS, *TEXTS)
     checked: dict[str, Any] = {n: values[n].item() if n in scalars else values[n] for n in names}
+    checked |= {n: float(checked[n]) for n in NUMBERS if n in checked}
+    checked |= {n: as_float64(values[n]) for n in MATRIX_SIDES if n in checked}
     return kind(**checked)
+
+
+def as_float64(numbers: NDArray[np.generic]) -> Float64:
+    """Return the real numbers of a file as float64 in the machine's byte order.
+
+    A file may hold them as half, long double or with the bytes turned, which linear algebra does not take.
+    """
+    with np.errstate(over="ignore"):  # what float64 cannot hold becomes infinite
+        return numbers.astype(np.float64, copy=False)
 
 
 def _defaults(kind: type[Pair] | type[PairInput]) -> Arrays:
@@ -329,8 +340,8 @@ def _fault_in(values: Mapping[str, NDArray[np.generic]], names: Collection[str])
 
 def _invertible(matrix: NDArray[np.generic]) -> bool:
     with np.errstate(all="ignore"):
-        return _finite(matrix) and bool(np.linalg.det(matrix.astype(np.float64)) != 0)
+        return _finite(matrix) and bool(np.linalg.det(as_float64(matrix)) != 0)
 
 
 def _finite(values: NDArray[np.generic]) -> bool:
-    return values.dtype.kind in "fiu" and bool(np.isfinite(values).all())
+    return values.dtype.kind in "fiu" and bool(np.isfinite(as_float64(values)).all())

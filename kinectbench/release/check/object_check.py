@@ -1,5 +1,6 @@
 """Check that the mesh, volume and GLB of a recording's object are valid files, as docs/format.md defines."""
 
+import json
 import struct
 from collections.abc import Iterator
 from typing import IO
@@ -13,6 +14,7 @@ from kinectbench.core.mesh_files import read_ply
 from kinectbench.core.types import Arrays, Float64
 from kinectbench.core.voxels.npy import NpyHeader, read_npy, read_npy_header
 from kinectbench.core.voxels.npz import NPY, UNREADABLE, open_npz
+from kinectbench.core.voxels.pair_file import as_float64
 from kinectbench.release.contents import GLB, OBJECT_FILES, VOLUME_BYTES, Contents, surface_name
 from kinectbench.release.publish.object_glb import T_GLTF_FLOOR
 
@@ -84,7 +86,11 @@ def _glb_fault(content: bytes) -> str | None:
         header = strict_json(content[GLB_HEAD.size :][:json_bytes].decode())
     except (ValueError, RecursionError) as error:
         return f"what it says of itself is not valid JSON ({error})"
-    return None if isinstance(header, dict) and header.get("meshes") else "holds no mesh"
+    if not isinstance(header, dict) or not header.get("meshes"):
+        return "holds no mesh"
+    if '"uri"' in json.dumps(header):
+        return "names other files by a URI, which whoever shows it would open"
+    return None
 
 
 def glb_faults(content: bytes, mesh: TriangleMesh, T_floor_world: Float64) -> Iterator[str]:
@@ -134,7 +140,7 @@ def _volume_fault(file: IO[bytes]) -> str | None:
         for key in GRID_KEYS:
             with archive.open(entries[key]) as stream:
                 small[key] = read_npy(stream, entries[key].file_size, _check_small)
-        size_m, T = small["voxel_size_m"], small["T_world_grid"]
+        size_m, T = small["voxel_size_m"], as_float64(small["T_world_grid"])
         if size_m.shape != () or not 0 < float(size_m) < np.inf:
             return "'voxel_size_m' is not a length in metres"
         if T.shape != (4, 4) or not is_rigid(T):

@@ -25,6 +25,7 @@ from kinectbench.core.voxels.pair_file import (
     SHARE_DECIMALS,
     Packed,
     Pair,
+    as_float64,
     pack,
     packed_count,
     unpack,
@@ -130,7 +131,7 @@ def _volume(contents: Contents, name: str) -> tuple[Grid, Bools, NDArray[np.inte
         raise TooLargeError(
             f"{name}: {' x '.join(map(str, labels.shape))} voxels are too many: no pair is compared with it"
         )
-    T = arrays["T_world_grid"].reshape(4, 4)
+    T = as_float64(arrays["T_world_grid"]).reshape(4, 4)
     if solid.shape != labels.shape or not is_rigid(T) or not 0 < float(size_m) < np.inf:
         raise ValueError("its arrays have different shapes, or its grid is none")
     nx, ny, nz = labels.shape

@@ -37,10 +37,10 @@ from kinectbench.release.check.object_check import object_problems, recording_of
 from kinectbench.release.check.pair_check import input_problems, pair_problems
 from kinectbench.release.check.truth_check import TruthCheck
 from kinectbench.release.check.view_check import StatedView, image_names, no_decoder, view_lines
-from kinectbench.release.contents import AGAIN, GLB, OBJECT_FILES, VIEW_IMAGES, Contents
+from kinectbench.release.contents import AGAIN, GLB, OBJECT_FILES, SURFACES, VIEW_IMAGES, Contents
 from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents
-from kinectbench.release.release import FIRST_LINE, recording_problems, sum_problems
+from kinectbench.release.release import FIRST_LINE, copy_problems, recording_problems, sum_problems
 
 MISSING = f"{{}}: missing; {AGAIN}"
 CHANGED = f"{{}}: changed since it was published (SHA-256 differs); {AGAIN}"
@@ -333,11 +333,11 @@ def _small_file_problems(
         lines += [] if known else [str(error)]
     if not targets:
         return metadata, targets, lines
-    lines += [*sum_problems(targets, sums), *_file_problems(targets, sums)]
+    lines += [*sum_problems(targets, sums), *copy_problems(targets, sums), *_file_problems(targets, sums)]
     if metadata and BENCHMARK_JSON not in damaged:
         lines += recording_problems(targets, metadata)
     if metadata:
-        lines += _without_object(metadata, sums)
+        lines += [*_without_object(metadata, sums), *_of_nobody(metadata, sums)]
     if SPLITS_JSON not in damaged and TARGETS_CSV not in damaged:
         lines += _split_problems(contents, targets)
     if metadata and not {BENCHMARK_JSON, TARGETS_CSV} & set(damaged):
@@ -356,6 +356,16 @@ def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[
         for file in OBJECT_FILES if metadata.has_solid(recording) else ():
             if (name := f"objects/{recording}/{file}") not in sums:
                 yield f"{printable(name, 200)}: missing, a release of recordings has it"
+
+
+def _of_nobody(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
+    """Yield a message for each recording that has files in the release, but is not in benchmark.json."""
+    owners = {name: recording_of(name) for name in sums if name.startswith("objects/")}
+    owners |= {name: name.split("/")[1] for name in sums if name.startswith("views/")}
+    owners |= {name: PurePosixPath(name).stem for name in sums if name.startswith(f"{SURFACES}/")}
+    for owner in sorted(set(owners.values()) - metadata.recordings.keys()):
+        name = next(name for name, of in owners.items() if of == owner)
+        yield f"{printable(name, 200)}: of a recording that {BENCHMARK_JSON} does not have"
 
 
 def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:

@@ -1,0 +1,48 @@
+"""Where commands may write: never into the release that they read, and nowhere with a traceback."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+from command_lines import Command, check_line
+from small_benchmark import hashes
+
+from kinectbench.core.errors import StorageError
+from kinectbench.core.storage import append_plain
+from kinectbench.release.release import Release
+
+pytestmark = pytest.mark.xdist_group("commands")
+
+SCORE = ["score", "--benchmark", "release"]
+INTO: dict[str, list[str]] = {
+    "scores": [*SCORE, "--out", "release"],
+    "scores among pairs": [*SCORE, "--out", "release/pairs"],
+    "scores through a link": [*SCORE, "--out", "link/scores"],
+    "thresholds": [*SCORE, "predictions", "--save-thresholds", "release/benchmark.json"],
+    "a page": ["report", "--benchmark", "release", "--out", "release/targets.csv"],
+    "baselines": ["baseline", "partial", "--benchmark", "release", "--out", "release"],
+    "a simulation": ["simulate", "release/recording"],
+    "an export": ["export", "release/bop", "--layout", "bop", "--benchmark", "release"],
+}
+
+
+@pytest.mark.parametrize("name", INTO)
+def test_nothing_is_written_into_a_release(
+    command: Command, release: Release, tmp_path: Path, name: str
+) -> None:
+    folder = Path(shutil.copytree(release.folder, tmp_path / "release"))
+    (tmp_path / "link").symlink_to("release")
+    before = hashes(folder)
+    check_line(
+        command(tmp_path, *INTO[name]), 2, "in a release, release/, which must stay as it was published"
+    )
+    assert hashes(folder) == before
+
+
+@pytest.mark.parametrize("place", ["file", "file/below", "nowhere"])
+def test_a_way_that_cannot_be_gone_is_one_line(tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").write_text("kept", encoding="utf-8")
+    (tmp_path / "nowhere").symlink_to(tmp_path / "missing/below")
+    with pytest.raises(StorageError, match="the way to it holds a file, a broken link or nothing"):
+        append_plain(tmp_path / place / "kept.jsonl", "line")
+    assert (tmp_path / "file").read_text(encoding="utf-8") == "kept"
