@@ -47,7 +47,8 @@ HELD = "width, height, fx, fy, cx, cy"
 class Intrinsics:
     """A depth camera's image size and intrinsics, pixels, and native depth units per metre; None = unknown.
 
-    Also whether colour lies on depth's pixels, and warnings (`notes`), such as on a converted unit.
+    Also whether colour lies on depth's pixels, whether the camera's y axis points up in the given poses, as
+    ICL-NUIM's, and warnings (`notes`), such as on a converted unit.
     """
 
     width: int | None = None
@@ -58,6 +59,7 @@ class Intrinsics:
     cy: float | None = None
     depth_scale: float | None = None
     color_registered: bool | None = None
+    y_up: bool = False
     notes: tuple[str, ...] = ()
 
     @classmethod

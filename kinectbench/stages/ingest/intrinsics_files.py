@@ -91,10 +91,25 @@ def find_intrinsics(
         RecordingError: a file does not contain what its name says, or YAML files have different cameras.
     """
     found, file = _camera_of_files(path, settings)
+    if found.fx is not None and found.fy is not None and found.fx > 0 > found.fy:
+        found = _with_y_down(found, path)
     if found.depth_scale is not None or settings.depth_scale is not None:
         return found, file
     scale, notes = _scale_beside(path, usual_scale)
     return replace(found, depth_scale=scale, notes=(*found.notes, *notes)), file
+
+
+def _with_y_down(found: Intrinsics, path: Path) -> Intrinsics:
+    """Return intrinsics whose negative fy is made positive, with a note; the poses have another y axis then.
+
+    ICL-NUIM (Handa et al., ICRA 2014) states fy = -480: its images are upright, but y points up in its poses.
+    """
+    assert found.fy is not None
+    note = (
+        f"{path}: fy is {found.fy:g}: the camera's y axis points up, as ICL-NUIM's: it is read as "
+        f"{-found.fy:g}, and y is mirrored in given poses, and so in the world"
+    )
+    return replace(found, fy=-found.fy, y_up=True, notes=(*found.notes, note))
 
 
 def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[str, ...]]:
