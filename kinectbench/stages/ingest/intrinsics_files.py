@@ -248,7 +248,7 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
 
 def _differ(first: Intrinsics, second: Intrinsics) -> bool:
     """Whether two files have different cameras or units; a file without a unit contradicts none."""
-    no_unit = {"depth_scale": None} if None in (first.depth_scale, second.depth_scale) else {}
+    no_unit: dict[str, Any] = {"depth_scale": None} if None in (first.depth_scale, second.depth_scale) else {}
     return replace(first, notes=(), **no_unit) != replace(second, notes=(), **no_unit)
 
 
