@@ -33,8 +33,9 @@ LIKELY_MEDIAN_M = (0.2, 6.0)
 LIKELY_FAR_M = 12.0
 # Where depth in mm would show a room, a median nearer than this is unlikely (chosen by hand).
 ROOM_UNITS, ROOM_MEDIAN_M, NEAR_MEDIAN_M = 1000.0, (0.9, 2.5), 0.45
-# With swapped bytes, neighbouring pixels differ by this factor more.
-SMOOTHER = 5.0
+# With swapped bytes, neighbouring pixels differ by this factor more; smaller relative differences than the
+# second are those of a flat wall, whichever the order (our own bound).
+SMOOTHER, SMOOTHEST = 5.0, 1e-4
 # A maximum that is this frequent, and this far beyond all other values, is an invalid code.
 CODE_SHARE, CODE_BEYOND = 0.003, 1.3
 # Raw disparity of a Kinect v1 (11 bits) to 1 / m, by OpenKinect's wiki (Imaging Information); freenect's
@@ -178,13 +179,13 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """Return the mean absolute difference of horizontal neighbours, divided by the median; 0 if none."""
+    """Return the mean absolute difference of horizontal neighbours, divided by the median, plus 0.0001."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
     # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)
     if not both.any():
         return 0.0
-    return float((np.abs(left - right)[both].mean() + 1e-3) / np.median(left[both]))
+    return float(np.abs(left - right)[both].mean() / np.median(left[both])) + SMOOTHEST
 
 
 def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:

@@ -106,7 +106,9 @@ def test_files_of_other_names_may_be_depth(tmp_path: Path, pattern: str, data: b
     assert words in refused(folder_of(tmp_path, pattern, data, "scan_{:04d}.jpg"))
 
 
-@pytest.mark.parametrize("pattern", ["labels/{:04d}.txt", "{:04d}.json", "scan_{:04d}.bin"])
+@pytest.mark.parametrize(
+    "pattern", ["labels/{:04d}.txt", "{:04d}_depth_info.txt", "{:04d}.json", "s_{:04d}.bin"]
+)
 def test_other_files_beside_colour_are_no_depth(tmp_path: Path, pattern: str) -> None:
     said = refused(folder_of(tmp_path, pattern, b"0 0.5 0.5 1 1"))
     assert re.search(
@@ -114,6 +116,15 @@ def test_other_files_beside_colour_are_no_depth(tmp_path: Path, pattern: str) ->
     )
 
 
-def test_16_bit_images_two_folders_below_are_found(tmp_path: Path) -> None:
-    said = refused(folder_of(tmp_path, "data/d/{:04d}.png", png(MM), "data/c/{:04d}.jpg"))
-    assert "data/d/ holds 16-bit PNG images that look like depth (0000.png)" in said
+@pytest.mark.parametrize("inside", ["data/d", "data/today/box"])
+def test_16_bit_images_some_folders_below_are_found(tmp_path: Path, inside: str) -> None:
+    said = refused(folder_of(tmp_path, f"{inside}/{{:04d}}.png", png(MM), "data/c/{:04d}.jpg"))
+    assert f"{inside}/ holds 16-bit PNG images that look like depth (0000.png)" in said
+
+
+def test_three_pictures_of_depth_among_many_of_colour_are_named(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "data/images/{:04d}.jpg", jpeg(color_image(0)))
+    (folder / "data/depth_filtered").mkdir()
+    for i in range(3):
+        (folder / f"data/depth_filtered/depth{i}.png").write_bytes(png(MM.astype(np.uint8)))
+    assert "its 3 images named depth, such as data/depth_filtered/depth0.png, are pictures" in refused(folder)

@@ -26,6 +26,8 @@ KINDS = "16-bit PNG, .npy, .npz, TIFF"
 RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
 # One file is read of all names that differ only in numbers, for at most this many kinds (chosen by hand).
 NUMBER, MOST_KINDS = re.compile(r"\d+"), 50
+# So many images that are named depth are no stray pictures (chosen by hand).
+LEAST_PICTURES = 3
 # Types of colour in the head of a PNG with more than one channel: colour, and colour with alpha.
 SEVERAL_CHANNELS = (2, 6)
 PACKED = (
@@ -64,7 +66,7 @@ def without_depth(path: Path) -> str | None:
         return f"{path}: {where}, but in no layout that is known: {MOVE}"
     return (
         unread_files(path)
-        or (_of_pictures(path, pictures) if len(pictures) >= LEAST_IMAGES else None)
+        or (_of_pictures(path, pictures) if len(pictures) >= LEAST_PICTURES else None)
         or (
             f"{path}: holds {images} colour images, but no depth that is read ({KINDS}): "
             f"{if_depth(path)}{RECORD}"

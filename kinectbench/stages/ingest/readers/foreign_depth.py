@@ -6,7 +6,7 @@ from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 
-from kinectbench.core import listed_paths, printable
+from kinectbench.core import listed_paths, printable, read_head
 from kinectbench.stages.ingest.depth_files import ARRAYS, depth_size_px
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_SIDE_PX
@@ -15,7 +15,7 @@ from kinectbench.stages.ingest.recording import read_image_file
 # Enough images to be a recording, or a folder of depth, and not a stray picture.
 LEAST_IMAGES = 5
 # Limits of the search: entries of a folder, folders of a level, and levels below the recording's folder.
-LOOKED_AT, MOST_FOLDERS, LEVELS = 20_000, 200, 2
+LOOKED_AT, MOST_FOLDERS, LEVELS = 20_000, 200, 3
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
 # Files of depth that is read in a folder depth/, and kinds that hold nothing but depth.
 READ, ONLY_DEPTH = ARRAYS | {".tif", ".tiff"}, frozenset({".pfm", ".dpt"})
@@ -44,6 +44,8 @@ READ_BY = {
 }
 # Kinds that hold depth or other things.
 POSSIBLY = frozenset({".pgm", ".jp2", ".mat", ".h5", ".hdf5", ".csv", ".npz"})
+# Texts that may hold an image, and bytes of the longest line that is read.
+TABLES, MOST_LINE = frozenset({".csv", ".txt"}), 64 << 10
 BARE, CLOUDS, ZIPPED = frozenset({".raw", ".bin", ".dat"}), frozenset({".ply", ".pcd", ".xyz", ".las"}), ".gz"
 # Image sizes of common depth cameras, and bytes and types of a value of theirs.
 SIZES_PX = (
@@ -55,7 +57,7 @@ VALUES = ((2, "uint16"), (4, "float32"))
 
 
 def folders_below(path: Path) -> Iterator[Path]:
-    """Yield a folder, its subfolders and theirs, each level by name; hidden ones are left out."""
+    """Yield a folder and those below it down to three levels, each level by name; not the hidden ones."""
     level = [path]
     for _ in range(LEVELS):
         yield from level
@@ -143,9 +145,15 @@ def _by_kind(folder: Path, *, of_depth: bool, named: bool) -> dict[str, list[Pat
             wanted = kind in ONLY_DEPTH or ((of_depth or is_named_depth(file.stem)) and kind not in BESIDE)
         else:
             wanted = kind in READ | BARE | POSSIBLY
-        if wanted and file.is_file():
+        if wanted and file.is_file() and (kind not in TABLES or _is_table(file)):
             by_kind.setdefault(kind, []).append(file)
     return {kind: sorted(files) for kind, files in by_kind.items()}
+
+
+def _is_table(file: Path) -> bool:
+    """Whether the first line of a text has as many numbers as an image is wide."""
+    line = read_head(file, MOST_LINE).partition(b"\n")[0].replace(b",", b" ").replace(b";", b" ")
+    return len(line.split()) >= LEAST_SIDE_PX
 
 
 def _is_an_image(path: Path, file: Path) -> bool:
