@@ -67,7 +67,7 @@ def textured(color: NDArray[np.generic]) -> NDArray[np.generic]:
     """Colour with a pattern of edges on all surfaces, another in each frame."""
     noise = np.random.default_rng(int(color.sum()) % 1000).normal(0, 20, (60, 80))
     pattern = cv2.resize(noise, color.shape[1::-1], interpolation=cv2.INTER_NEAREST)[..., None]
-    return np.clip(color + pattern, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(color + pattern, 0, 255), np.uint8)
 
 
 def test_colour_of_another_lens_beside_depth_of_a_stereo_pair_is_found(tmp_path: Path) -> None:
