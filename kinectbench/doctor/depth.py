@@ -13,6 +13,7 @@ from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
 from kinectbench.stages.ingest.depth_codes import Pattern, find_pattern
 from kinectbench.stages.ingest.images import advice_on
+from kinectbench.stages.ingest.intrinsics import OFF_CENTRE, Intrinsics, ratio_by_centre
 from kinectbench.stages.ingest.plausibility import (
     FIND_DEPTH,
     KEEP_SIZE,
@@ -25,12 +26,6 @@ from kinectbench.stages.ingest.recording import FileRecording
 
 # Range of horizontal fields of view of hand-held cameras, degrees.
 NARROWEST_DEG, WIDEST_DEG = 35.0, 110.0
-# A principal point farther from the centre (ratio of width or height) belongs to no full image.
-OFF_CENTRE = 0.15
-SAME_RATIO = 0.08
-# Ratios between stream sizes of common sensors, such as 320, 512, 640, 1280 and 1920 pixels across.
-COMMON_SIZE_RATIOS = (0.25, 0.4, 0.5, 2 / 3, 1.5, 2.0, 2.5, 4.0)
-NEARLY = 0.04
 MAX_ASPECT = 1.1
 # Plausible range of the median depth, and limit of the 95 % quantile, metres. Public recordings of objects on
 # tables, in the right unit, have medians down to 0.21 m (five data sets: 0.21, 0.31, 0.415, 0.42, 0.43 m).
@@ -38,8 +33,9 @@ LIKELY_MEDIAN_M = (0.2, 6.0)
 LIKELY_FAR_M = 12.0
 # Where depth in mm would show a room, a median nearer than this is unlikely (chosen by hand).
 ROOM_UNITS, ROOM_MEDIAN_M, NEAR_MEDIAN_M = 1000.0, (0.9, 2.5), 0.45
-# With swapped bytes, neighbouring pixels differ by this factor more.
-SMOOTHER = 5.0
+# With swapped bytes, neighbouring pixels differ by this factor more; smaller relative differences than the
+# second are those of a flat wall, whichever the order (our own bound).
+SMOOTHER, SMOOTHEST = 5.0, 1e-4
 # A maximum that is this frequent, and this far beyond all other values, is an invalid code.
 CODE_SHARE, CODE_BEYOND = 0.003, 1.3
 # Raw disparity of a Kinect v1 (11 bits) to 1 / m, by OpenKinect's wiki (Imaging Information); freenect's
@@ -74,19 +70,20 @@ VALID_SHARE = 0.35
 def check_intrinsics(probe: Probe) -> Iterator[Finding]:
     """Report implausible focal lengths or principal points, and intrinsics of another image size."""
     camera = probe.recording.camera
-    across, down = camera.width / (2 * camera.cx + 1), camera.height / (2 * camera.cy + 1)
     shown = f"fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g}"
     size = f"{camera.width}x{camera.height}"
     advice = "give those of the depth images under `camera:`"
     off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
-    if off > OFF_CENTRE and abs(across / down - 1) < SAME_RATIO:
-        ratio = min(COMMON_SIZE_RATIOS, key=lambda ratio: abs(ratio / across - 1))
-        ratio = ratio if abs(ratio / across - 1) < NEARLY else across
+    ratio = ratio_by_centre(camera.cx, camera.cy, (camera.width, camera.height))
+    if ratio is not None:
         what = (
             f"the intrinsics ({shown}) are those of {camera.width / ratio:.0f}x{camera.height / ratio:.0f} "
             f"images, but depth is {size}"
         )
-        yield Finding("intrinsics_resolution", "stops", what, probe.where, f"multiply them by {ratio:.3g}")
+        said = Intrinsics(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
+        advice = f"multiply them by {ratio:.3g}: {said.scaled_line(ratio)}"
+        severity: Severity = "stops" if off > OFF_CENTRE else "warning"
+        yield Finding("intrinsics_resolution", severity, what, probe.where, advice)
         return
     if off > OFF_CENTRE:
         what = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {size} images"
@@ -182,13 +179,13 @@ def _byte_order(probe: Probe) -> list[Finding]:
 
 
 def _roughness(depth: NDArray[np.uint16]) -> float:
-    """Return the mean absolute difference of horizontal neighbours, divided by the median; 0 if none."""
+    """Return the mean absolute difference of horizontal neighbours, divided by the median, plus 0.0001."""
     left, right = depth[:, :-1].astype(np.float64), depth[:, 1:].astype(np.float64)
     # The highest value often marks missing depth.
     both = (left > 0) & (right > 0) & (left < HIGHEST) & (right < HIGHEST)
     if not both.any():
         return 0.0
-    return float((np.abs(left - right)[both].mean() + 1e-3) / np.median(left[both]))
+    return float(np.abs(left - right)[both].mean() / np.median(left[both])) + SMOOTHEST
 
 
 def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.types import Float64
+from kinectbench.doctor.color_place import ColorPlace, of_one_shape, place_color
 from kinectbench.doctor.finding import Finding, Registration
 from kinectbench.doctor.probe import Probe
 
@@ -19,42 +19,6 @@ OFF_PX = 4.0
 CLEAR = 5.0
 # It is an error if the best score is this many times the unchanged (unmirrored) score; chosen by hand.
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
-# Colour that lies elsewhere is looked for in images 160 wide, from which structure wider than this is taken.
-PLACED_COLUMNS, FINE_PX = 160, 4.0
-# How many times as large colour is tried: 0.6 to 1.73, as a D435's colour is 1.5 times as large as its depth;
-# A step is 4 %: zooms that are 3 % off score nearly as much.
-ZOOM_STEP, ZOOMS = 1.04, np.arange(-13, 15)
-# Shifts (right, down) up to a quarter and a fifth of these images are tried (chosen by hand).
-PLACED_REACH_PX = (40, 24)
-# A place is reported if its score is this high, and this many times that of colour as it is. Measured: 14 to
-# 38 where colour lies elsewhere (7 recordings); at most 10.5 where it fits nowhere, as it is mirrored, upside
-# down or of another frame (20 recordings, real and simulated, 60 trials).
-PLACED, PLACED_BETTER = 12.0, 1.5
-
-
-@dataclass(frozen=True)
-class ColorPlace:
-    """The zoom about the image's middle, and the shift, by which the edges of colour differ from depth.
-
-    A score is as in `EdgeFit`, with two differences: wide structure is taken from the colour edges first, and
-    the median and standard deviation are over all shifts.
-
-    Attributes:
-        zoom: size of objects in colour, relative to depth.
-        shift_px: (2,) how far colour lies to the right of and below depth at the middle, depth pixels.
-        score: the score with this zoom and shift.
-        here: the best score without zoom, at shifts of at most one pixel of the images compared.
-    """
-
-    zoom: float
-    shift_px: NDArray[np.float64]
-    score: float
-    here: float
-
-    @property
-    def clear(self) -> bool:
-        """Whether colour fits clearly better with this zoom and shift than unchanged."""
-        return self.score > max(PLACED, PLACED_BETTER * self.here)
 
 
 @dataclass(frozen=True)
@@ -105,7 +69,7 @@ class EdgeFit:
         """What edges say about the stated registration of colour: "seen", "unclear" or "contradicted"."""
         if self.elsewhere:
             return "contradicted"
-        seen = self.here > CLEAR or (self.place is not None and self.place.here > PLACED)
+        seen = self.here > CLEAR or (self.place is not None and self.place.seen)
         return "seen" if seen else "unclear"
 
 
@@ -123,7 +87,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
         height, width = frame.depth.shape
         factor = width / COLUMNS
         size = (COLUMNS, round(height / factor))
-        if frame.bgr is None or not _of_one_shape(frame.bgr, frame.depth) or size[1] <= 2 * REACH_PX:
+        if frame.bgr is None or not of_one_shape(frame.bgr, frame.depth) or size[1] <= 2 * REACH_PX:
             continue
         gray = cv2.cvtColor(frame.bgr, cv2.COLOR_BGR2GRAY)
         jumps, edges = depth_jumps(frame.depth, size), color_edges(np.asarray(gray, np.uint8), size)
@@ -137,68 +101,7 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
     here, best = float(near[REACH_PX, REACH_PX]), float(near.max())
     fit = EdgeFit(here, best, float(_around(mirrored).max()), shift, factor)
     unclear = probe.recording.color_registered and (here <= CLEAR or fit.shifted)
-    return replace(fit, place=_place(probe)) if unclear else fit
-
-
-def _place(probe: Probe) -> ColorPlace | None:
-    """Find the zoom and shift of colour that fit depth best.
-
-    Return None if no frame has colour of depth's aspect ratio.
-    """
-    import cv2
-
-    parts = []
-    for frame in probe.whole:
-        if frame.bgr is None or not _of_one_shape(frame.bgr, frame.depth):
-            continue
-        height, width = frame.depth.shape
-        size = (PLACED_COLUMNS, round(height * PLACED_COLUMNS / width))
-        edges = color_edges(np.asarray(cv2.cvtColor(frame.bgr, cv2.COLOR_BGR2GRAY), np.uint8), size)
-        fine = edges - cv2.GaussianBlur(edges, (0, 0), FINE_PX)
-        parts.append((np.conj(np.fft.rfft2(depth_jumps(frame.depth, size))), fine.astype(np.float32)))
-    if not parts:
-        return None
-    scores = {zoom: _at_zoom(parts, zoom) for zoom in (ZOOM_STEP**ZOOMS).tolist()}
-    here = next(table for zoom, table in scores.items() if zoom == 1)
-    down, right = (count // 2 for count in here.shape)
-    at = max(scores, key=lambda zoom: float(scores[zoom].max()))
-    row, column = np.unravel_index(int(np.argmax(scores[at])), here.shape)
-    shift = np.array([column - right, row - down]) * at * probe.recording.camera.width / PLACED_COLUMNS
-    beside = here[down - 1 : down + 2, right - 1 : right + 2]
-    return ColorPlace(at, shift, float(scores[at].max()), float(beside.max()))
-
-
-def _at_zoom(parts: list[tuple[NDArray[np.complex128], NDArray[np.float32]]], zoom: float) -> Float64:
-    """Return a table of the scores of colour, reduced by `zoom`, at all shifts; shift 0 is in its middle.
-
-    Args:
-        parts: for each frame the conjugate spectrum of its depth jumps, and its colour edges (height, width).
-        zoom: size of objects in colour, relative to depth.
-    """
-    import cv2
-
-    height, width = parts[0][1].shape
-    middle = np.array([(width - 1) / 2, (height - 1) / 2])
-    reduce = np.column_stack([zoom * np.eye(2), (1 - zoom) * middle])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    spectra = (
-        jumps * np.fft.rfft2(cv2.warpAffine(edges, reduce, (width, height), flags=flags))
-        for jumps, edges in parts
-    )
-    table = np.roll(np.fft.irfft2(sum(spectra), (height, width)), (height // 2, width // 2), (0, 1))
-    table = (table - np.median(table)) / (table.std() + 1e-9)
-    right, down = (
-        min(reach, count // 2) for reach, count in zip(PLACED_REACH_PX, (width, height), strict=True)
-    )
-    return np.asarray(
-        table[height // 2 - down : height // 2 + down + 1, width // 2 - right : width // 2 + right + 1]
-    )
-
-
-def _of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
-    """Return whether colour (height, width, 3) and depth (height, width) have the same aspect ratio."""
-    ratio, of_depth = (image.shape[1] / image.shape[0] for image in (bgr, depth))
-    return bool(abs(ratio - of_depth) <= 0.02)
+    return replace(fit, place=place_color(probe)) if unclear else fit
 
 
 def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
@@ -208,7 +111,7 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
     neither registered nor calibrated.
     """
     if fit is None:
-        shapes = (_of_one_shape(frame.bgr, frame.depth) for frame in probe.whole if frame.bgr is not None)
+        shapes = (of_one_shape(frame.bgr, frame.depth) for frame in probe.whole if frame.bgr is not None)
         if probe.recording.color_registered and not all(shapes):
             what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
             advice = "`color_registered: false` in camera.json"
@@ -235,7 +138,7 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
 def _where(fit: EdgeFit) -> str:
     """Describe in words the size and position of the edges of unregistered colour, relative to depth."""
     (right, down), place, large = fit.shift_px.tolist(), fit.place, ""
-    if place is not None and place.score > PLACED:
+    if place is not None and place.is_found:
         if place.zoom != 1:
             large = f"about {place.zoom:.2g} times as large as depth's, and "
         if place.zoom != 1 or not fit.shifted:  # else the shift in the larger images is more precise

@@ -31,7 +31,16 @@ AXES_IN_WORDS = {
     "opengl": "OpenGL axes (y up, z backward)",
     "robot": "robot axes (x forward, z up)",
 }
-IMAGES: dict[str, Float64] = {"upright": np.eye(3), "mirrored": np.diag([-1.0, 1.0, 1.0])}
+IMAGES: dict[str, Float64] = {
+    "upright": np.eye(3),
+    "mirrored": np.diag([-1.0, 1.0, 1.0]),
+    "y_up": np.diag([1.0, -1.0, 1.0]),
+}
+IMAGES_IN_WORDS = {
+    "upright": "",
+    "mirrored": "images mirrored left to right",
+    "y_up": "y of the camera and of the world mirrored (y up, as in ICL-NUIM)",
+}
 OTHER_UNITS = (0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
 ANCHORS = 12
 # A frame is compared with the frames this many places after it, if they were read.
@@ -56,7 +65,8 @@ class PoseConvention:
         inverse: whether the poses map the world to the camera.
         axes: the camera's axes, a key of AXES: "optical", "opengl" or "robot".
         wxyz: whether quaternions are stored as w, x, y, z instead of x, y, z, w.
-        images: a key of IMAGES: "upright", or "mirrored" left to right.
+        images: a key of IMAGES: "upright", "mirrored" left to right, or "y_up", if the y axis of the camera
+            points up, as where ICL-NUIM states a negative fy.
         unit_m: the poses' unit of length in metres: 0.001 for millimetres.
     """
 
@@ -77,7 +87,7 @@ class PoseConvention:
             "world to camera (inverse)" if self.inverse else "",
             AXES_IN_WORDS[self.axes],
             "quaternions in the order w x y z" if self.wxyz else "",
-            "images mirrored left to right" if self.images == "mirrored" else "",
+            IMAGES_IN_WORDS[self.images],
             f"lengths {self.unit_m:g} times as long" if self.unit_m != 1 else "",
         ]
         return ", ".join(part for part in parts if part) or "as given"
@@ -106,7 +116,8 @@ def likely_conventions() -> Iterator[PoseConvention]:
     """Yield the conventions to try first, beginning with the default."""
     yield from _of_unit(1.0)
     yield from (PoseConvention(unit_m=unit_m) for unit_m in OTHER_UNITS)
-    yield from (PoseConvention(inverse, images="mirrored") for inverse in (False, True))
+    for images in ("mirrored", "y_up"):
+        yield from (PoseConvention(inverse, images=images) for inverse in (False, True))
 
 
 def further_conventions() -> Iterator[PoseConvention]:

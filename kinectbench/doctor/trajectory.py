@@ -185,14 +185,20 @@ def _chosen(
         poses: (n, 4, 4), poses as given.
     """
     chosen, static = _unrefuted(_simplest(conventions, costs), costs, points), len(conventions)
-    left_m = pair_residual_m(pairs, conventions[chosen].apply(poses))
+    read = conventions[chosen].apply(poses)
+    left_m = pair_residual_m(pairs, read)
     given_m = pair_residual_m(pairs, poses)
     if not fits(given_m, pairs):
         return chosen
     # Nearly static cameras fit a floor or a wall, too: a convention that is no better shows nothing against
     # poses that fit.
     moves = points.refutes(chosen, static)
-    if costs[chosen] > NO_BETTER * still and not moves:
+    other_unit = conventions[chosen].unit_m != 1
+    if other_unit:  # a camera that turns at one place fits a wall, too
+        turning = poses.copy()
+        turning[:, :3, 3] = 0
+        moves &= covered(pairs, np.stack([read, conventions[chosen].apply(turning)])).refutes(0, 1)
+    if not moves and (costs[chosen] > NO_BETTER * still or other_unit):
         return 0
     # Disagreement counts surfaces that are hidden in the other frame, too: poses that fit as given stay so,
     # unless the surfaces lie clearly nearer to each other in the other convention, or few points decide.
@@ -369,6 +375,10 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
                 name, advice = "trajectory_scale", "write the poses in metres"
         if fit.convention.images == "mirrored":
             name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"
+        if fit.convention.images == "y_up":
+            advice = (
+                "give fy the other sign in intrinsics.json (ICL-NUIM's is negative), or `trajectory: ignore`"
+            )
         yield Finding(name, "stops", what, probe.where, advice)
     elif fits_no_better(fit):
         what = (

@@ -57,6 +57,34 @@ def test_colour_that_lies_elsewhere_is_told_with_where(zoom: float, right_px: fl
     assert line_of_registration(diagnosis) == "assumed, but its edges lie elsewhere"
 
 
+def shadowed(depth: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Depth without measurements left of near things, where one camera of a stereo pair sees nothing."""
+    near = cv2.erode(np.where(depth == 0, 65535, depth).astype(np.uint16), np.ones((1, 11)), anchor=(0, 0))
+    return np.where(depth > 1.06 * near, 0, depth).astype(np.uint16)
+
+
+def textured(color: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Colour with a pattern of edges on all surfaces, another in each frame."""
+    noise = np.random.default_rng(int(color.sum()) % 1000).normal(0, 20, (60, 80))
+    pattern = cv2.resize(noise, color.shape[1::-1], interpolation=cv2.INTER_NEAREST)[..., None]
+    return np.asarray(np.clip(color + pattern, 0, 255), np.uint8)
+
+
+def test_colour_of_another_lens_beside_depth_of_a_stereo_pair_is_found(tmp_path: Path) -> None:
+    """As of a D435 without alignment: depth has holes beside each jump, and colour has other edges, too."""
+    folder = tmp_path / "r"
+    copytree(CHAIR, folder)
+    change_images("depth", shadowed)(folder)
+    change_images("rgb", textured)(folder)
+    right, _ = inspect(folder)
+    assert right.facts["color_registration"] == "seen"
+    change_images("rgb", moved(1.42, 5))(folder)
+    diagnosis, _ = inspect(folder)
+    (found,) = (each for each in diagnosis.findings if each.name == "color_not_registered")
+    (zoom,) = re.findall(r"about ([\d.]+) times as large", found.what)
+    assert float(zoom) == pytest.approx(1.42, rel=0.06)
+
+
 def flat(depth: NDArray[np.generic]) -> NDArray[np.generic]:
     """Depth of a bare wall."""
     return np.where(depth == 0, 0, 8000).astype(np.uint16)

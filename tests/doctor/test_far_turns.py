@@ -14,6 +14,7 @@ from kinectbench.core.types import Float64
 from kinectbench.doctor import inspect
 from kinectbench.doctor.fit import AXES
 from kinectbench.doctor.probe import probe_recording
+from kinectbench.doctor.still import NO_MOTION
 from kinectbench.doctor.trajectory import fit_trajectory, fits_no_better
 from kinectbench.stages.ingest.readers import open_recording
 
@@ -109,6 +110,28 @@ def test_right_poses_above_a_floor_stay_as_given(tmp_path: Path, far_m: float) -
     (folder / "trajectory.txt").write_text(rows)
     fit = fit_trajectory(probe_recording(open_recording(folder)))
     assert fit is not None and fit.convention.changes == 0
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.02, 0.3])
+def test_right_poses_along_an_exact_wall_stay_as_given(tmp_path: Path, turn_rad: float) -> None:
+    """A wall shows no motion along it: shorter steps fit it, too, and the noise of poses is less in them."""
+    folder, noise = write(tmp_path / "r", "wall", "optical", 0), np.random.default_rng(0)
+    far_m, count = 1.0 if turn_rad == 0.02 else 0.8, 60
+    poses = np.empty((count, 4, 4))
+    for i, x in enumerate(np.linspace(-1.5, 1.5, count)):
+        a = turn_rad * np.sin(6.2 * i / count)
+        yaw = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+        poses[i] = rigid(yaw, np.array([x, 0, 0]))
+        z_mm = 1000 * far_m / (CAMERA.rays() @ yaw.T)[..., 2]
+        (folder / f"depth/{i:04d}.png").write_bytes(png(np.rint(z_mm).astype(np.uint16)))
+    off = noise.normal(0, [0.1 * np.pi / 180] * 3 + [0.002] * 3, (count, 6))
+    given = np.stack([T @ rigid_from_twist(twist) for T, twist in zip(poses, off, strict=True)])
+    rows = trajectory_text(GivenTrajectory(np.arange(count) * 10**9, given))
+    (folder / "trajectory.txt").write_text(rows)
+    fit = fit_trajectory(probe_recording(open_recording(folder)))
+    assert fit is None or fit.convention.changes == 0
+    diagnosis, _ = inspect(folder)
+    assert {found.name for found in diagnosis.findings if found.severity == "stops"} <= NO_MOTION
 
 
 @pytest.mark.parametrize("kind", ROOMS_M)

@@ -28,6 +28,15 @@ LEAST_FOCAL_PX, MOST_FOCAL_PX = 1.0, 1e6
 # Focal lengths of square pixels differ by less than the first share of fx, others by more than the second
 # (our own bounds; calibrations of square pixels differ by some 0.5 %).
 SAME_FOCAL, NOT_SQUARE = 0.02, 0.1
+# A principal point farther from the centre (ratio of width or height) belongs to no full image.
+OFF_CENTRE = 0.15
+# Images are of the same shape if their aspect ratios, or the ratios by the principal point, differ by less.
+SAME_SHAPE, SAME_RATIO = 0.02, 0.08
+# Longer sides of the images of common sensors, pixels; one is taken if it is so near to the estimated side.
+COMMON_SIDES_PX, NEARLY = (160, 256, 320, 424, 480, 512, 640, 848, 960, 1024, 1280, 1920, 3840), 0.04
+# Nearer to the centre it is of another size only if both axes give one ratio, and that is of a common sensor.
+# Of 20 recordings at hand, at most one axis is farther off than the first share (our own bounds).
+SLIGHTLY_OFF, SAME_SLIGHTLY = 0.06, 0.03
 # librealsense's and Record3D's names of keys; and keys of a matrix instead of fx, fy, cx and cy.
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
 MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "camera_matrix", "K", "k")
@@ -38,7 +47,8 @@ HELD = "width, height, fx, fy, cx, cy"
 class Intrinsics:
     """A depth camera's image size and intrinsics, pixels, and native depth units per metre; None = unknown.
 
-    Also whether colour lies on depth's pixels, and warnings (`notes`), such as on a converted unit.
+    Also whether colour lies on depth's pixels, whether the camera's y axis points up in the given poses, as
+    ICL-NUIM's, and warnings (`notes`), such as on a converted unit.
     """
 
     width: int | None = None
@@ -49,6 +59,7 @@ class Intrinsics:
     cy: float | None = None
     depth_scale: float | None = None
     color_registered: bool | None = None
+    y_up: bool = False
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -95,6 +106,7 @@ class Intrinsics:
             raise IntrinsicsError(
                 f"{path}: the intrinsics are for {declared[0]}x{declared[1]} images, but the depth images "
                 f"are {width}x{height}: give those of the depth images under `camera:` in benchmark.yaml"
+                f"{self._if_resized(declared, size_px)}"
             )
         fx, fy, cx, cy = (float(getattr(self, name)) for name in NEEDED)
         if not all(math.isfinite(v) for v in (fx, fy, cx, cy)) or fx <= 0 or fy <= 0:
@@ -107,9 +119,61 @@ class Intrinsics:
         if not (0 <= cx < width and 0 <= cy < height):
             raise IntrinsicsError(
                 f"{path}: the principal point ({cx:g}, {cy:g}) lies outside the {width}x{height} depth "
-                "images: these intrinsics belong to another image size"
+                f"images: these intrinsics belong to another image size{self._if_larger(size_px)}"
             )
         return Camera(width, height, fx, fy, cx, cy)
+
+    def _if_resized(self, declared: tuple[int, int], size_px: tuple[int, int]) -> str:
+        """Return the end of an error message: the values scaled to the images; "" if the shapes differ."""
+        across, down = (px / said for px, said in zip(size_px, declared, strict=True))
+        if abs(across / down - 1) > SAME_SHAPE:
+            return ""
+        return f"; if they differ in size only, scaled to these: {self.scaled_line(across)}"
+
+    def _if_larger(self, size_px: tuple[int, int]) -> str:
+        """Return the end of an error message: the values scaled from another likely size; "" if none is."""
+        assert self.cx is not None and self.cy is not None
+        ratio = ratio_by_centre(self.cx, self.cy, size_px)
+        if ratio is None:
+            return ""
+        width, height = (px / ratio for px in size_px)
+        return f", as of {width:.0f}x{height:.0f}; if so, scaled to these: {self.scaled_line(ratio)}"
+
+    def scaled_line(self, ratio: float) -> str:
+        """Return the pinhole values for images `ratio` times as large, as a line for benchmark.yaml.
+
+        Pixel centres are integers, and the edges of both images coincide. All four values must be known.
+        """
+        fx, fy, cx, cy = (float(getattr(self, name)) for name in NEEDED)
+        scaled = (fx * ratio, fy * ratio, (cx + 0.5) * ratio - 0.5, (cy + 0.5) * ratio - 0.5)
+        values = ", ".join(f"{name}: {value:.7g}" for name, value in zip(NEEDED, scaled, strict=True))
+        return f"`camera: {{{values}}}`"
+
+
+def ratio_by_centre(cx: float, cy: float, size_px: tuple[int, int]) -> float | None:
+    """Return the ratio of images' sides to those that a principal point (pixels) is the centre of.
+
+    If the longer side of the latter is nearly that of a common sensor, the ratio is exact.
+
+    Args:
+        cx: column of the principal point, pixels.
+        cy: row of the principal point, pixels.
+        size_px: width and height of the images.
+
+    Returns:
+        The ratio; None if the point may be of these images, or if both axes give different ratios.
+    """
+    width, height = size_px
+    across, down = width / (2 * cx + 1), height / (2 * cy + 1)
+    off = [abs(cx / width - 0.5), abs(cy / height - 0.5)]
+    clearly = max(off) > OFF_CENTRE
+    apart = SAME_RATIO if clearly else SAME_SLIGHTLY
+    if min(across, down) <= 0 or abs(across / down - 1) >= apart or not (clearly or min(off) > SLIGHTLY_OFF):
+        return None
+    ratio = min((max(size_px) / side for side in COMMON_SIDES_PX), key=lambda each: abs(each / across - 1))
+    if abs(ratio / across - 1) < NEARLY:
+        return ratio
+    return across if clearly else None
 
 
 def gives_intrinsics(settings: CameraSettings) -> bool:

@@ -27,6 +27,7 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_json,
     read_intrinsics_matrix,
 )
+from kinectbench.stages.ingest.intrinsics_words import intrinsics_in_words, intrinsics_in_xml
 from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.recording import first_file, visible
 
@@ -61,9 +62,10 @@ UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)"), 20
 LEAST_UNITS, MOST_UNITS = 100.0, 100_000.0
 # Names of files that may contain intrinsics in an unsupported layout.
 LIKE_INTRINSICS = re.compile(
-    r"(?=.*(?:intrin|calib|camera|cam_?k|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
+    r"(?=.*(?:intrin|calib|camera|cam_?k|cam.*info|info\.txt|realsense|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
     re.IGNORECASE,
 )
+TEXTS = frozenset({".txt", ".yaml", ".yml", ".xml", ".ini", ".toml"})
 # Largest number of names in a message, and of entries of a folder to look at.
 MOST_NAMED, LOOKED_AT = 4, 20_000
 # Side of the largest image, pixels, of a camera whose file states none: the limit of JPEG.
@@ -91,10 +93,25 @@ def find_intrinsics(
         RecordingError: a file does not contain what its name says, or YAML files have different cameras.
     """
     found, file = _camera_of_files(path, settings)
+    if found.fx is not None and found.fy is not None and found.fx > 0 > found.fy:
+        found = _with_y_down(found, path)
     if found.depth_scale is not None or settings.depth_scale is not None:
         return found, file
     scale, notes = _scale_beside(path, usual_scale)
     return replace(found, depth_scale=scale, notes=(*found.notes, *notes)), file
+
+
+def _with_y_down(found: Intrinsics, path: Path) -> Intrinsics:
+    """Return intrinsics whose negative fy is made positive, with a note; the poses have another y axis then.
+
+    ICL-NUIM (Handa et al., ICRA 2014) states fy = -480: its images are upright, but y points up in its poses.
+    """
+    assert found.fy is not None
+    note = (
+        f"{path}: fy is {found.fy:g}: the camera's y axis points up, as ICL-NUIM's: it is read as "
+        f"{-found.fy:g}, and y is mirrored in given poses, and so in the world"
+    )
+    return replace(found, fy=-found.fy, y_up=True, notes=(*found.notes, note))
 
 
 def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[str, ...]]:
@@ -131,7 +148,7 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
     file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
     if file is not None:
         by_json = file.name in JSON_FILES
-        intrinsics = read_intrinsics_json(file) if by_json else read_intrinsics_matrix(file)
+        intrinsics = read_intrinsics_json(file) if by_json else _read_text(file)
         others = passed_over(file, (*JSON_FILES, *MATRIX_FILES, *LOOSE_FILES))
         return replace(intrinsics, notes=(*intrinsics.notes, *others)), file if by_json else None
     if gives_intrinsics(settings):
@@ -139,9 +156,14 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
     for file in (path / name for name in LOOSE_FILES):
         with suppress(RecordingError):
             if file.is_file():
-                return read_intrinsics_matrix(file), None
+                return _read_text(file), None
     files = [file for folder in YAML_FOLDERS for file in visible(path / folder, YAML_NAMES)]
     return _of_yaml(sorted(files)), None
+
+
+def _read_text(file: Path) -> Intrinsics:
+    """Read a text with a pinhole matrix, with fx, fy, cx, cy, or with a value behind each name."""
+    return intrinsics_in_words(read_text(file, YAML_BYTES), file) or read_intrinsics_matrix(file)
 
 
 def named_like_intrinsics(path: Path) -> str:
@@ -163,18 +185,31 @@ def named_like_intrinsics(path: Path) -> str:
 
 
 def _cameras_inside(file: Path) -> list[tuple[str, str]]:
-    """Return name and line for benchmark.yaml of cameras that a JSON file holds as objects, at most four."""
-    raw = dict[str, object]()
+    """Return name and line for benchmark.yaml of cameras that a text, XML or JSON file holds, at most four.
+
+    In JSON each may be an object under a name. Without a name, it is that of the file.
+    """
+    raw: dict[str, object] = {}
     with suppress(RecordingError, OSError):
-        raw = read_json_object(file, HELD, YAML_BYTES) if file.suffix.lower() == ".json" else {}
+        if file.suffix.lower() == ".json":
+            raw = read_json_object(file, HELD, YAML_BYTES)
+            raw = {file.stem: raw, **raw}
+        elif file.suffix.lower() in TEXTS:
+            raw = {file.stem: _in_text(file)}
     cameras = list[tuple[str, str]]()
     for name, value in raw.items():
         with suppress(RecordingError):  # of another kind, or no camera's numbers
-            said = intrinsics_of_keys(value, file) if isinstance(value, dict) else Intrinsics()
+            said = value if isinstance(value, Intrinsics) else Intrinsics()
+            said = intrinsics_of_keys(value, file) if isinstance(value, dict) else said
             camera = said.camera((said.width or MOST_SIDE_PX, said.height or MOST_SIDE_PX), file)
             numbers = ", ".join(f"{key}: {getattr(camera, key):.7g}" for key in NEEDED)
             cameras.append((printable(name), f"camera: {{{numbers}}}"))
     return cameras[:MOST_NAMED]
+
+
+def _in_text(file: Path) -> Intrinsics | None:
+    text = read_text(file, YAML_BYTES)
+    return _read_yaml(file) or intrinsics_in_words(text, file) or intrinsics_in_xml(text, file)
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:
@@ -233,7 +268,7 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
 
 def _differ(first: Intrinsics, second: Intrinsics) -> bool:
     """Whether two files have different cameras or units; a file without a unit contradicts none."""
-    no_unit = {"depth_scale": None} if None in (first.depth_scale, second.depth_scale) else {}
+    no_unit: dict[str, Any] = {"depth_scale": None} if None in (first.depth_scale, second.depth_scale) else {}
     return replace(first, notes=(), **no_unit) != replace(second, notes=(), **no_unit)
 
 

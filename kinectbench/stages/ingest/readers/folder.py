@@ -53,6 +53,7 @@ from kinectbench.stages.ingest.readers.pose_files import (
     read_pose_folder,
     starts_like_a_log,
     unread_poses,
+    with_y_down,
 )
 from kinectbench.stages.ingest.recording import (
     COLOR_DELAY,
@@ -170,6 +171,8 @@ class FolderRecording(ConfidenceRecording):
         trajectory, warnings, error = read_given(
             lambda: _read_trajectory(path, stamps_ns, files, depth.stems)
         )
+        if trajectory is not None and intrinsics.y_up:
+            trajectory = with_y_down(trajectory)
         return cls(
             path=path,
             places=files,

@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kinectbench.core import open_plain
-from kinectbench.stages.ingest.readers.color_only import AS_READ, MOVE, RECORD
+from kinectbench.stages.ingest.readers.color_only import RECORD
+from kinectbench.stages.ingest.readers.foreign_depth import AS_READ, MOVE
 
 # A tar's first header block, and where its magic lies (POSIX ustar, pax(1)).
 HEAD_BYTES, TAR_AT, TAR_MAGIC = 512, 257, b"ustar"

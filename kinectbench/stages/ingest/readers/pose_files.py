@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, tr
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
-from kinectbench.stages.ingest.recording import FrameFiles, first_file
+from kinectbench.stages.ingest.recording import FrameFiles, first_file, visible
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
 POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
@@ -27,7 +28,7 @@ TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
 # Names of files that may contain poses in an unsupported layout.
 LIKE_POSES = re.compile(
     r"(?=.*(?:pose|traj|extrin|transform|odom|groundtruth|cam2world|c2w)).+"
-    r"\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)",
+    r"\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)|.+\.freiburg",
     re.IGNORECASE,
 )
 # A file with the pose of one frame, as pose/000000.npy.
@@ -53,8 +54,12 @@ def unread_poses(path: Path) -> list[str]:
 
 
 def pose_file(path: Path) -> Path | None:
-    """Return the recording's one file with the poses of all frames; None if there is no such file."""
-    return first_file(path / name for name in POSE_FILES)
+    """Return the recording's one file with the poses of all frames; None if there is no such file.
+
+    ICL-NUIM's file has the suffix .freiburg, as in livingRoom2n.gt.freiburg.
+    """
+    others = visible(path, "*.freiburg")
+    return first_file(path / name for name in POSE_FILES) or (others[0] if len(others) == 1 else None)
 
 
 def read_pose_file(
@@ -111,6 +116,12 @@ def read_pose_file(
         # The stamps repeat, or may be steps since the previous frame: only the order of rows is usable.
         trajectory, warnings = read_trajectory_file(file, len(stems))
     return GivenTrajectory(frames_ns, trajectory.T_world_camera), warnings
+
+
+def with_y_down(given: GivenTrajectory) -> GivenTrajectory:
+    """Mirror y of cameras and world in poses of cameras whose y axis points up (`Intrinsics.y_up`)."""
+    mirror = np.diag([1.0, -1.0, 1.0, 1.0])
+    return replace(given, T_world_camera=mirror @ given.T_world_camera @ mirror)
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:

@@ -23,7 +23,7 @@ from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_li
 from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.readers.folder import DepthFormat
-from kinectbench.stages.ingest.readers.pose_files import unread_poses
+from kinectbench.stages.ingest.readers.pose_files import unread_poses, with_y_down
 from kinectbench.stages.ingest.recording import (
     COLOR_DELAY,
     Evidence,
@@ -94,6 +94,8 @@ class TumRecording(FileRecording):
         stored = DepthFormat.of(files, settings.depth_scale)
         up = _measured_up(path, camera_file, [ns for ns, _ in depth])
         trajectory, pose_warnings, error = read_given(lambda: _poses(path, len(depth) if why else None))
+        if trajectory is not None and intrinsics.y_up:
+            trajectory = with_y_down(trajectory)
         return cls(
             path=path,
             places=files,

@@ -1,0 +1,65 @@
+"""Intrinsics in texts of other programs: a value behind each name, or OpenCV's matrix in XML."""
+
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kinectbench.core import IntrinsicsError, RecordingError
+from kinectbench.core.trajectory.text_rows import parse_floats
+from kinectbench.stages.ingest.intrinsics import MATRIX_SHAPES, NEEDED, SAME_AS, Intrinsics, pinhole
+
+# Names as librealsense's rs-enumerate-devices (Fx:, PPX:) and many scripts (fx = ) print them.
+NAMED_VALUE = re.compile(
+    r"(?<![\w.])(fx|fy|cx|cy|ppx|ppy|width|height)[\"']?[ \t]*[:=][ \t]*([-+.\deE]{1,30})", re.IGNORECASE
+)
+# A matrix as OpenCV's FileStorage writes it in XML; the bounds keep the search short in any text.
+XML_MATRIX = re.compile(
+    r"<(camera_?matrix|K|M1|intrinsics?|intrinsic_matrix)\b[^>]{0,200}>.{0,400}?<data>([^<]{1,2000})</data>",
+    re.IGNORECASE | re.DOTALL,
+)
+
+
+def intrinsics_in_words(text: str, file: Path) -> Intrinsics | None:
+    """Read the pinhole camera from a text with fx, fy, cx and cy by name; None if one is missing.
+
+    Args:
+        text: the content of the file.
+        file: for messages.
+
+    Raises:
+        RecordingError: a name has two values, as of two cameras.
+    """
+    values: dict[str, Any] = {}
+    for said, word in NAMED_VALUE.findall(text):
+        key, number = SAME_AS.get(said.lower(), said.lower()), None
+        with suppress(RecordingError):
+            number = parse_floats([word], "")[0]
+        if number is not None and values.setdefault(key, number) != number:
+            raise IntrinsicsError(
+                f"{file}: holds '{key}' more than once, with other numbers: which camera is that of depth? "
+                "Give its fx, fy, cx, cy under `camera:`"
+            )
+    if not all(key in values for key in NEEDED):
+        return None
+    return Intrinsics(**values | {key: int(values[key]) for key in ("width", "height") if key in values})
+
+
+def intrinsics_in_xml(text: str, file: Path) -> Intrinsics | None:
+    """Read the first pinhole matrix from OpenCV's XML; None if there is none.
+
+    Args:
+        text: the content of the file.
+        file: for messages.
+
+    Raises:
+        RecordingError: the matrix is no pinhole matrix.
+    """
+    for _, words in XML_MATRIX.findall(text):
+        numbers = parse_floats(words.split(), str(file))
+        shape = MATRIX_SHAPES.get(len(numbers))
+        if shape is not None:
+            return pinhole(np.array(numbers).reshape(shape)[:3, :3], file)
+    return None

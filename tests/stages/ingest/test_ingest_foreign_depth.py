@@ -1,0 +1,130 @@
+"""Depth of kinds that are not read: each is named, with a line of Python that converts it."""
+
+import gzip
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from ingest_writers import HEIGHT, WIDTH, color_image, depth_image, jpeg, png
+
+from kinectbench.core.errors import RecordingError
+from kinectbench.stages.ingest.readers import open_recording
+
+MM = depth_image(0, 1000.0)
+METRES = MM.astype(np.float32) / 1000
+
+
+def saved(**arrays: np.ndarray) -> bytes:
+    file, given = io.BytesIO(), dict[str, Any](arrays)
+    np.savez(file, **given)
+    return file.getvalue()
+
+
+def rows(separator: str) -> bytes:
+    return "\n".join(separator.join(map(str, row)) for row in MM.tolist()).encode()
+
+
+# Kind -> the bytes of one image.
+CONVERTED = {
+    ".pfm": b"Pf\n%d %d\n-1.0\n" % (WIDTH, HEIGHT) + METRES[::-1].astype("<f4").tobytes(),
+    ".pgm": b"P5\n%d %d\n65535\n" % (WIDTH, HEIGHT) + MM.astype(">u2").tobytes(),
+    ".raw": MM.astype("<u2").tobytes(),
+    ".bin": METRES.astype("<f4").tobytes(),
+    ".csv": rows(","),
+    ".txt": rows(" "),
+}
+NAMED = {
+    ".h5": (b"\x89HDF\r\n\x1a\n", r"\.h5 is not read: .*h5py\.File"),
+    ".mat": (b"MATLAB", r"\.mat is not read: .*scipy\.io\.loadmat"),
+    ".exr": (b"v/1\x01", r"EXR images are not read.*OPENCV_IO_ENABLE_OPENEXR"),
+    ".pkl": (b"\x80\x04", r"\.pkl is not read: write it as 16-bit PNG in mm"),
+    ".ply": (b"ply\n", "clouds of points: export the depth images"),
+    ".png.gz": (gzip.compress(png(MM)), r"\.gz is not read: unpack them"),
+    ".bmp": (bytes(cv2.imencode(".bmp", MM.astype(np.uint8))[1]), "pictures in 8 bits"),
+}
+
+
+def folder_of(tmp_path: Path, pattern: str, data: bytes, color: str = "color/{:04d}.jpg") -> Path:
+    for i in range(5):
+        for name, content in ((pattern, data), (color, jpeg(color_image(i)))):
+            file = tmp_path / "r" / name.format(i)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(content)
+    return tmp_path / "r"
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(RecordingError) as error:
+        open_recording(path)
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("kind", CONVERTED)
+@pytest.mark.parametrize("pattern", ["depth/{:04d}", "Depth_raw/frame {:04d}", "cam/depth/{:04d}"])
+def test_the_line_converts(tmp_path: Path, kind: str, pattern: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = folder_of(tmp_path, pattern + kind, CONVERTED[kind])
+    said = refused(folder)
+    assert f"{kind} is not read" in said and "record with a camera" not in said
+    (line,) = re.findall("such as by `(.*?)`", said)
+    monkeypatch.chdir(folder)
+    Path("depth").mkdir(exist_ok=True)
+    exec(line, {})
+    (written,) = Path("depth").glob("*.npy")
+    read = np.load(written)
+    assert read.shape == MM.shape
+    assert np.allclose(read, METRES if read.dtype == np.float32 else MM)
+
+
+@pytest.mark.parametrize("kind", NAMED)
+@pytest.mark.parametrize("pattern", ["depth/{:04d}", "depth_images/{:04d}", "{:04d}_depth"])
+def test_kinds_without_a_line_are_named(tmp_path: Path, kind: str, pattern: str) -> None:
+    data, words = NAMED[kind]
+    said = refused(folder_of(tmp_path, pattern + kind, data))
+    assert re.search(words, said) and "record with a camera" not in said
+
+
+@pytest.mark.parametrize(
+    ("pattern", "data", "words"),
+    [
+        (
+            "scan_{:04d}.npz",
+            saved(scan=METRES),
+            "5 .npz files, such as scan_0000.npz, may be depth, but in no",
+        ),
+        ("data/d/{:04d}.tiff", bytes(cv2.imencode(".tiff", MM)[1]), "such as data/d/0000.tiff, may be depth"),
+        ("scan_{:04d}.bin", CONVERTED[".bin"], f'"float32").reshape({HEIGHT}, {WIDTH})'),
+        ("scan_{:04d}.h5", b"\x89HDF", "if its 5 .h5 files, such as scan_0000.h5, are depth, write"),
+        ("scan_{:04d}.npz", saved(a=METRES, b=MM), "if its 5 .npz files, such as scan_0000.npz, are depth"),
+    ],
+)
+def test_files_of_other_names_may_be_depth(tmp_path: Path, pattern: str, data: bytes, words: str) -> None:
+    assert words in refused(folder_of(tmp_path, pattern, data, "scan_{:04d}.jpg"))
+
+
+@pytest.mark.parametrize(
+    "pattern", ["labels/{:04d}.txt", "{:04d}_depth_info.txt", "{:04d}.json", "s_{:04d}.bin"]
+)
+def test_other_files_beside_colour_are_no_depth(tmp_path: Path, pattern: str) -> None:
+    said = refused(folder_of(tmp_path, pattern, b"0 0.5 0.5 1 1"))
+    assert re.search(
+        r"holds 5 colour images, but no depth that is read \([^)]*\): record with a camera", said
+    )
+
+
+@pytest.mark.parametrize("inside", ["data/d", "data/today/box"])
+def test_16_bit_images_some_folders_below_are_found(tmp_path: Path, inside: str) -> None:
+    said = refused(folder_of(tmp_path, f"{inside}/{{:04d}}.png", png(MM), "data/c/{:04d}.jpg"))
+    assert f"{inside}/ holds 16-bit PNG images that look like depth (0000.png)" in said
+
+
+def test_three_pictures_of_depth_among_many_of_colour_are_named(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "data/images/{:04d}.jpg", jpeg(color_image(0)))
+    (folder / "data/depth_filtered").mkdir()
+    for i in range(3):
+        (folder / f"data/depth_filtered/depth{i}.png").write_bytes(png(MM.astype(np.uint8)))
+    assert "its 3 images named depth, such as data/depth_filtered/depth0.png, are pictures" in refused(folder)
