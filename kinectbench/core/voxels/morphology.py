@@ -236,6 +236,32 @@ def _into_column(beside, cells, reached):  # type: ignore[no-untyped-def]
     return more > 0
 
 
+def piece_sizes(pieces: NDArray[np.int32], count: int) -> Int64:
+    """Return the number of cells of each piece, from 0 to `count`; `pieces` has the piece of each cell."""
+    sizes = np.zeros(count + 1, np.int64)
+    _add_sizes(np.ravel(pieces), sizes)
+    return sizes
+
+
+def pieces_kept(pieces: NDArray[np.int32], keep: Bools) -> Bools:
+    """Return which cells belong to a piece that is set in `keep`; `pieces` has the piece of each cell."""
+    kept = np.empty(pieces.shape, np.bool_)
+    _look_up(np.ravel(pieces), keep, kept.reshape(-1))
+    return kept
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_sizes(pieces, sizes):  # type: ignore[no-untyped-def]
+    for n in range(len(pieces)):
+        sizes[pieces[n]] += 1
+
+
+@numba.njit(cache=True, nogil=True)
+def _look_up(pieces, keep, kept):  # type: ignore[no-untyped-def]
+    for n in range(len(pieces)):
+        kept[n] = keep[pieces[n]]
+
+
 def _runs(mask: Bools, axis: int, length: int) -> Bools:
     """Return the cells that begin a run of at least `length` set cells along an axis."""
     runs, done = np.moveaxis(mask, axis, 0), 1
