@@ -57,7 +57,8 @@ def further_directions(
         return np.zeros((0, 3))
     finer = directions(FINER)
     finer = finer[(finer[:, 2] >= -LEVEL) == (to_camera[0, 2] >= -LEVEL)]
-    return finer[(finer @ to_camera[seeing].T).max(axis=1) > np.cos(spacing_rad)]
+    near = (finer @ to_camera[seeing].T).max(axis=1) > np.cos(spacing_rad)
+    return np.asarray(finer[near])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -164,6 +164,10 @@ def walk_back(padded, marks, cells, ways, most, heights_m, voxel_m, near_m, leas
     state, seen = padded.reshape(-1), marks.reshape(-1)
     sizes, strides = (nx, ny, nz), ((ny + 2) * (nz + 2), nz + 2, 1)
     shifts, entering = np.empty(max(sizes) + 1, np.int64), np.empty(nz, np.int64)
+    places, at = np.empty(len(cells), np.int64), np.empty((3, len(cells)), np.int64)
+    for m in range(len(cells)):
+        at[0, m], at[1, m], at[2, m] = cells[m] // (ny * nz), cells[m] // nz % ny, cells[m] % nz
+        places[m] = (at[0, m] + 1) * strides[0] + (at[1, m] + 1) * strides[1] + at[2, m] + 1
     for n in range(len(ways)):
         way = ways[n]
         main = np.argmax(np.abs(way))
@@ -172,17 +176,13 @@ def walk_back(padded, marks, cells, ways, most, heights_m, voxel_m, near_m, leas
         enough = set_entering(entering, way[2], step_m, slices, heights_m, near_m, least_m)
         _set_shifts(shifts, way, main, slices, strides)
         bit = np.uint8(FROM_BELOW if way[2] < -LEVEL else FROM_ABOVE)
-        for at in range(len(cells)):
-            cell = cells[at]
-            mark = seen[cell]
+        for m in range(len(cells)):
+            mark = seen[cells[m]]
             if mark & bit and mark & MOST_WAYS >= most:
                 continue
-            i, j, k = cell // (ny * nz), cell // nz % ny, cell % nz
-            along = i if main == 0 else j if main == 1 else k
-            count = slices - 1 - along if way[main] > 0 else along
-            start = (i + 1) * strides[0] + (j + 1) * strides[1] + k + 1 - shifts[count + 1]
-            if _is_seen(state, start, shifts, count, enough, entering, nz):
-                seen[cell] = (mark | bit) + (np.uint8(ONE_WAY) if mark < MOST_WAYS else np.uint8(0))
+            count = slices - 1 - at[main, m] if way[main] > 0 else at[main, m]
+            if _is_seen(state, places[m] - shifts[count + 1], shifts, count, enough, entering, nz):
+                seen[cells[m]] = (mark | bit) + (np.uint8(ONE_WAY) if mark < MOST_WAYS else np.uint8(0))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

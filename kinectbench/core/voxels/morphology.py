@@ -1,7 +1,7 @@
 """Surfaces, dilated blocks and containment of packed grids; binary opening of large masks."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from kinectbench.core.types import Bools, Int32, Int64
 from kinectbench.core.voxels.pair_file import BLOCK, Packed, unpack
+
+Value = TypeVar("Value", bound=np.generic)
 
 
 def blocks_touched(full: Packed) -> Bools:
@@ -243,11 +245,11 @@ def piece_sizes(pieces: NDArray[np.int32], count: int) -> Int64:
     return sizes
 
 
-def pieces_kept(pieces: NDArray[np.int32], keep: Bools) -> Bools:
-    """Return which cells belong to a piece that is set in `keep`; `pieces` has the piece of each cell."""
-    kept = np.empty(pieces.shape, np.bool_)
-    _look_up(np.ravel(pieces), keep, kept.reshape(-1))
-    return kept
+def values_of_pieces(pieces: NDArray[np.int32], values: NDArray[Value]) -> NDArray[Value]:
+    """Return the value of each cell's piece; faster than `values[pieces]` if there are many cells."""
+    looked_up = np.empty(pieces.shape, values.dtype)
+    _look_up(np.ravel(pieces), values, looked_up.reshape(-1))
+    return looked_up
 
 
 @numba.njit(cache=True, nogil=True)
@@ -257,9 +259,9 @@ def _add_sizes(pieces, sizes):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _look_up(pieces, keep, kept):  # type: ignore[no-untyped-def]
+def _look_up(pieces, values, looked_up):  # type: ignore[no-untyped-def]
     for n in range(len(pieces)):
-        kept[n] = keep[pieces[n]]
+        looked_up[n] = values[pieces[n]]
 
 
 def _runs(mask: Bools, axis: int, length: int) -> Bools:

@@ -201,7 +201,7 @@ def test_few_voxels_are_walked_from_with_the_same_result(
         np.testing.assert_array_equal(ways_along(space, to_camera, wanted=wanted)[wanted], plain[wanted])
         np.testing.assert_array_equal(seen_along(space, to_camera, wanted)[wanted], plain[wanted] & SEEN)
         assert not (seen_along(space, to_camera, wanted) & ~plain).any()
-        differ += np.count_nonzero(less != plain)
+        differ += int(np.count_nonzero(less != plain))
     assert differ
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, isosurface, transform_points
 from kinectbench.core.types import Bools, Float32
-from kinectbench.core.voxels.morphology import from_beyond, piece_sizes, pieces_kept
+from kinectbench.core.voxels.morphology import from_beyond, piece_sizes, values_of_pieces
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
 from kinectbench.stages.segment.solid.guess import inside_probability, measured_probability
@@ -160,7 +160,7 @@ def _without_specks(solid: Bools) -> Bools:
     pieces, count = ndimage.label(solid)
     sizes = piece_sizes(pieces, count)
     sizes[0] = 0
-    return pieces_kept(pieces, (sizes > 0) & (sizes >= SPECK_SHARE * sizes.max()))
+    return values_of_pieces(pieces, (sizes > 0) & (sizes >= SPECK_SHARE * sizes.max()))
 
 
 def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid: Bools) -> Float32:
