@@ -40,7 +40,7 @@ def beyond_grid_m(height, up, least):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+def sweep_slices(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
     """Mark in `seen` the voxels seen along the directions `ways` (n, 3), largest along the first axis.
 
     Args:
@@ -145,9 +145,9 @@ def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def walk_back(padded, marks, cells, ways, most, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Mark those of some voxels that are seen along directions, as `sweep` does: walk back to the cameras.
+    """Mark those of some voxels that are seen along directions: walk back to the cameras.
 
-    A line's voxels are those of the sweep, so that both mark the same voxels.
+    A line has the same voxels as in `sweep_slices`, so both mark the same ones.
 
     Args:
         padded: (nx + 2, ny + 2, nz + 2), the state of each voxel, with a border of `OUTSIDE`.
@@ -205,7 +205,7 @@ def _is_seen(state, start, shifts, count, enough, entering, layers):  # type: ig
     """Return whether a line's voxel in the slice `count` is seen: by a camera in the grid, or outside of it.
 
     `start + shifts[n + 1]` is the place in `state` of the line's voxel in slice n. The other arguments are as
-    in `sweep`; `layers` is the number of layers of the grid.
+    in `sweep_slices`; `layers` is the number of layers of the grid.
     """
     steps = 0
     while True:

@@ -24,7 +24,7 @@ from kinectbench.core.voxels.line_kernels import (
     ONE_WAY,
     OUTSIDE,
     SEEN,
-    sweep,
+    sweep_slices,
     walk_back,
 )
 
@@ -213,7 +213,7 @@ class _Turned:
         lines = np.empty((IN_CACHE, (n1 + n0) * n2 + n0), np.uint8 if enough < 256 else np.uint16)
         for first in range(0, len(to_camera), IN_CACHE):
             ways = to_camera[first : first + IN_CACHE, list(self.order)]
-            sweep(*flat, ways, up_axis, self.space.heights_m, lines, *self.space.lengths_m)
+            sweep_slices(*flat, ways, up_axis, self.space.heights_m, lines, *self.space.lengths_m)
         return seen
 
 
