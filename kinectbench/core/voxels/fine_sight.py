@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.types import Float64
-from kinectbench.core.voxels.lines_of_sight import (
+from kinectbench.core.voxels.line_kernels import (
     BLOCKED,
     FROM_ABOVE,
     FROM_BELOW,
@@ -14,12 +14,9 @@ from kinectbench.core.voxels.lines_of_sight import (
     MOST_WAYS,
     PLACE,
     SEEN,
-    Space,
     beyond_grid_m,
-    directions,
-    seen_along,
-    ways_along,
 )
+from kinectbench.core.voxels.lines_of_sight import Space, directions
 
 # This many directions, 1.8 degrees apart, are tried behind gaps. 1,600 narrow lines miss 1.6 % (.5 %) of the
 # volume of a crate with a hole of 5 cm (7 cm) in its top. 6,400 wide lines miss .6 % (.2 %), and 12,800 or
@@ -32,38 +29,36 @@ MOST_ASKED = 1000
 LEAST_ASKED_SHARE = 5e-5
 
 
-def seen_closely(
-    space: Space, wide: Space, to_camera: Float64, spacing_rad: float, already: NDArray[np.uint8]
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Find the voxels seen along narrow lines and, behind gaps, along wide lines of more directions.
+def further_directions(
+    space: Space, marks: NDArray[np.uint8], to_camera: Float64, spacing_rad: float, already: NDArray[np.uint8]
+) -> Float64:
+    """Return the directions of a finer lattice along which more may be seen behind gaps.
 
     Deep behind a gap, a voxel is seen along few directions. Its neighbour may be seen along none of
     `to_camera`, but along a direction between them. So directions of a finer lattice are added, near those
-    that see such voxels. Their lines are wide, because noise leaves holes in a measured surface that narrow
-    lines pass.
+    that see such voxels.
 
     Args:
-        space: the voxels for narrow lines.
-        wide: the same for wide lines.
+        space: the voxels.
+        marks: what `ways_along` returns for `to_camera`, wherever `already` is 0, and in voxels beside these.
         to_camera: (n, 3) unit vectors, from a point to a camera; all level or up, or all down.
         spacing_rad: angle between neighbouring directions of `to_camera`, radians.
         already: (nx, ny, nz), not 0 where a voxel was seen before; these are not searched for.
 
     Returns:
-        The voxels of `space` seen along `to_camera`, and those of `wide` seen along the added directions,
-        both as `seen_along` returns them.
+        (m, 3) unit vectors, all level or up, or all down, as `to_camera`.
     """
-    marks = ways_along(space, to_camera)
-    seen = marks & np.uint8(SEEN)
-    edge = _rarely_seen_beside_unseen(marks, seen | already, space.state)
+    edge = _rarely_seen_beside_unseen(marks, (marks & np.uint8(SEEN)) | already, space.state)
+    if len(edge) <= LEAST_ASKED_SHARE * marks.size:
+        return np.zeros((0, 3))
     cells = edge[evenly(len(edge), MOST_ASKED)]
     seeing = _some_see(space.state, cells, to_camera, space.heights_m, *space.lengths_m)
-    if len(edge) <= LEAST_ASKED_SHARE * seen.size or not seeing.any():
-        return seen, np.zeros_like(seen)
+    if not seeing.any():
+        return np.zeros((0, 3))
     finer = directions(FINER)
     finer = finer[(finer[:, 2] >= -LEVEL) == (to_camera[0, 2] >= -LEVEL)]
-    nearest = (finer @ to_camera[seeing].T).max(axis=1)
-    return seen, seen_along(wide, finer[nearest > np.cos(spacing_rad)])
+    near = (finer @ to_camera[seeing].T).max(axis=1) > np.cos(spacing_rad)
+    return np.asarray(finer[near])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

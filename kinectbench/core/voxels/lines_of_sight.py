@@ -8,34 +8,35 @@ visits each voxel once.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
-from typing import Final
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.threads import ahead
-from kinectbench.core.types import Float32, Float64
+from kinectbench.core.threads import ahead, in_parts
+from kinectbench.core.types import Bools, Float32, Float64
+from kinectbench.core.voxels.line_kernels import (
+    BLOCKED,
+    FROM_ABOVE,
+    FROM_BELOW,
+    LEVEL,
+    MOST_WAYS,
+    ONE_WAY,
+    OUTSIDE,
+    SEEN,
+    sweep_slices,
+    walk_back,
+)
 
-# The state of a voxel: a line passes; it passes, and a camera can be here; no line passes.
-PASSABLE: Final = 0
-PLACE: Final = 1
-BLOCKED: Final = 2
-# How a voxel is seen; a bit each: by a camera that is as high as it or higher, and by a lower one.
-FROM_ABOVE: Final = 1
-FROM_BELOW: Final = 2
-SEEN: Final = FROM_ABOVE | FROM_BELOW
-# Beside these bits: along how many directions a voxel is seen, in steps of `ONE_WAY`, up to three.
-ONE_WAY: Final = 4
-MOST_WAYS: Final = 3 * ONE_WAY
-# Distances that stand for "there is none" and for "at any distance".
-_NONE, _FAR = np.float32(-1e9), np.float32(1e9)
-# A direction whose vertical part is smaller is level.
-LEVEL: Final = 1e-9
 # One thread marks the voxels of this many directions: to join the marks then takes no 1 % of the time.
 AT_ONCE = 32
 # The lines of this many directions through a slice of a chair's grid lie in a core's cache.
 IN_CACHE = 8
+# To follow a line back from one voxel takes as long as to sweep over this many (measured in a room of 35 M
+# voxels: 43 ns, and 0.6 ns a voxel).
+VOXELS_A_WALK = 75
+# First, every so manieth direction is swept along.
+FEWER = 16
 
 
 @dataclass(frozen=True)
@@ -81,31 +82,74 @@ def directions(count: int) -> Float64:
     return np.concatenate([ball, ring, [[0, 0, 1], [0, 0, -1]]])
 
 
-def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
+def seen_along(space: Space, to_camera: Float64, wanted: Bools | None = None) -> NDArray[np.uint8]:
     """Return the marks of `ways_along` without the number of directions: FROM_ABOVE, FROM_BELOW, both, 0."""
-    return ways_along(space, to_camera) & np.uint8(SEEN)
+    return ways_along(space, to_camera, ONE_WAY, wanted) & np.uint8(SEEN)
 
 
-def ways_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
+def ways_along(
+    space: Space,
+    to_camera: Float64,
+    most: int = MOST_WAYS,
+    wanted: Bools | None = None,
+    less: NDArray[np.uint8] | None = None,
+) -> NDArray[np.uint8]:
     """Find the voxels that cameras see along some directions, from a PLACE or from outside the grid.
 
     Outside the grid nothing blocks a line, and a camera can be anywhere at or above `least_height_m`. Lines
-    are followed slice by slice along the axis of their largest component.
+    are followed slice by slice along the axis of their largest component. Most voxels are marked after a few
+    of the directions; if few are left, the other directions are followed from these alone.
 
     Args:
         space: the voxels.
         to_camera: (n, 3) unit vectors, from a point to a camera.
+        most: ONE_WAY times the number of directions to count at least, from 1 to 3.
+        wanted: (nx, ny, nz) bool, voxels whose marks matter; of others, marks may be missing. None: all.
+        less: the result in a space with fewer camera positions, if known; its marks are all true here.
 
     Returns:
         (nx, ny, nz) uint8: FROM_ABOVE (by a camera as high as the voxel or higher), FROM_BELOW, or both (3),
         plus ONE_WAY times the number of these directions, at most 3; 0 if not seen.
     """
+    marks = np.zeros(space.state.shape, np.uint8)
+    up = to_camera[:, 2] >= -LEVEL
+    bits = (FROM_ABOVE if up.any() else 0) | (FROM_BELOW if not up.all() else 0)
+    asked = space.state != BLOCKED
+    for known in (wanted, None if less is None else _unfinished(less, bits, most)):
+        asked = asked if known is None else asked & known
+    cells = np.flatnonzero(asked)
+    if len(cells) * VOXELS_A_WALK > marks.size:
+        marks, to_camera = _swept_along(space, to_camera[::FEWER]), np.delete(to_camera, np.s_[::FEWER], 0)
+        cells = np.flatnonzero(asked & _unfinished(marks, bits, most))
+    if len(cells) * VOXELS_A_WALK > marks.size:
+        marks = _joined(marks, _swept_along(space, to_camera))
+    else:
+        _walk_back(space, marks, cells, to_camera, most)
+    return marks if less is None else np.where(asked, marks, less)
+
+
+def _unfinished(marks: NDArray[np.uint8], bits: int, most: int) -> Bools:
+    """Return which voxels lack one of `bits` in `marks`, or ONE_WAY times fewer directions than `most`."""
+    return np.asarray((marks & np.uint8(bits) != bits) | (marks & np.uint8(MOST_WAYS) < most))
+
+
+def _swept_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
+    """Return the marks of `ways_along` by sweeps over all voxels."""
     seen = np.zeros(space.state.shape, np.uint8)
     for turned in _turned_along(space, to_camera):
         groups = np.split(turned.ways, range(AT_ONCE, len(turned.ways), AT_ONCE))
         marks = reduce(_joined, ahead(turned.ways_along, (to_camera[ways] for ways in groups)))
         seen = _joined(seen, np.ascontiguousarray(marks.transpose(np.argsort(turned.order))))
     return seen
+
+
+def _walk_back(
+    space: Space, marks: NDArray[np.uint8], cells: NDArray[np.int64], to_camera: Float64, most: int
+) -> None:
+    """Add the marks of `ways_along` for the voxels `cells`, flat indices, to `marks`."""
+    padded = np.pad(space.state, 1, constant_values=OUTSIDE)
+    ways, bounds = np.ascontiguousarray(to_camera), (space.heights_m, *space.lengths_m)
+    in_parts(lambda start, stop: walk_back(padded, marks, cells[start:stop], ways, most, *bounds), len(cells))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -169,7 +213,7 @@ class _Turned:
         lines = np.empty((IN_CACHE, (n1 + n0) * n2 + n0), np.uint8 if enough < 256 else np.uint16)
         for first in range(0, len(to_camera), IN_CACHE):
             ways = to_camera[first : first + IN_CACHE, list(self.order)]
-            _sweep(*flat, ways, up_axis, self.space.heights_m, lines, *self.space.lengths_m)
+            sweep_slices(*flat, ways, up_axis, self.space.heights_m, lines, *self.space.lengths_m)
         return seen
 
 
@@ -181,122 +225,3 @@ def _turned_along(space: Space, to_camera: Float64) -> Iterator[_Turned]:
         order = (axis, *(other for other in range(3) if other != axis))
         turned = np.ascontiguousarray(space.state.transpose(order))
         yield _Turned(space, turned, order, np.flatnonzero(main == axis))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def beyond_grid_m(height, up, least):  # type: ignore[no-untyped-def]
-    """Return the distance, metres, to the farthest camera outside the grid; negative: there is none.
-
-    The line starts at `height`; `up` is the vertical component of the unit vector to the camera, and `least`
-    the smallest height of a camera, metres.
-    """
-    if up > LEVEL:
-        return _FAR
-    if up > -LEVEL:
-        return _FAR if height >= least else _NONE
-    farthest = (height - least) / np.float32(-up)
-    return farthest if farthest >= 0 else _NONE
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _sweep(state, seen, shape, ways, up_axis, heights_m, lines, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Mark in `seen` the voxels seen along the directions `ways` (n, 3), largest along the first axis.
-
-    Args:
-        state: flat, the state of each voxel.
-        seen: flat, receives what `ways_along` returns.
-        shape: number of voxels along each axis, (n0, n1, n2).
-        ways: (n, 3) unit vectors, from a point to a camera.
-        up_axis: the axis that is vertical.
-        heights_m: heights of the layers along `up_axis`, metres.
-        lines: (n or more, (n0 + n1) n2 + n0), overwritten: a counter for each line of each direction. It is 0
-            if no camera sees along the line, 2 at a camera, and grows by 1 a voxel until the camera is
-            `near_m` away.
-        voxel_m: edge of a voxel, metres.
-        near_m: smallest distance from a camera at which it sees, metres.
-        least_m: smallest height of a camera outside the grid, metres.
-    """
-    n0, n1, n2 = shape
-    entering, enough = np.empty((len(ways), len(heights_m)), lines.dtype), np.empty(len(ways), lines.dtype)
-    slopes, at = np.empty((len(ways), 2)), np.zeros((len(ways), 2), np.int64)
-    for n in range(len(ways)):
-        along = abs(ways[n, 0])
-        step_m = np.float32(voxel_m / along)
-        enough[n] = _set_entering(entering[n], ways[n, up_axis], step_m, n0, heights_m, near_m, least_m)
-        # From slice to slice a line moves away from the camera.
-        slopes[n] = -ways[n, 1] / along, -ways[n, 2] / along
-    for count in range(n0):
-        # All directions look at a slice while it lies in the cache.
-        for n in range(len(ways)):
-            i = n0 - 1 - count if ways[n, 0] > 0 else count
-            bit = np.uint8(FROM_BELOW if ways[n, up_axis] < -LEVEL else FROM_ABOVE)
-            # A line keeps its place: the slice moves over them, from the first or from the last place.
-            end = np.maximum(np.rint(slopes[n] * (n0 - 1)), 0)
-            moved = np.rint(slopes[n] * count)
-            move1, move2 = int(moved[0]) - at[n, 0], int(moved[1]) - at[n, 1]
-            at[n] = moved
-            begin = int((end[0] - moved[0]) * n2 + end[1] - moved[1])
-            for j in range(n1):
-                low, high = n2, n2
-                if count > 0 and 0 <= j - move1 < n1:
-                    low, high = max(0, move2), min(n2, n2 + move2)
-                # Lines that come in through the grid's side.
-                for k in range(low):
-                    lines[n, begin + j * n2 + k] = entering[n, i if up_axis == 0 else k]
-                for k in range(high, n2):
-                    lines[n, begin + j * n2 + k] = entering[n, i if up_axis == 0 else k]
-            _look(state, seen, i * n1 * n2, lines[n], begin, n1 * n2, enough[n], bit)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _set_entering(entering, up, step_m, slices, heights_m, near_m, least_m):  # type: ignore[no-untyped-def]
-    """Set in `entering` the counter of a line one step before it enters the grid, for each layer.
-
-    Return the counter at which a camera is `near_m` away. `up` is the vertical component of the direction,
-    `step_m` the length of a step, and `slices` the largest number of steps. `heights_m` are the layers'
-    heights. Cameras are at least `least_m` high.
-    """
-    enough = 2 + _steps(np.float32(0), step_m, near_m, slices)
-    for layer in range(len(heights_m)):
-        far_m = beyond_grid_m(heights_m[layer], up, least_m)
-        steps = _steps(far_m, step_m, near_m, slices)
-        entering[layer] = 0 if far_m < 0 else enough if steps == 0 else max(1, enough - steps - 1)
-    return enough
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _steps(far_m, step_m, near_m, most):  # type: ignore[no-untyped-def]
-    """Return how many steps of `step_m` increase a distance `far_m` to `near_m` or more; at most `most`."""
-    steps = 0
-    while far_m < near_m and steps < most:
-        far_m += step_m
-        steps += 1
-    return steps
-
-
-# Runs on 32 voxels at once, if indices cannot be negative and no number is wider than in `lines`.
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _look(state, seen, begin, lines, to, count, enough, bit):  # type: ignore[no-untyped-def]
-    """Advance the lines of a slice by one step: update their counters, and mark the visible voxels.
-
-    Args:
-        state: flat, the state of each voxel.
-        seen: flat, gets `bit` at visible voxels, and one more direction.
-        begin: index of the slice's first voxel.
-        lines: the lines' counters.
-        to: index in `lines` of the line through the first voxel.
-        count: number of voxels.
-        enough: the counter from which on a voxel is visible.
-        bit: FROM_ABOVE or FROM_BELOW.
-    """
-    own, first, kind = np.uintp(begin), np.uintp(to), lines.dtype.type
-    for n in range(count):
-        at, line = own + np.uintp(n), first + np.uintp(n)
-        number = lines[line]
-        number = kind(number + ((number != 0) & (number != enough)))
-        number = max(number, kind(2)) if state[at] == PLACE else number
-        number = kind(0) if state[at] == BLOCKED else number
-        lines[line] = number
-        mark = seen[at]
-        marked = np.uint8((mark | bit) + (np.uint8(ONE_WAY) if mark < MOST_WAYS else np.uint8(0)))
-        seen[at] = marked if number == enough else mark

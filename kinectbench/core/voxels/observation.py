@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,13 +55,23 @@ def merge(first: Observation, second: Observation) -> Observation:
 
     The TSDF is the weighted mean; `free` and `surface` are sums, at most 65,535.
     """
-    voxel_m = first.grid.voxel_size_m
-    parts = [seen.weight * _heard_share(seen.tsdf, voxel_m) for seen in (first, second)]
-    weight = parts[0] + parts[1]
-    total = first.tsdf * parts[0] + second.tsdf * parts[1]
-    tsdf = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
+    tsdf, weight = np.empty(first.tsdf.shape, np.float32), np.empty(first.tsdf.shape, np.float32)
+    given = [np.ravel(each) for seen in (first, second) for each in (seen.tsdf, seen.weight)]
+    _merge(tsdf.reshape(-1), weight.reshape(-1), *given, np.float32(first.grid.voxel_size_m))
     votes = _sum(first.free, second.free), _sum(first.surface, second.surface)
-    return Observation(first.grid, tsdf, evident_weight(tsdf, weight, voxel_m), *votes)
+    return Observation(first.grid, tsdf, weight, *votes)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _merge(tsdf, weight, tsdf1, weight1, tsdf2, weight2, voxel_m):  # type: ignore[no-untyped-def]
+    """Set `tsdf` and `weight` (n,) to those of two observations together; float32, without large copies."""
+    for n in range(len(tsdf)):
+        part1 = weight1[n] * _heard(tsdf1[n], voxel_m)
+        part2 = weight2[n] * _heard(tsdf2[n], voxel_m)
+        both = part1 + part2
+        total = tsdf1[n] * part1 + tsdf2[n] * part2
+        tsdf[n] = total / both if both > 0 else np.float32(0)
+        weight[n] = both / _heard(tsdf[n], voxel_m)
 
 
 def _sum(first: NDArray[np.uint16], second: NDArray[np.uint16]) -> NDArray[np.uint16]:
@@ -77,25 +88,24 @@ def evident_weight(tsdf: Float32, weight: Float32, voxel_size_m: float) -> Float
         weight: of the same shape, the summed weights of these distances, 1/mm^2.
         voxel_size_m: edge of a voxel, metres.
     """
-    return np.asarray(weight / _heard_share(tsdf, voxel_size_m), np.float32)
+    before, flat = np.empty(weight.shape, np.float32), [np.ravel(each) for each in (tsdf, weight)]
+    _unlowered(before.reshape(-1), *flat, np.float32(voxel_size_m))
+    return before
 
 
-def _heard_share(tsdf: Float32, voxel_size_m: float) -> Float32:
-    """Return the factor, at most 1, by which fusion lowers weights at distances `tsdf` (< 0: behind)."""
-    behind_voxels = -tsdf / np.float32(voxel_size_m) - np.float32(HALF_DIAGONAL)
-    faded = np.float32(1) - np.maximum(behind_voxels, np.float32(0)) / np.float32(FADING_VOXELS)
-    return np.asarray(np.maximum(faded, np.float32(HIDDEN_SHARE)), np.float32)
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _unlowered(before, tsdf, weight, voxel_m):  # type: ignore[no-untyped-def]
+    for n in range(len(before)):
+        before[n] = weight[n] / _heard(tsdf[n], voxel_m)
 
 
-def seen_through_share(free: NDArray[np.integer], surface: NDArray[np.integer]) -> Float32:
-    """Return free / (free + surface) of each voxel; 0 if both are 0.
-
-    Args:
-        free: number of frames that saw through the voxel.
-        surface: number of frames that measured a surface there or just in front; of the same shape.
-    """
-    through = free.astype(np.float32)
-    return np.asarray(through / np.maximum(through + surface, np.float32(1)), np.float32)
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _heard(tsdf, voxel_m):  # type: ignore[no-untyped-def]
+    """Return the factor, at most 1, by which fusion lowers weights at a distance `tsdf` (< 0: behind)."""
+    f32 = np.float32
+    behind_voxels = -tsdf / voxel_m - f32(HALF_DIAGONAL)
+    faded = f32(1) - max(behind_voxels, f32(0)) / f32(FADING_VOXELS)
+    return max(faded, f32(HIDDEN_SHARE))
 
 
 def pose_reach_m(median_pose_sigma_m: float | None) -> float:
@@ -143,8 +153,23 @@ def without_fringe(
         voxel_size_m: edge of a voxel, metres.
         trust: factor of the correction, 0 to 1, from `trust_in_votes`.
     """
-    share = seen_through_share(free, surface)
-    behind = np.maximum(tsdf / np.float32(voxel_size_m) + np.float32(UNDECIDED_VOXELS), np.float32(0))
-    excess = share - np.float32(USUAL_FREE_SHARE) - np.float32(USUAL_FREE_SHARE_PER_VOXEL) * behind
+    corrected, flat = np.empty(tsdf.shape, np.float32), [np.ravel(each) for each in (tsdf, free, surface)]
     step = np.float32(trust * VOXELS_PER_FREE_SHARE * voxel_size_m)
-    return np.asarray(tsdf + step * np.maximum(excess, np.float32(0)), np.float32)
+    _correct(corrected.reshape(-1), *flat, np.float32(voxel_size_m), step)
+    return corrected
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _correct(corrected, tsdf, free, surface, voxel_m, step_m):  # type: ignore[no-untyped-def]
+    """Set `corrected` (n,) to `tsdf` (n,), float32, as `without_fringe` describes; without large copies.
+
+    `step_m` is how far the surface moves, metres, for a share of 1 of frames that see through.
+    """
+    f32 = np.float32
+    usual, a_voxel, undecided = f32(USUAL_FREE_SHARE), f32(USUAL_FREE_SHARE_PER_VOXEL), f32(UNDECIDED_VOXELS)
+    for n in range(len(tsdf)):
+        through = f32(free[n])
+        share = through / max(through + f32(surface[n]), f32(1))
+        behind = max(tsdf[n] / voxel_m + undecided, f32(0))
+        excess = share - usual - a_voxel * behind
+        corrected[n] = tsdf[n] + step_m * max(excess, f32(0))

@@ -18,7 +18,8 @@ from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, t
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.fine_sight import seen_around_corners
-from kinectbench.core.voxels.lines_of_sight import BLOCKED, directions, seen_along
+from kinectbench.core.voxels.line_kernels import BLOCKED
+from kinectbench.core.voxels.lines_of_sight import directions, seen_along
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.sight import grown, line_space
 

@@ -9,17 +9,10 @@ from numpy.typing import NDArray
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.distance import distance_within_m
-from kinectbench.core.voxels.fine_sight import seen_closely
-from kinectbench.core.voxels.lines_of_sight import (
-    BLOCKED,
-    LEVEL,
-    PASSABLE,
-    PLACE,
-    Space,
-    directions,
-    seen_along,
-)
-from kinectbench.core.voxels.morphology import from_beyond
+from kinectbench.core.voxels.fine_sight import further_directions
+from kinectbench.core.voxels.line_kernels import BLOCKED, LEVEL, MOST_WAYS, ONE_WAY, PASSABLE, PLACE, SEEN
+from kinectbench.core.voxels.lines_of_sight import Space, directions, seen_along, ways_along
+from kinectbench.core.voxels.morphology import dilated, from_beyond, reached_from_beyond
 
 # Distances from voxel to voxel are exact except for rounding.
 ROUNDING_M = 1e-6
@@ -79,14 +72,17 @@ def swept_from_outside(
     to_camera = directions(count)
     level_or_up = to_camera[:, 2] >= -LEVEL
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
-    wide = None if closer is None else line_space(obstacle, heights_m, voxel_size_m, closer)
+    wide = None if closer is None else _blocked(obstacle, heights_m, voxel_size_m, closer)
     lines = _Lines(obstacle, limits, closer, wide, float(np.sqrt(4 * np.pi / count)))
     lower, nothing = without_rising(space, empty), np.zeros_like(space.state)
-    from_above = lines.seen(space, to_camera[level_or_up], nothing)
-    any_way = from_above | lines.seen(space, to_camera[~level_or_up], from_above)
+    ways = lines.marks(lower, to_camera[level_or_up], nothing)
+    of_lower = from_above = lines.seen(lower, to_camera[level_or_up], ways, nothing)
     if lower is not space:
-        from_above = lines.seen(lower, to_camera[level_or_up], nothing)
-    return Sight(any_way, from_above > 0, space, lower)
+        ways = lines.marks(space, to_camera[level_or_up], nothing, ways)
+        from_above = lines.seen(space, to_camera[level_or_up], ways, nothing)
+    ways = lines.marks(space, to_camera[~level_or_up], from_above)
+    any_way = from_above | lines.seen(space, to_camera[~level_or_up], ways, from_above)
+    return Sight(any_way, of_lower > 0, space, lower)
 
 
 @dataclass(frozen=True)
@@ -97,30 +93,63 @@ class _Lines:
         obstacle: bool (nx, ny, nz).
         narrow: limits of the narrow lines.
         closer: limits of the wide lines; None: only narrow lines are tried.
-        wide: where wide lines pass; None if there are none.
+        wide: bool (nx, ny, nz), where no wide line passes; None if there are none.
         spacing_rad: angle between neighbouring directions of narrow lines, radians.
     """
 
     obstacle: Bools
     narrow: SensorLimits
     closer: SensorLimits | None
-    wide: Space | None
+    wide: Bools | None
     spacing_rad: float
 
-    def seen(self, space: Space, to_camera: Float64, already: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def marks(
+        self,
+        space: Space,
+        to_camera: Float64,
+        already: NDArray[np.uint8],
+        less: NDArray[np.uint8] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Return `ways_along` of narrow lines in `space`, as far as `seen` needs it; arguments as there.
+
+        `less` is the result in a space with fewer camera positions.
+        """
+        most = ONE_WAY if self.closer is None else MOST_WAYS
+        wanted = self._around_unseen(already, space.voxel_size_m, self.narrow)
+        return ways_along(space, to_camera, most, wanted, less)
+
+    def seen(
+        self, space: Space, to_camera: Float64, marks: NDArray[np.uint8], already: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
         """Find the voxels seen along directions (n, 3), which are all level or up, or all down.
 
-        Camera positions are those of `space`. Voxels set in `already` are not searched for behind gaps. The
-        voxels on the axes of lines are dilated by half a line's width.
+        Camera positions are those of `space`, and `marks` are those of `marks`. Voxels set in `already` are
+        not searched for: they may be missing. The voxels on the axes of lines are dilated by half a line's
+        width. Behind gaps further lines are tried. These are wide, because noise leaves holes in a measured
+        surface that narrow lines pass.
         """
+        found = grown(marks & np.uint8(SEEN), self.obstacle, space.voxel_size_m, self.narrow)
         if self.closer is None or self.wide is None:
-            return grown(seen_along(space, to_camera), self.obstacle, space.voxel_size_m, self.narrow)
-        state = np.where(self.wide.state == BLOCKED, np.uint8(BLOCKED), space.state)
-        found, further = seen_closely(
-            space, replace(space, state=state), to_camera, self.spacing_rad, already
-        )
-        narrowly = grown(found, self.obstacle, space.voxel_size_m, self.narrow)
-        return narrowly | grown(further, self.obstacle, space.voxel_size_m, self.closer)
+            return found
+        finer = further_directions(space, marks, to_camera, self.spacing_rad, already)
+        if not len(finer):
+            return found
+        state = np.where(self.wide, np.uint8(BLOCKED), space.state)
+        wanted = self._around_unseen(found | already, space.voxel_size_m, self.closer)
+        further = seen_along(replace(space, state=state), finer, wanted)
+        return found | grown(further, self.obstacle, space.voxel_size_m, self.closer)
+
+    def _around_unseen(
+        self, already: NDArray[np.uint8], voxel_size_m: float, limits: SensorLimits
+    ) -> Bools | None:
+        """Return the voxels beside voxels that are neither set in `already` nor obstacles; None: all voxels.
+
+        These are as far away as a line's axis is from what the line shows, or at least one voxel.
+        """
+        if not already.any():
+            return None
+        unseen = (already == 0) & ~self.obstacle
+        return dilated(unseen, (max(1, int(_grown_voxels(limits, voxel_size_m))),) * 3)
 
 
 def without_rising(space: Space, empty: Bools) -> Space:
@@ -133,55 +162,18 @@ def without_rising(space: Space, empty: Bools) -> Space:
         space: where lines pass and cameras can be.
         empty: bool of the same shape, voxels that were seen to be empty; all others count as unseen.
     """
-    from scipy import ndimage
-
     place = space.state == PLACE
-    reached = _reached_without_rising(place, empty)
+    reached = reached_from_beyond(place, empty)
     if np.array_equal(reached, place):
         return space
     ways = _level_ways_out(space.state, reached & ~empty)
     # Beside a leg few ways lead out, a little farther away more.
-    cells = 2 * round(BESIDE_M / space.voxel_size_m) + 1
-    below = _open_below(space.state, ndimage.maximum_filter(ways, (cells, cells, 1)))
+    beside = round(BESIDE_M / space.voxel_size_m)
+    below = _open_below(space.state, dilated(ways >= OPEN_WAYS, (beside, beside, 0)))
     may_enter = empty.copy()
     may_enter[:, :, 1:] |= ~below[:, :, :-1]
-    reached = _reached_without_rising(place, may_enter)
+    reached = reached_from_beyond(place, may_enter)
     return replace(space, state=np.where(place & ~reached, np.uint8(PASSABLE), space.state))
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _reached_without_rising(place, may_enter):  # type: ignore[no-untyped-def]
-    """Return which of the camera positions `place` can be reached from outside the grid, voxel by voxel.
-
-    A camera moves to any of 6 neighbours, but upwards only into voxels where `may_enter` is set. It enters
-    the grid through the lowest layer only at such voxels, and through the other sides anywhere.
-    """
-    nx, ny, nz = place.shape
-    reached = np.zeros(place.shape, np.bool_)
-    stack = np.empty(np.count_nonzero(place), np.int64)
-    count = 0
-    for i in range(nx):
-        for j in range(ny):
-            for k in range(nz):
-                edge = i == 0 or i == nx - 1 or j == 0 or j == ny - 1 or k == nz - 1
-                if place[i, j, k] and (edge or (k == 0 and may_enter[i, j, k])):
-                    reached[i, j, k] = True
-                    stack[count] = (i * ny + j) * nz + k
-                    count += 1
-    while count > 0:
-        count -= 1
-        i, j, k = stack[count] // (ny * nz), stack[count] // nz % ny, stack[count] % nz
-        for step in range(6):
-            a = i + (step == 1) - (step == 0)
-            b = j + (step == 3) - (step == 2)
-            c = k + (step == 5) - (step == 4)
-            if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
-                continue
-            if place[a, b, c] and not reached[a, b, c] and (c <= k or may_enter[a, b, c]):
-                reached[a, b, c] = True
-                stack[count] = (a * ny + b) * nz + c
-                count += 1
-    return reached
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -212,11 +204,10 @@ def _level_ways_out(state, asked):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _open_below(state, ways):  # type: ignore[no-untyped-def]
+def _open_below(state, open_here):  # type: ignore[no-untyped-def]
     """Return a mask of voxels that are open below.
 
-    A voxel is open below if it, or a voxel straight below it with no BLOCKED voxel between, has at least
-    `OPEN_WAYS` in `ways`, the result of `_level_ways_out`.
+    A voxel is open below if it, or a voxel straight below it with no BLOCKED voxel between, is `open_here`.
     """
     nx, ny, nz = state.shape
     below = np.zeros(state.shape, np.bool_)
@@ -224,7 +215,7 @@ def _open_below(state, ways):  # type: ignore[no-untyped-def]
         for j in range(ny):
             is_open = False
             for k in range(nz):
-                is_open = state[i, j, k] != BLOCKED and (is_open or ways[i, j, k] >= OPEN_WAYS)
+                is_open = state[i, j, k] != BLOCKED and (is_open or open_here[i, j, k])
                 below[i, j, k] = is_open
     return below
 
@@ -234,21 +225,37 @@ def line_space(
 ) -> Space:
     """Find where axes of lines of sight pass and cameras can be; arguments as in `swept_from_outside`."""
     heights = np.full(obstacle.shape[2], np.inf, np.float32) if heights_m is None else heights_m
-    half_m = limits.line_width_m / 2
-    farthest_m = max(half_m, limits.camera_size_m / 2) + voxel_size_m
-    gap_m = distance_within_m(obstacle, voxel_size_m, farthest_m) - np.float32(voxel_size_m / 2)
+    gap_m = _gap_m(obstacle, voxel_size_m, max(limits.line_width_m, limits.camera_size_m) / 2)
     place = from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
-    blocked = (gap_m < half_m - ROUNDING_M) | (heights < half_m - ROUNDING_M)
+    half_m = limits.line_width_m / 2 - ROUNDING_M
+    blocked = (gap_m < half_m) | (heights < half_m)
     state = np.where(blocked, np.uint8(BLOCKED), np.where(place, np.uint8(PLACE), np.uint8(PASSABLE)))
     return Space(state, heights, voxel_size_m, limits.near_m, limits.camera_height_m)
+
+
+def _gap_m(obstacle: Bools, voxel_size_m: float, within_m: float) -> Float32:
+    """Return the distance of each voxel's middle to the obstacle's faces, metres; inf where it is larger."""
+    return distance_within_m(obstacle, voxel_size_m, within_m + voxel_size_m) - np.float32(voxel_size_m / 2)
+
+
+def _blocked(obstacle: Bools, heights_m: Float32 | None, voxel_size_m: float, limits: SensorLimits) -> Bools:
+    """Return where no axis of a line of sight passes; arguments as in `swept_from_outside`."""
+    half_m = limits.line_width_m / 2 - ROUNDING_M
+    blocked = _gap_m(obstacle, voxel_size_m, limits.line_width_m / 2) < half_m
+    return blocked if heights_m is None else blocked | (heights_m < half_m)
 
 
 def grown(
     reached: NDArray[np.uint8], obstacle: Bools, voxel_size_m: float, limits: SensorLimits
 ) -> NDArray[np.uint8]:
     """Dilate `reached`, voxels on axes of lines of sight, by half a line's width, outside the obstacle."""
+    return np.asarray(_grown_back(reached, obstacle, _grown_voxels(limits, voxel_size_m)))
+
+
+def _grown_voxels(limits: SensorLimits, voxel_size_m: float) -> float:
+    """Return by how many voxels `grown` dilates."""
     # Half a voxel more, or layers right at the obstacle would be missed by rounding.
-    return np.asarray(_grown_back(reached, obstacle, limits.line_width_m / 2 / voxel_size_m + 0.5))
+    return limits.line_width_m / 2 / voxel_size_m + 0.5
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -257,11 +264,17 @@ def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
     nx, ny, nz = reached.shape
     most = int(radius)
     grown = reached.copy()
+    any_reached = np.empty((nx, ny), np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            any_reached[i, j] = reached[i, j].any()
     for i in range(nx):
         for j in range(ny):
             own = grown[i, j]
             for a in range(max(-most, -i), min(most + 1, nx - i)):
                 for b in range(max(-most, -j), min(most + 1, ny - j)):
+                    if not any_reached[i + a, j + b]:
+                        continue
                     for c in range(-most, most + 1):
                         if a * a + b * b + c * c <= radius * radius and abs(c) < nz:
                             source = reached[i + a, j + b, max(c, 0) : nz + min(c, 0)]

@@ -10,7 +10,7 @@ from kinectbench.core.geometry import Camera, Grid, OrientedBox, TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Bools, Progress, Underside
+from kinectbench.core.types import Bools, Progress, Underside, no_progress
 from kinectbench.core.voxels.observation import Observation, merge
 from kinectbench.settings.models import FusionSettings, ObjectCuts, Vector4
 from kinectbench.stages.fuse import observe
@@ -60,6 +60,8 @@ class GivenObject:
 
 
 NOTHING_GIVEN = GivenObject()
+# Solids are made from the odd, from the even, and from all frames.
+SOLIDS = 3
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def segment(
     segmentation: ObjectCuts,
     fusion: FusionSettings,
     given: GivenObject = NOTHING_GIVEN,
-    progress: Progress | None = None,
+    progress: Progress = no_progress,
 ) -> ObjectModel:
     """Find the object in the fused scene, make it a solid, and judge the solid.
 
@@ -104,7 +106,7 @@ def segment(
         segmentation: bounds of the floor and of air.
         fusion: voxel size and range of depth, if the user gives them.
         given: what the user states about the object.
-        progress: called with (done, total) of each half of the frames.
+        progress: called with (done, total) of each half of the frames, then of the solids.
 
     Raises:
         SegmentationError: no floor, no object, a box that is empty or of another floor frame, a plane above
@@ -118,13 +120,17 @@ def segment(
     odd, even = (
         observe(sequence, trajectory, half, found.grid, fusion, progress) for half in (good[0::2], good[1::2])
     )
-    of_odd, of_even = ahead(partial(_solid_of_half, found=found, rules=rules), (odd, even))
+    bodies: list[SolidBody] = []
+    for body in ahead(partial(_solid_of_half, found=found, rules=rules), (odd, even)):
+        bodies.append(body)
+        progress(len(bodies), SOLIDS)
     sigma_m = surface_sigma_m(odd, even)
     together = enlarged_observation(merge(odd, even), found.scale)
     del odd, even  # of a large object each is a gigabyte
     whole, frontiers = _solid_of_all(together, found, rules)
+    progress(SOLIDS, SOLIDS)
     del together
-    solids = Solids(whole, of_odd, of_even, sigma_m, len(good))
+    solids = Solids(whole, bodies[0], bodies[1], sigma_m, len(good))
     # Label the space around it, coarsely.
     chosen, around = found.chosen, surround_grid(found.grid, found.chosen.floor)
     surround = observe(sequence, trajectory, some_frames(good), around, fusion)

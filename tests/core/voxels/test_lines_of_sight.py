@@ -1,17 +1,26 @@
 """Lines of sight against plain walks, line by line."""
 
+from dataclasses import replace
+from functools import reduce
+
 import numpy as np
 import pytest
 
-from kinectbench.core.voxels.fine_sight import FINER, seen_around_corners, seen_closely
-from kinectbench.core.voxels.lines_of_sight import (
+from kinectbench.core.voxels import lines_of_sight
+from kinectbench.core.voxels.fine_sight import FINER, further_directions, seen_around_corners
+from kinectbench.core.voxels.line_kernels import (
     BLOCKED,
     FROM_ABOVE,
     FROM_BELOW,
     ONE_WAY,
     PASSABLE,
     PLACE,
+    SEEN,
+)
+from kinectbench.core.voxels.lines_of_sight import (
     Space,
+    _joined,
+    _swept_along,
     count_seen,
     directions,
     seen_along,
@@ -150,9 +159,12 @@ def test_more_directions_are_tried_behind_a_gap(up: bool) -> None:
         Space(each, np.full(60, np.inf, np.float32), VOXEL_M, NEAR_M, LEAST_M) for each in (state, wide)
     )
     ways, many = (each[(each[:, 2] >= 0) == up] for each in (directions(400), directions(25600)))
-    nothing = np.zeros_like(state)
-    first, further = seen_closely(narrow, wider, ways, np.sqrt(4 * np.pi / 400), nothing)
+    nothing, spacing_rad = np.zeros_like(state), np.sqrt(4 * np.pi / 400)
+    marks = ways_along(narrow, ways)
+    first = marks & np.uint8(SEEN)
     np.testing.assert_array_equal(first, seen_along(narrow, ways))
+    added = further_directions(narrow, marks, ways, spacing_rad, nothing)
+    further = seen_along(wider, added)
     inside = np.zeros(state.shape, bool)
     inside[6:54, 6:54, 6:49] = True
     all_of_them = seen_along(wider, many)
@@ -162,7 +174,35 @@ def test_more_directions_are_tried_behind_a_gap(up: bool) -> None:
     lattice = directions(FINER)
     assert not (further & ~seen_along(wider, lattice[(lattice[:, 2] >= 0) == up])).any()
     # Nothing is searched for that was seen before.
-    assert not seen_closely(narrow, wider, ways, np.sqrt(4 * np.pi / 400), nothing + 1)[1].any()
+    assert not len(further_directions(narrow, marks, ways, spacing_rad, nothing + 1))
+
+
+@pytest.mark.parametrize("voxels", [0, 1.6, 10**9])
+@pytest.mark.parametrize("seed", range(3))
+def test_few_voxels_are_walked_from_with_the_same_result(
+    monkeypatch: pytest.MonkeyPatch, seed: int, voxels: float
+) -> None:
+    """Voxels that some directions left are walked from or swept over: marks are as of one by one."""
+    state, heights_m = scene(seed, (11, 9, 10))
+    space = Space(state, heights_m, VOXEL_M, NEAR_M, LEAST_M)
+    rng = np.random.default_rng(seed)
+    wanted = rng.random(state.shape) < 0.3
+    fewer = replace(
+        space, state=np.where((state == PLACE) & (rng.random(state.shape) < 0.5), PASSABLE, state)
+    )
+    ways, differ = directions(60), 0
+    for to_camera in (ways, ways[ways[:, 2] >= -1e-9], ways[ways[:, 2] < -1e-9]):
+        one_by_one = [_swept_along(space, way[None]) for way in to_camera]
+        plain = reduce(_joined, one_by_one)
+        monkeypatch.setattr(lines_of_sight, "VOXELS_A_WALK", voxels)
+        less = ways_along(fewer, to_camera)
+        np.testing.assert_array_equal(ways_along(space, to_camera), plain)
+        np.testing.assert_array_equal(ways_along(space, to_camera, less=less), plain)
+        np.testing.assert_array_equal(ways_along(space, to_camera, wanted=wanted)[wanted], plain[wanted])
+        np.testing.assert_array_equal(seen_along(space, to_camera, wanted)[wanted], plain[wanted] & SEEN)
+        assert not (seen_along(space, to_camera, wanted) & ~plain).any()
+        differ += int(np.count_nonzero(less != plain))
+    assert differ
 
 
 def test_directions_are_spread_over_the_sphere() -> None:

@@ -18,20 +18,13 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32
-from kinectbench.core.voxels.lines_of_sight import (
-    BLOCKED,
-    FROM_ABOVE,
-    FROM_BELOW,
-    PASSABLE,
-    PLACE,
-    directions,
-    seen_along,
-)
+from kinectbench.core.voxels.line_kernels import BLOCKED, FROM_ABOVE, FROM_BELOW, PASSABLE, PLACE
+from kinectbench.core.voxels.lines_of_sight import directions, seen_along
+from kinectbench.core.voxels.morphology import reached_from_beyond
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid, seen_from_outside
 from kinectbench.core.voxels.sight import (
     _grown_back,
     _level_ways_out,
-    _reached_without_rising,
     swept_from_outside,
 )
 
@@ -310,4 +303,4 @@ def test_positions_reached_without_rising(seed: int) -> None:
         if (more == expected).all():
             break
         expected = more
-    assert (_reached_without_rising(place, empty) == expected).all()
+    assert (reached_from_beyond(place, empty) == expected).all()

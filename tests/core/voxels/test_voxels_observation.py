@@ -10,7 +10,6 @@ from kinectbench.core.voxels.observation import (
     evident_weight,
     merge,
     ray_width_m,
-    seen_through_share,
     trust_in_votes,
     without_fringe,
 )
@@ -31,11 +30,6 @@ def test_a_ray_is_as_wide_as_its_pixel_and_what_its_pose_is_off() -> None:
     # 2 m / 500 px = 4 mm, and three times the median of 1 and 9 mm; a pose that nobody checked has no part.
     assert ray_width_m(camera, trajectory.median_pose_sigma_m, 2.0) == pytest.approx(np.hypot(0.004, 0.015))
     assert ray_width_m(camera, None, 2.0) == pytest.approx(0.004)
-
-
-def test_share_of_the_frames_with_a_vote() -> None:
-    free, surface = np.array([0, 3, 0], np.uint16), np.array([0, 1, 7], np.uint16)
-    np.testing.assert_allclose(seen_through_share(free, surface), [0.0, 0.75, 0.0])
 
 
 @pytest.mark.parametrize("trust", [1.0, 0.4])

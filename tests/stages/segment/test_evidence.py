@@ -23,7 +23,7 @@ from observed_boxes import (
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Underside
-from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE, FROM_BELOW
+from kinectbench.core.voxels.line_kernels import FROM_ABOVE, FROM_BELOW
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import (
     LEAST_WEIGHT_SHARE,

@@ -6,7 +6,7 @@ from observed_boxes import Room, looked_into
 from slow import slow
 
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.voxels.lines_of_sight import FROM_ABOVE
+from kinectbench.core.voxels.line_kernels import FROM_ABOVE
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.judge.frontiers import find_frontiers
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels

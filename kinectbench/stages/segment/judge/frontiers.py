@@ -12,7 +12,7 @@ from kinectbench.core.geometry import transform_points
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.lines_of_sight import count_seen, directions
-from kinectbench.core.voxels.morphology import broad, opened
+from kinectbench.core.voxels.morphology import broad, opened, piece_sizes, values_of_pieces
 from kinectbench.stages.segment.find.select import triple
 from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY
 from kinectbench.stages.segment.solid.evidence import VoxelEvidence
@@ -228,9 +228,10 @@ def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], i
     from scipy import ndimage
 
     pieces, count = ndimage.label(region, np.ones((3, 3, 3)))
-    large = np.bincount(pieces.reshape(-1), minlength=count + 1) >= max(1, least_voxels)
+    large = piece_sizes(pieces, count) >= max(1, least_voxels)
     large[0] = False
-    return np.where(large, np.cumsum(large), 0).astype(np.int32)[pieces], int(large.sum())
+    numbers = np.where(large, np.cumsum(large), 0).astype(np.int32)
+    return values_of_pieces(pieces, numbers), int(large.sum())
 
 
 def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:

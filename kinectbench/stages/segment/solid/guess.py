@@ -1,5 +1,6 @@
 """The probability that a voxel is inside the object, as measured on simulated objects."""
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,9 +53,9 @@ def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) ->
     state[:, :, : evidence.contact.start] = NEUTRAL
     hits = cast_26_rays(state)
     shares = [np.interp(enclosed_shares(), ENCLOSED, share) for share in (ROOFED_SHARE, SKY_SHARE)]
-    met = (each[evidence.unseen] for each in (hits.sky, hits.inside, hits.outside))
     probability = np.zeros(state.shape, np.float32)
-    probability[evidence.unseen] = np.array(shares, np.float32)[*met]
+    met = (each.reshape(-1) for each in (probability, evidence.unseen, hits.sky, hits.inside, hits.outside))
+    _look_up(np.array(shares, np.float32), *met)
     object_above = evidence.near_surface | evidence.closed | evidence.underside
     rim = np.zeros_like(object_above)
     for layers in range(1, rim_voxels(rules.limits, voxel_m) + 1):
@@ -64,6 +65,14 @@ def inside_probability(evidence: VoxelEvidence, rules: Rules, voxel_m: float) ->
     probability[evidence.underside] = OPEN_SHARE if rules.underside == "open" else UNDERSIDE_SHARE
     probability[evidence.closed] = 1
     return probability
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _look_up(shares, probability, unseen, sky, inside, outside):  # type: ignore[no-untyped-def]
+    """Set `probability` (n,) where `unseen` (n,) to `shares` (2, 27, 27), by what each voxel's rays met."""
+    for n in range(len(unseen)):
+        if unseen[n]:
+            probability[n] = shares[sky[n], inside[n], outside[n]]
 
 
 def measured_probability(signed_m: NDArray[np.floating], voxel_size_m: float) -> Float32:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from kinectbench.core import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, isosurface, transform_points
 from kinectbench.core.types import Bools, Float32
-from kinectbench.core.voxels.morphology import from_beyond
+from kinectbench.core.voxels.morphology import from_beyond, piece_sizes, values_of_pieces
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
 from kinectbench.stages.segment.solid.guess import inside_probability, measured_probability
@@ -157,11 +157,10 @@ def _without_specks(solid: Bools) -> Bools:
     """Drop 6-connected pieces smaller than 2 % of the largest."""
     from scipy import ndimage
 
-    pieces, _ = ndimage.label(solid)
-    sizes = np.bincount(pieces.reshape(-1))
+    pieces, count = ndimage.label(solid)
+    sizes = piece_sizes(pieces, count)
     sizes[0] = 0
-    keep = (sizes > 0) & (sizes >= SPECK_SHARE * sizes.max())
-    return np.asarray(keep[pieces])
+    return values_of_pieces(pieces, (sizes > 0) & (sizes >= SPECK_SHARE * sizes.max()))
 
 
 def _probability(voxel_m: float, evidence: VoxelEvidence, guess: Float32, solid: Bools) -> Float32:
@@ -221,7 +220,7 @@ def carried_up(solid: Bools, seen_empty: Bools, floor_layer: int, voxel_size_m: 
     pieces, count = ndimage.label(solid)
     if count < 2:
         return solid
-    sizes = np.bincount(pieces.reshape(-1))
+    sizes = piece_sizes(pieces, count)
     sizes[0] = 0
     main = int(np.argmax(sizes))
     largest = pieces == main
