@@ -35,7 +35,7 @@ IN_CACHE = 8
 # To follow a line back from one voxel takes as long as to sweep over this many (measured in a room of 35 M
 # voxels: 43 ns, and 0.6 ns a voxel).
 VOXELS_A_WALK = 75
-# First, every so manieth direction is swept along.
+# First, every 16th direction is swept along.
 FEWER = 16
 
 
@@ -109,7 +109,8 @@ def ways_along(
 
     Returns:
         (nx, ny, nz) uint8: FROM_ABOVE (by a camera as high as the voxel or higher), FROM_BELOW, or both (3),
-        plus ONE_WAY times the number of these directions, at most 3; 0 if not seen.
+        plus ONE_WAY times the number of these directions, at most 3, or less if `most` is less; 0 if not
+        seen.
     """
     marks = np.zeros(space.state.shape, np.uint8)
     up = to_camera[:, 2] >= -LEVEL

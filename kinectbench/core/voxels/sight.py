@@ -28,7 +28,8 @@ class Sight:
     """From where cameras could see each voxel.
 
     Attributes:
-        any_way: (nx, ny, nz) uint8: FROM_ABOVE, FROM_BELOW, both, or 0 if no camera could see the voxel.
+        any_way: (nx, ny, nz) uint8: FROM_ABOVE, FROM_BELOW, both, or 0 if no camera could see the voxel. A
+            voxel seen FROM_ABOVE may lack the bit FROM_BELOW.
         from_above: (nx, ny, nz) bool, seen level or from above by a camera in a position of `lower`.
         space: where lines pass and cameras can be.
         lower: `space` without the camera positions reached only by rising into an object from below.

@@ -99,7 +99,7 @@ class VoxelEvidence:
         excluded: bool, cannot belong to the object.
         unseen: bool, above the floor and none of `free`, `near_surface` and `excluded`.
         sight: uint8, how a camera could see the voxel past the measured surfaces
-            (`core.voxels.lines_of_sight`).
+            (`Sight.any_way`).
         closed: bool, unseen and part of the object: no camera could see it, or a camera could see it only
             from below and the user states that the underside is closed.
         underside: bool, unseen, and a camera could see it only from below (`Sight.only_from_below`), whatever
