@@ -125,8 +125,14 @@ class Common:
         return self.place
 
     def beside(self, name: str) -> Path:
-        """Return a results folder's path: beside benchmark.yaml, or with `--benchmark` in the current one."""
-        return Path(name) if self.benchmark else self.root / name
+        """Return a results folder's path: beside benchmark.yaml, or with `--benchmark` in the current one.
+
+        Raises:
+            SettingsError: this is in a release, or in a store.
+        """
+        path = Path(name) if self.benchmark else self.root / name
+        refuse_in_release(path)
+        return path
 
     @property
     def options(self) -> list[str]:
@@ -214,7 +220,7 @@ Command = Callable[..., None]
 
 
 def takes(
-    *names: str, at_url: bool = False
+    *names: str, at_url: bool = False, makes_release: bool = False
 ) -> Callable[[Callable[Concatenate[Common, ...], int | None]], Command]:
     """Return a decorator that adds options of `Common` to a command, which gets a `Common` as first argument.
 
@@ -225,6 +231,7 @@ def takes(
     Args:
         names: names of the fields.
         at_url: whether the command also works on a benchmark in a store; if not, `--config URL` is an error.
+        makes_release: whether what it writes is a release, which may replace one.
     """
     shared = [field for field in fields(Common) if field.name in names]
     assert len(shared) == len(names), f"not all of {names} are fields of Common"
@@ -239,7 +246,9 @@ def takes(
             if not at_url:
                 _ = common.root
             _refuse_urls(options)
-            _refuse_releases(options, any(field.name == "benchmark" for field in shared))
+            for path in map(options.get, WRITTEN):
+                if isinstance(path, Path):
+                    refuse_in_release(path, makes_release=makes_release)
             status = command(common, **options)
             if status:
                 raise typer.Exit(status)
@@ -268,25 +277,31 @@ def _refuse_urls(options: Mapping[str, object]) -> None:
             )
 
 
-def _refuse_releases(options: Mapping[str, object], reads_one: bool) -> None:
-    """Raise an error if what a command writes would lie in a release, which would no longer be the published.
+def refuse_in_release(path: Path, *, makes_release: bool = False) -> None:
+    """Raise an error if a path is in a release, which would then no longer be the published one.
 
     Args:
-        options: the command's own options.
-        reads_one: whether the command reads a release; others may make one, or replace it whole.
+        path: the file or folder to be written.
+        makes_release: whether it becomes a release; then it may replace one as a whole.
     """
+    place = followed(path)
+    for folder in place.parents if makes_release else (place, *place.parents):
+        if _is_release(folder):
+            raise SettingsError(
+                f"{path}: in a release, {folder.name}/, which must stay as it was published; "
+                "name another place",
+                what="already-exists",
+            )
+
+
+def _is_release(folder: Path) -> bool:
     from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
     from kinectbench.core.artefacts.targets import SHA256SUMS
 
-    for path in (options.get(name) for name in WRITTEN):
-        place = followed(path) if isinstance(path, Path) else Path("/")
-        for folder in (place, *place.parents) if reads_one else place.parents:
-            if (folder / BENCHMARK_JSON).is_file() and (folder / SHA256SUMS).is_file():
-                raise SettingsError(
-                    f"{path}: in a release, {folder.name}/, which must stay as it was published; "
-                    "name another place",
-                    what="already-exists",
-                )
+    try:
+        return (folder / BENCHMARK_JSON).is_file() and (folder / SHA256SUMS).is_file()
+    except OSError:  # a name that is too long, or a folder that may not be read
+        return False
 
 
 def _known_ids(context: typer.Context, incomplete: str) -> list[str]:

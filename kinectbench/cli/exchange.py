@@ -87,7 +87,7 @@ def adapt_command(
     return SOME_FAILED if problems else exit_status(rows)
 
 
-@takes("as_json")
+@takes("as_json", makes_release=True)
 def import_command(
     common: Common,
     folder: Annotated[Path, typer.Argument(help="holds P1_<synset>_<category>/, or data_processing/")],

@@ -14,7 +14,7 @@ from kinectbench.core.store.address import shown, url_of
 SHOWN = 20
 
 
-@takes("as_json", "jobs")
+@takes("as_json", "jobs", makes_release=True)
 def fetch_command(
     common: Common,
     release: Annotated[

@@ -141,14 +141,14 @@ def predict_command(
 
     if score:
         how = run_of(trained, benchmark, threshold, chosen, where)
-        return _score(common, trained, benchmark, how, splits, surface, out or Path("scores"), where)
+        return _score(common, trained, benchmark, how, splits, surface, out or common.beside("scores"), where)
     for line in notes(trained, benchmark):
         say(line)
     failed = list[str]()
     how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits, "device": where}
     with console.progress_bar(f"predict {trained.config.name}") as progress:
         how_to |= {"progress": progress, "say": say, "failed": failed.append}
-        written = run(trained, benchmark, out or Path("predictions"), **how_to)
+        written = run(trained, benchmark, out or common.beside("predictions"), **how_to)
     console.lines(f"{trained.config.name}: error", console.by_mistake(failed), "red")
     common.tell_written(written)
     return SOME_FAILED if failed else 0

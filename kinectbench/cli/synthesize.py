@@ -10,7 +10,7 @@ from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
 
 
-@takes("overrides", "jobs", "as_json")
+@takes("overrides", "jobs", "as_json", makes_release=True)
 def synthesize_command(
     common: Common,
     out: Annotated[Path, typer.Argument(help="a new folder; a release that it wrote before is replaced")],

@@ -256,12 +256,14 @@ def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator
 def copy_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
     """Yield a message for each object whose mesh is byte for byte that of an object in another split.
 
-    What was recorded twice never is. A copy would be trained or chosen on before it is scored. Within one
-    split, collections of CAD models do have copies. Without a mesh all pairs are compared.
+    What was recorded twice never is. A copy would be trained or chosen on before it is scored. Collections of
+    CAD models do have copies: pairs without images are not compared. Without a mesh all pairs are compared.
     """
+    folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
     pairs = dict[tuple[str, str, str], list[str]]()
     for target in targets:
-        pairs.setdefault((target.recording, target.object, target.split), []).append(target.sha256)
+        if f"views/{target.recording}" in folders:
+            pairs.setdefault((target.recording, target.object, target.split), []).append(target.sha256)
     first = dict[object, tuple[str, str, str]]()
     for (recording, thing, split), hashes in pairs.items():
         mesh = sums.get(f"objects/{recording}/{OBJECT_FILES[0]}")

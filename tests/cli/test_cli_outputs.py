@@ -7,7 +7,8 @@ import pytest
 from command_lines import Command, check_line
 from small_benchmark import hashes
 
-from kinectbench.core.errors import StorageError
+from kinectbench.cli.common import refuse_in_release
+from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.storage import append_plain
 from kinectbench.release.release import Release
 
@@ -23,6 +24,12 @@ INTO: dict[str, list[str]] = {
     "baselines": ["baseline", "partial", "--benchmark", "release", "--out", "release"],
     "a simulation": ["simulate", "release/recording"],
     "an export": ["export", "release/bop", "--layout", "bop", "--benchmark", "release"],
+    "predictions of a network": ["predict", "recae-small", "release", "--out", "release"],
+    "a release": ["synthesize", "release/synthetic"],
+}
+DEFAULTS: dict[str, list[str]] = {
+    "scores": ["score", "--benchmark", "."],
+    "predictions of a network": ["predict", "recae-small", "."],
 }
 
 
@@ -39,8 +46,31 @@ def test_nothing_is_written_into_a_release(
     assert hashes(folder) == before
 
 
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_nothing_is_written_into_a_release_by_default(
+    command: Command, release: Release, tmp_path: Path, name: str
+) -> None:
+    if name != "scores":
+        pytest.importorskip("torch")
+    folder = Path(shutil.copytree(release.folder, tmp_path / "release"))
+    before = hashes(folder)
+    check_line(command(folder, *DEFAULTS[name]), 2, "in a release, release/, which must stay")
+    assert hashes(folder) == before
+
+
+def test_a_command_that_makes_a_release_may_replace_one(release: Release, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(release.folder, tmp_path / "release"))
+    refuse_in_release(folder, makes_release=True)
+    with pytest.raises(SettingsError, match="in a release, release/"):
+        refuse_in_release(folder)
+
+
+def test_a_name_that_is_too_long_is_in_no_release(tmp_path: Path) -> None:
+    refuse_in_release(tmp_path / ("a" * 300) / "scores")
+
+
 @pytest.mark.parametrize("place", ["file", "file/below", "nowhere"])
-def test_a_way_that_cannot_be_gone_is_one_line(tmp_path: Path, place: str) -> None:
+def test_a_path_that_cannot_be_followed_is_one_line(tmp_path: Path, place: str) -> None:
     (tmp_path / "file").write_text("kept", encoding="utf-8")
     (tmp_path / "nowhere").symlink_to(tmp_path / "missing/below")
     with pytest.raises(StorageError, match="the way to it holds a file, a broken link or nothing"):

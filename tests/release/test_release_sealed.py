@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from file_damage import seal
 from raising import raises
+from synthetic_release import publish_synthetic
 
 import kinectbench
 from kinectbench.core.artefacts.targets import benchmark_sha256, parse_sums
@@ -90,13 +91,14 @@ def test_without_meshes_all_pairs_are_compared(release: Release) -> None:
     other = next(target for target in others if target.object != first.object)
     twin = type(first)(**vars(other) | {"sha256": first.sha256, "split": "train"})
     here, there = replace(first, split="test"), replace(twin, split="test")
-    assert [*copy_problems([here, twin], {})] == [
+    images = {f"views/{each.recording}/{each.view}.depth.png": "" for each in (first, twin)}
+    assert [*copy_problems([here, twin], {})] == []  # of no recording
+    assert [*copy_problems([here, twin], images)] == [
         f"targets.csv: {twin.recording} (train) is a copy of {first.recording} (test), though its object is "
         f"'{twin.object}' and not '{first.object}'; name one object, in one split"
     ]
-    # Collections of CAD models do have copies: within a split each counts as an object.
-    assert [*copy_problems([here, there], {})] == []
-    assert [*copy_problems([first, other], {})] == []
+    assert [*copy_problems([here, there], images)] == []
+    assert [*copy_problems([first, other], images)] == []
     assert [*copy_problems(release.targets, release.sums)] == []
 
 
@@ -123,16 +125,27 @@ def test_the_last_line_may_lack_its_end() -> None:
     assert parse_sums("", "") == {}
 
 
-def with_uri(folder: Path) -> None:
-    """A GLB whose buffer lies elsewhere: whoever shows it would fetch it."""
+def with_entry(folder: Path, part: str, key: str, value: str) -> None:
+    """A GLB with another entry in the first of its buffers or meshes."""
     content = (folder / GLB).read_bytes()
     (length,) = struct.unpack_from("<I", content, 12)
     header = json.loads(content[20 : 20 + length])
-    header["buffers"][0]["uri"] = "https://example.org/shape.bin"
+    header[part][0][key] = value
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 4)
     parts = (content[:8], struct.pack("<2I", len(content) - length + len(text), len(text)), content[16:20])
     (folder / GLB).write_bytes(b"".join((*parts, text, content[20 + length :])))
+
+
+def with_uri(folder: Path) -> None:
+    """A GLB whose buffer lies elsewhere: whoever shows it would fetch it."""
+    with_entry(folder, "buffers", "uri", "https://example.org/shape.bin")
+
+
+def test_a_mesh_may_be_named_uri(copy: Path) -> None:
+    with_entry(copy, "meshes", "name", "uri")
+    seal(copy)
+    assert verify(copy) == []
 
 
 def more_of(place: str) -> Callable[[Path], object]:
@@ -144,17 +157,25 @@ def surface_of_nobody(folder: Path) -> None:
     shutil.copy(folder / "objects/chair_01/mesh.ply", folder / "surfaces/nobody.ply")
 
 
-def in_card(spaced: str) -> Callable[[Path], object]:
-    """A second row of figures of one recording, before or beside the right one."""
+def in_card(spaced: str, name: str = "chair_01", more: int = 0) -> Callable[[Path], object]:
+    """A second row of figures of one recording, with so many more cells than the right one."""
 
     def change(folder: Path) -> None:
         path = folder / "README.md"
         text = path.read_text(encoding="utf-8")
         right = next(line for line in text.splitlines() if line.startswith("| chair_01 |") and "0.9" in line)
-        cells = ["chair_01", *["0.999"] * (right.count(" | "))]
+        cells = [name, *["0.999"] * (right.count(" | ") + more)]
         path.write_text(f"{text}\n{spaced.join(('', *cells, '')).strip()}\n", encoding="utf-8")
 
     return change
+
+
+def test_a_recording_may_be_named_as_its_category(tmp_path: Path) -> None:
+    """The card's tables of categories have a row of that name, too."""
+    folder = publish_synthetic(tmp_path, (("chair", "chair", "chair", "test", 2),)).folder
+    rows = [line for line in (folder / "README.md").read_text().splitlines() if line.startswith("| chair |")]
+    assert len({row.count("|") for row in rows}) > 1
+    assert verify(folder) == []
 
 
 CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -167,6 +188,10 @@ CHANGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "an open mesh of nobody": (surface_of_nobody, "surfaces/nobody.ply: of a recording that benchmark.json"),
     "other figures in the card": (in_card(" | "), "README.md: has the row '| chair_01 | 0.999"),
     "other figures without spaces": (in_card("|"), "README.md: has the row '|chair_01|0.999"),
+    "other figures in bold": (in_card("|", "**chair_01**"), "README.md: has the row '|**chair_01**|"),
+    "other figures of code": (in_card("|", "`chair_01`"), "README.md: has the row '|`chair_01`|"),
+    "one figure more": (in_card("|", more=1), "README.md: has the row '|chair_01|0.999"),
+    "one figure less": (in_card("|", more=-1), "README.md: has the row '|chair_01|0.999"),
 }
 
 

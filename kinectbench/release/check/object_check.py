@@ -88,7 +88,7 @@ def _glb_fault(content: bytes) -> str | None:
         return f"what it says of itself is not valid JSON ({error})"
     if not isinstance(header, dict) or not header.get("meshes"):
         return "holds no mesh"
-    if '"uri"' in json.dumps(header):
+    if '"uri": ' in json.dumps(header):  # a key, of a buffer, an image or an extension
         return "names other files by a URI, which whoever shows it would open"
     return None
 

@@ -104,6 +104,17 @@ def test_noise_is_in_the_settings_and_in_the_card(models: Path, tmp_path: Path) 
     assert line in report.lines and line in (report.folder / "README.md").read_text()
 
 
+def test_a_collection_may_hold_a_model_thrice(models: Path, tmp_path: Path) -> None:
+    """Its author cannot mend that: the release verifies."""
+    for name in ("a", "b", "c"):
+        path = tmp_path / "cad/chair" / f"{name}.obj"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(models / "03001627/c0/models/model_normalized.obj", path)
+    report = synthesize(settings(tmp_path / "cad", train=1, most_views=1), tmp_path / "out")
+    assert {target.split for target in open_release(report.folder).targets} == {"train", "validation", "test"}
+    assert verify(report.folder) == []
+
+
 def test_the_files_say_which_rule_filled_them(release: Release) -> None:
     for target in release.targets:
         expected = "six-rays" if target.object == "t0" else "winding"
