@@ -163,7 +163,7 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
         if name not in known:
             near = get_close_matches(name, known, 1)
             hint = f"did you mean '{near[0]}'?" if near else f"there are {listed(known)}"
-            raise SettingsError(f"no recording '{name}' in benchmark.yaml; {hint}", what="no-recording")
+            raise SettingsError(f"{common.config}: no recording '{name}'; {hint}", what="no-recording")
     wanted = set(ids) if ids else known.keys()
     return [Job(settings, r, common.place) for r in settings.recordings if r.id in wanted]
 

@@ -79,3 +79,11 @@ def test_what_is_long_or_private_is_found() -> None:
     assert faults(text, 20) == ["100 words", long.rstrip("\n"), "tell"]
     code = "def _is_told(tie: int) -> None:  # Own\n# choice, Lest anew; 'max_doubts', multiplied"
     assert PRIVATE.findall(ALLOWED.sub("", code)) == ["told", "tie", "Own\n# choice", "Lest", "anew"]
+
+
+def test_no_table_is_cut_by_a_blank_line() -> None:
+    for page in PROSE:
+        lines = page.read_text(encoding="utf-8").split("\n")
+        begins = [n for n in range(1, len(lines) - 1) if lines[n].startswith("|") and not lines[n - 1]]
+        cut = [lines[n] for n in begins if not re.fullmatch(r"\|[-| :]+\|", lines[n + 1])]
+        assert cut == [], page

@@ -96,17 +96,15 @@ class EstimateMethod(StoredPart):
         None,
         description="distance of a voxel's probability from 0 or 1 within which the voxel counts as decided",
     )
-    resolved_voxels: float | None = Field(
-        None, description="thickness in voxels below which that of a wall is not resolved"
-    )
-    thickness_block_voxels: int | None = Field(
-        None, description="thickness is measured within three blocks of so many voxels along each axis"
+    edge_share: float | None = Field(
+        None,
+        description="share of the known solid that an opening takes from edges; what it takes beyond is thin",
     )
     expected_of_thin: float | None = Field(
-        None, description="expected thickness of such a wall, as a share of the measured one"
+        None, description="expected thickness of thin parts, as a share of the measured one"
     )
     max_unresolved_share: float | None = Field(
-        None, description="largest share of the known solid in such walls; beyond it, they are a reason"
+        None, description="largest share of the known solid in thin parts; beyond it, they are a reason"
     )
     max_volume_share_per_mm: float = Field(
         description="largest share of the volume that 1 mm of surface may be; beyond it, thin parts are a "

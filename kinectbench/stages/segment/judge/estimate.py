@@ -122,7 +122,7 @@ def estimate_iou(
 
     In the known part, only the surface error lowers the IoU. This error is the sum of a constant, a term for
     thin parts, the deviation between the halves of odd and even frames, and the poses' errors, which both
-    halves share. Of walls too thin to be resolved, half of the measured thickness is expected, and for the
+    halves share. Of parts too thin to be resolved, half of the measured thickness is expected, and for the
     interval's lower end nothing. In the unknown part, the voxels' probabilities give the expected
     volumes. For the interval, each unknown region is inside or outside as a whole.
 
@@ -144,7 +144,7 @@ def estimate_iou(
     # Trusted poses that no frame could check cost nothing in the estimate, but widen the interval.
     most += 1000 * OFF_PER_POSE * (median_m - pose_error.median_m) * per_mm
     least = max(0.0, missing * (1 - MISSED_LESS) - MISSED_LEAST)
-    # Of a wall that is thinner than it was measured, what is left is the IoU.
+    # Of a part that is thinner than it was measured, what is left is the IoU.
     usual_left, least_left = 1 - (1 - EXPECTED_OF_THIN) * unresolved, 1 - unresolved
     expected = _expected(shape)
     value = expected.iou(1 - max(0.0, 1 - missing) * usual_left)
@@ -227,7 +227,7 @@ def _reasons(
         (per_mm > MAX_VOLUME_SHARE_PER_MM, f"thin parts: 1 mm of surface is {per_mm:.0%} of the volume"),
         (
             unresolved > MAX_UNRESOLVED_SHARE,
-            f"walls too thin for their thickness to be measured: {unresolved:.0%} of what is known",
+            f"parts too thin for their thickness to be measured: {unresolved:.0%} of what is known",
         ),
         (
             shifted_share > MAX_SHIFTED_SHARE,
