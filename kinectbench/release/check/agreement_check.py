@@ -215,8 +215,11 @@ def _other_figures(text: str, tables: Sequence[str], categories: Collection[str]
 
     The first of `tables`, those that follow from benchmark.json, has the figures of all recordings. A row of
     it is known by its first cell; if that is also a category, which has tables too, by its number of cells.
+    A recording whose own row is missing has a message already.
     """
-    wanted = {cells[0]: cells for cells in map(_cells, tables[0].splitlines()[2:])}
+    whole = f"\n{text}\n"
+    rows = (row for row in tables[0].splitlines()[2:] if f"\n{row}\n" in whole)
+    wanted = {cells[0]: cells for cells in map(_cells, rows)}
     stated = {line for table in tables for line in table.splitlines()}
     for _, line in _lines(text):
         cells = _cells(line) if "|" in line and line not in stated else []

@@ -41,6 +41,7 @@ ASIDE = {
 }
 # Constants that shape nothing but words, extents of grids, or solids that are only compared.
 NO_FIGURES = {
+    ("segment", "SOLIDS"): "of the progress bar",
     ("frontiers", "STREAKS"): "words of advice, as is the size of a frontier",
     ("frontiers", "STEEP"): "words of advice; `look_from` is recorded",
     ("frontiers", "LEVEL"): "words of advice; `look_from` is recorded",
