@@ -76,15 +76,17 @@ def check_intrinsics(probe: Probe) -> Iterator[Finding]:
     off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
     ratio = ratio_by_centre(camera.cx, camera.cy, (camera.width, camera.height))
     if ratio is not None:
+        severity: Severity = "stops" if off > OFF_CENTRE else "warning"
+        are = "are" if severity == "stops" else "may be"
         what = (
-            f"the intrinsics ({shown}) are those of {camera.width / ratio:.0f}x{camera.height / ratio:.0f} "
+            f"the intrinsics ({shown}) {are} those of {camera.width / ratio:.0f}x{camera.height / ratio:.0f} "
             f"images, but depth is {size}"
         )
         said = Intrinsics(fx=camera.fx, fy=camera.fy, cx=camera.cx, cy=camera.cy)
-        advice = f"multiply them by {ratio:.3g}: {said.scaled_line(ratio)}"
-        severity: Severity = "stops" if off > OFF_CENTRE else "warning"
-        yield Finding("intrinsics_resolution", severity, what, probe.where, advice)
-        return
+        scaled = f"multiply them by {ratio:.3g}: {said.scaled_line(ratio)}"
+        yield Finding("intrinsics_resolution", severity, what, probe.where, scaled)
+        if severity == "stops":
+            return
     if off > OFF_CENTRE:
         what = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {size} images"
         yield Finding("principal_point", "warning", what, probe.where, advice)

@@ -1,5 +1,6 @@
 """A camera whose y axis points up, as ICL-NUIM's with its negative fy: what is read, and what is said."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,13 @@ import pytest
 from analytic_scenes import box, depth_of, plane, ring, sphere
 from ingest_writers import png
 
+from kinectbench.core import IntrinsicsError
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import trajectory_text
 from kinectbench.core.types import Float64
 from kinectbench.doctor import inspect
+from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 
 CAMERA = Camera(160, 120, 130.0, 130.0, 80.0, 59.0)
@@ -45,9 +48,7 @@ def test_poses_beside_a_negative_fy_are_read_with_y_down(tmp_path: Path, traject
     recording = open_recording(folder)
     assert recording.camera == CAMERA and recording.given_trajectory is not None
     assert np.allclose(recording.given_trajectory.T_world_camera, POSES, atol=1e-6)
-    assert (
-        len([line for line in recording.warnings if "fy is -130: the camera's y axis points up" in line]) == 1
-    )
+    assert len([line for line in recording.warnings if "fy is negative: the camera's y axis" in line]) == 1
     diagnosis, _ = inspect(folder)
     assert diagnosis.facts["poses_read_as"] == "as given" and not diagnosis.stops
 
@@ -75,3 +76,31 @@ def test_two_negative_focal_lengths_are_refused(tmp_path: Path) -> None:
     (folder / "intrinsics.txt").write_text(f"{-CAMERA.fx} {-CAMERA.fy} {CAMERA.cx} {CAMERA.cy}")
     (found,) = (each for each in inspect(folder)[0].findings if each.severity == "stops")
     assert "are not positive numbers" in found.what
+
+
+def test_fy_of_the_settings_means_that_y_points_down(tmp_path: Path) -> None:
+    folder = write(tmp_path / "r", POSES, -CAMERA.fy)
+    given = CameraSettings(fx=CAMERA.fx, fy=CAMERA.fy, cx=CAMERA.cx, cy=CAMERA.cy)
+    recording = open_recording(folder, given)
+    assert recording.camera == CAMERA and recording.given_trajectory is not None
+    assert np.allclose(recording.given_trajectory.T_world_camera, POSES, atol=1e-6)
+    assert not [line for line in recording.warnings if "points up" in line]
+
+
+def test_without_poses_nothing_is_mirrored_and_nothing_said(tmp_path: Path) -> None:
+    folder = write(tmp_path / "r", POSES, -CAMERA.fy)
+    (folder / "trajectory.txt").unlink()
+    recording = open_recording(folder)
+    assert recording.camera == CAMERA and not [line for line in recording.warnings if "points up" in line]
+
+
+def test_colour_calibrated_to_a_camera_with_y_up_is_refused(tmp_path: Path) -> None:
+    folder = write(tmp_path / "r", POSES, -CAMERA.fy)
+    (folder / "intrinsics.txt").unlink()
+    pixels = {name: getattr(CAMERA, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    color = {"color_camera": pixels, "T_color_depth": np.eye(4).tolist()}
+    (folder / "camera.json").write_text(json.dumps(pixels | color | {"fy": -CAMERA.fy}))
+    with pytest.raises(IntrinsicsError, match="'T_color_depth' beside an fy of -130"):
+        open_recording(folder)
+    (folder / "camera.json").write_text(json.dumps(pixels | color))
+    assert open_recording(folder).color_calibration is not None

@@ -163,12 +163,14 @@ def ratio_by_centre(cx: float, cy: float, size_px: tuple[int, int]) -> float | N
     Returns:
         The ratio; None if the point may be of these images, or if both axes give different ratios.
     """
+    if min(cx, cy) <= -0.5:
+        return None
     width, height = size_px
     across, down = width / (2 * cx + 1), height / (2 * cy + 1)
     off = [abs(cx / width - 0.5), abs(cy / height - 0.5)]
     clearly = max(off) > OFF_CENTRE
     apart = SAME_RATIO if clearly else SAME_SLIGHTLY
-    if min(across, down) <= 0 or abs(across / down - 1) >= apart or not (clearly or min(off) > SLIGHTLY_OFF):
+    if abs(across / down - 1) >= apart or not (clearly or min(off) > SLIGHTLY_OFF):
         return None
     ratio = min((max(size_px) / side for side in COMMON_SIDES_PX), key=lambda each: abs(each / across - 1))
     if abs(ratio / across - 1) < NEARLY:

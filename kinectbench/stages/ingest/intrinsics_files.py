@@ -24,6 +24,7 @@ from kinectbench.stages.ingest.intrinsics import (
     intrinsics_of_keys,
     of_four_numbers,
     pinhole,
+    read_color_calibration,
     read_intrinsics_json,
     read_intrinsics_matrix,
 )
@@ -93,25 +94,30 @@ def find_intrinsics(
         RecordingError: a file does not contain what its name says, or YAML files have different cameras.
     """
     found, file = _camera_of_files(path, settings)
-    if found.fx is not None and found.fy is not None and found.fx > 0 > found.fy:
-        found = _with_y_down(found, path)
+    # An fy of the settings replaces a negative one, and means that y points down.
+    if settings.fy is None and found.fx is not None and found.fy is not None and found.fx > 0 > found.fy:
+        found = _with_y_down(found, file)
     if found.depth_scale is not None or settings.depth_scale is not None:
         return found, file
     scale, notes = _scale_beside(path, usual_scale)
     return replace(found, depth_scale=scale, notes=(*found.notes, *notes)), file
 
 
-def _with_y_down(found: Intrinsics, path: Path) -> Intrinsics:
-    """Return intrinsics whose negative fy is made positive, with a note; the poses have another y axis then.
+def _with_y_down(found: Intrinsics, file: Path | None) -> Intrinsics:
+    """Return intrinsics whose negative fy is made positive; the poses have another y axis then.
 
     ICL-NUIM (Handa et al., ICRA 2014) states fy = -480: its images are upright, but y points up in its poses.
+
+    Raises:
+        RecordingError: the JSON file of the intrinsics also states the pose of the colour camera.
     """
     assert found.fy is not None
-    note = (
-        f"{path}: fy is {found.fy:g}: the camera's y axis points up, as ICL-NUIM's: it is read as "
-        f"{-found.fy:g}, and y is mirrored in given poses, and so in the world"
-    )
-    return replace(found, fy=-found.fy, y_up=True, notes=(*found.notes, note))
+    if file is not None and read_color_calibration(file) is not None:
+        raise IntrinsicsError(
+            f"{file}: 'T_color_depth' beside an fy of {found.fy:g} is ambiguous: write fy as {-found.fy:g}, "
+            "and T_color_depth and the poses for cameras whose y axis points down"
+        )
+    return replace(found, fy=-found.fy, y_up=True)
 
 
 def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[str, ...]]:
@@ -163,7 +169,13 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
 
 def _read_text(file: Path) -> Intrinsics:
     """Read a text with a pinhole matrix, with fx, fy, cx, cy, or with a value behind each name."""
-    return intrinsics_in_words(read_text(file, YAML_BYTES), file) or read_intrinsics_matrix(file)
+    try:
+        return read_intrinsics_matrix(file)
+    except RecordingError:
+        by_name = intrinsics_in_words(read_text(file, YAML_BYTES), file)
+        if by_name is None:
+            raise
+        return by_name
 
 
 def named_like_intrinsics(path: Path) -> str:

@@ -15,6 +15,7 @@ from kinectbench.stages.ingest.intrinsics import MATRIX_SHAPES, NEEDED, SAME_AS,
 NAMED_VALUE = re.compile(
     r"(?<![\w.])(fx|fy|cx|cy|ppx|ppy|width|height)[\"']?[ \t]*[:=][ \t]*([-+.\deE]{1,30})", re.IGNORECASE
 )
+COMMENT = re.compile(r"#[^\r\n]*")
 # A matrix as OpenCV's FileStorage writes it in XML; the bounds keep the search short in any text.
 XML_MATRIX = re.compile(
     r"<(camera_?matrix|K|M1|intrinsics?|intrinsic_matrix)\b[^>]{0,200}>.{0,400}?<data>([^<]{1,2000})</data>",
@@ -25,15 +26,17 @@ XML_MATRIX = re.compile(
 def intrinsics_in_words(text: str, file: Path) -> Intrinsics | None:
     """Read the pinhole camera from a text with fx, fy, cx and cy by name; None if one is missing.
 
+    Comments, from # to the end of the line, are not read.
+
     Args:
         text: the content of the file.
         file: for messages.
 
     Raises:
-        RecordingError: a name has two values, as of two cameras.
+        RecordingError: a name has two values, as of two cameras, or a size is not a number of pixels.
     """
     values: dict[str, Any] = {}
-    for said, word in NAMED_VALUE.findall(text):
+    for said, word in NAMED_VALUE.findall(COMMENT.sub("", text)):
         key, number = SAME_AS.get(said.lower(), said.lower()), None
         with suppress(RecordingError):
             number = parse_floats([word], "")[0]
@@ -44,7 +47,12 @@ def intrinsics_in_words(text: str, file: Path) -> Intrinsics | None:
             )
     if not all(key in values for key in NEEDED):
         return None
-    return Intrinsics(**values | {key: int(values[key]) for key in ("width", "height") if key in values})
+    for key in ("width", "height"):
+        if key in values:
+            if not (values[key] > 0 and values[key].is_integer()):
+                raise IntrinsicsError(f"{file}: '{key}:' is not a number of pixels; correct it")
+            values[key] = int(values[key])
+    return Intrinsics(**values)
 
 
 def intrinsics_in_xml(text: str, file: Path) -> Intrinsics | None:

@@ -72,3 +72,20 @@ def test_two_cameras_in_one_text_are_not_mixed(tmp_path: Path) -> None:
     (folder / "intrinsics.txt").rename(folder / "scan.info.txt")
     with pytest.raises(RecordingError, match=r"it may stand in scan\.info\.txt"):
         open_recording(folder)
+
+
+def test_a_matrix_is_read_and_not_the_comment_above_it(tmp_path: Path) -> None:
+    text = f"# colour camera: fx=120 fy=120 cx=63.5 cy=47.5\n# depth:\n{FX} 0 {CX}\n0 {FY} {CY}\n0 0 1\n"
+    assert open_recording(folder_with(tmp_path, "intrinsics.txt", text)).camera == SMALL
+
+
+@pytest.mark.parametrize("text", [NAMES.replace("\n", " # was fx: 60.5\n"), "# fx: 90\n" + NAMES])
+def test_comments_are_no_second_camera(tmp_path: Path, text: str) -> None:
+    assert open_recording(folder_with(tmp_path, "intrinsics.txt", text)).camera == SMALL
+
+
+@pytest.mark.parametrize("width", ["1e999", "63.5", "-64", "0"])
+def test_a_size_is_a_number_of_pixels(tmp_path: Path, width: str) -> None:
+    folder = folder_with(tmp_path, "intrinsics.txt", NAMES.replace(f"width: {WIDTH}", f"width: {width}"))
+    with pytest.raises(RecordingError, match="'width:' is not a number of pixels"):
+        open_recording(folder)

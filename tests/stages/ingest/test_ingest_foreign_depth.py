@@ -2,7 +2,9 @@
 
 import gzip
 import io
+import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +13,10 @@ import numpy as np
 import pytest
 from ingest_writers import HEIGHT, WIDTH, color_image, depth_image, jpeg, png
 
+from kinectbench.core import untrusted
 from kinectbench.core.errors import RecordingError
-from kinectbench.stages.ingest.readers import open_recording
+from kinectbench.stages.ingest.readers import foreign_depth, open_recording
+from kinectbench.stages.ingest.readers.color_only import without_depth
 
 MM = depth_image(0, 1000.0)
 METRES = MM.astype(np.float32) / 1000
@@ -128,3 +132,86 @@ def test_three_pictures_of_depth_among_many_of_colour_are_named(tmp_path: Path) 
     for i in range(3):
         (folder / f"data/depth_filtered/depth{i}.png").write_bytes(png(MM.astype(np.uint8)))
     assert "its 3 images named depth, such as data/depth_filtered/depth0.png, are pictures" in refused(folder)
+
+
+@pytest.mark.parametrize("name", ["it's", 'a"); raise SystemExit("', "back\\slash", "{f}", "x" * 200])
+@pytest.mark.parametrize("kind", [".raw", ".pgm"])
+def test_the_line_holds_any_name_as_a_text(
+    tmp_path: Path, name: str, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = folder_of(
+        tmp_path, f"depth/{name.replace('{', '{{').replace('}', '}}')}{{}}{kind}", CONVERTED[kind]
+    )
+    (line,) = re.findall("such as by `(.*?)`", refused(folder))
+    monkeypatch.chdir(folder)
+    exec(line, {})
+    assert np.load(f"depth/{name}0.npy").shape == MM.shape
+
+
+def test_a_name_that_ends_the_line_has_none(tmp_path: Path) -> None:
+    said = refused(folder_of(tmp_path, "depth/`touch x`{}.pgm", CONVERTED[".pgm"]))
+    assert ".pgm is not read: write it as" in said and "such as by" not in said
+
+
+def test_each_folder_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [f"{i}{kind}" for kind in (".bin", ".raw", ".dat") for i in range(5)]
+    for number in range(30):
+        (tmp_path / f"r/{number}").mkdir(parents=True)
+        for name in names:
+            (tmp_path / f"r/{number}/{name}").touch()
+    entries, scanned = list[str](), untrusted.scanned
+
+    def counted(*arguments: Any) -> Iterator["os.DirEntry[str]"]:
+        for entry in scanned(*arguments):
+            entries.append(entry.name)
+            yield entry
+
+    for module in (untrusted, foreign_depth):
+        monkeypatch.setattr(module, "scanned", counted, raising=False)
+    assert without_depth(tmp_path / "r", ()) is None
+    assert len(entries) == 30 * (1 + len(names))
+    monkeypatch.setattr(foreign_depth, "MOST_ENTRIES", 100)
+    entries.clear()
+    assert without_depth(tmp_path / "r", ()) is None
+    assert len(entries) <= 101
+
+
+def test_the_size_of_colour_is_found_behind_other_files(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "depth/{:04d}.raw", np.zeros((HEIGHT, WIDTH + 1), np.uint16).tobytes())
+    for file in (folder / "color").iterdir():
+        file.unlink()
+    for number in range(9):
+        (folder / f"color/{number}.json").touch()
+    (folder / "color/image.png").write_bytes(png(np.zeros((HEIGHT, WIDTH + 1), np.uint8)))
+    assert f"reshape({HEIGHT}, {WIDTH + 1})" in refused(folder)
+
+
+def test_links_below_the_folder_are_not_followed(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path, "more/{:04d}.txt", b"x")
+    (tmp_path / "elsewhere/depth").mkdir(parents=True)
+    for number in range(5):
+        (tmp_path / f"elsewhere/depth/{number}.raw").write_bytes(CONVERTED[".raw"])
+    assert ".raw is not read" in refused(tmp_path / "elsewhere")
+    (folder / "link").symlink_to(tmp_path / "elsewhere")
+    assert "holds 5 colour images, but no depth" in refused(folder)
+
+
+def test_a_folder_that_cannot_be_read_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = folder_of(tmp_path, "closed/{:04d}.txt", b"x")
+    scandir = os.scandir
+
+    def closed(path: Any) -> Any:
+        if Path(path).name == "closed":
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", closed)
+    assert "holds 5 colour images, but no depth" in str(without_depth(folder, ()))
+    with pytest.raises(PermissionError):
+        without_depth(folder / "closed", ())
+
+
+@pytest.mark.parametrize("kind", [".bag", ".mkv", ".sens", ".zip", ".db3.zstd"])
+def test_damaged_files_of_kinds_that_are_read_are_not_called_unread(tmp_path: Path, kind: str) -> None:
+    said = refused(folder_of(tmp_path, f"depth_{{}}{kind}", b"x" * 100))
+    assert "is not read" not in said and "look like depth" not in said

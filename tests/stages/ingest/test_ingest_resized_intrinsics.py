@@ -61,14 +61,19 @@ def test_inspect_gives_the_scaled_values(tmp_path: Path, ratio: float) -> None:
     assert found.severity == "stops" and is_right(folder, found.advice)
 
 
-def test_a_principal_point_a_little_off_both_axes_is_a_warning(tmp_path: Path) -> None:
+def resized(tmp_path: Path, fx: float, fy: float) -> Path:
+    """A recording of 512x384 beside intrinsics whose principal point is that of 640x480."""
     folder = write_folder(tmp_path / "r")
     for file in folder.glob("*/*.*g"):
         image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
         file.write_bytes(png(cv2.resize(image, (512, 384), interpolation=cv2.INTER_NEAREST)))
-    stated = {"fx": 525, "fy": 525, "cx": 319.5, "cy": 239.5}
+    stated = {"fx": fx, "fy": fy, "cx": 319.5, "cy": 239.5}
     (folder / "camera_intrinsic.json").write_text(json.dumps(stated))
-    diagnosis, _ = inspect(folder)
+    return folder
+
+
+def test_a_principal_point_a_little_off_both_axes_is_a_warning(tmp_path: Path) -> None:
+    diagnosis, _ = inspect(resized(tmp_path, fx=525, fy=525))
     (found,) = (each for each in diagnosis.findings if each.name == "intrinsics_resolution")
     assert found.severity == "warning" and offered(found.advice).fx == pytest.approx(420)
 
@@ -98,3 +103,17 @@ def test_the_ratio_of_sizes_is_that_of_common_sensors(
 ) -> None:
     found = ratio_by_centre(cx, cy, size_px)
     assert found == (None if ratio is None else pytest.approx(ratio))
+
+
+def test_a_warning_hides_no_other_finding(tmp_path: Path) -> None:
+    folder = resized(tmp_path, fx=525, fy=1050)
+    names = {each.name: each for each in inspect(folder)[0].findings}
+    assert (
+        "(fx 525, fy 1050, cx 319.5, cy 239.5) may be those of 640x480" in names["intrinsics_resolution"].what
+    )
+    assert "aspect" in names
+
+
+@pytest.mark.parametrize(("cx", "cy"), [(-0.5, 100.0), (100.0, -0.5), (-0.5, -0.5), (-3.0, -3.0)])
+def test_a_principal_point_left_of_or_above_the_image_has_no_ratio(cx: float, cy: float) -> None:
+    assert ratio_by_centre(cx, cy, (640, 480)) is None

@@ -270,7 +270,7 @@ def _unknown(path: Path) -> str:
     above = next((folder for folder in path.parents[:2] if path.is_file() and format_of(folder)), None)
     if above is not None:
         return f"{path}: is one file of a recording; give its folder, {above}"
-    reason = None if inside else without_depth(path)
+    reason = None if inside else without_depth(path, name_suffixes())
     if reason is not None:
         return reason
     if path.is_file() and (reason := foreign_file(path)) is not None:

@@ -1,21 +1,18 @@
 """Messages on unsupported paths: colour without depth, or depth of an unsupported layout or kind."""
 
 import re
-from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path
 
-from kinectbench.core import listed_paths, printable, read_head
+from kinectbench.core import printable, read_head
 from kinectbench.core.encoded_images import PNG_MAGIC
 from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD, HEAD_BYTES, is_16_bit
 from kinectbench.stages.ingest.readers.foreign_depth import (
     CONVERT,
     LEAST_IMAGES,
-    LOOKED_AT,
     MOVE,
     PICTURES,
+    Listed,
     conversion,
-    folders_below,
     if_depth,
     is_named_depth,
     unread_files,
@@ -37,12 +34,17 @@ PACKED = (
 RECORD = "record with a camera that measures depth, such as a Kinect, a RealSense, or a phone with LiDAR"
 
 
-def without_depth(path: Path) -> str | None:
+def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
     """Return an error message that states why no depth can be read from a video or a folder of images.
 
     The images may be colour only, or depth in a layout or format that is not read: 16-bit PNG in unknown
     folders, 8-bit pictures, EXR. The result is None for another file, and for a folder with fewer than five
     images and no such depth.
+
+    Args:
+        path: the file or folder.
+        readable: suffixes, with their dots, of recordings that are read: such files are damaged, and not of
+            an unread kind.
 
     Raises:
         OSError: a file cannot be read.
@@ -50,26 +52,30 @@ def without_depth(path: Path) -> str | None:
     if path.is_file():
         video = path.suffix.lower() in VIDEO_SUFFIXES
         return f"{path}: is a video, which holds colour only: {RECORD}" if video else None
-    unread = _unread_kind(path)
+    if not path.is_dir():
+        return None
+    listed = Listed.of(path, readable)
+    unread = _unread_kind(listed)
     if unread is not None:
         return unread
     images, samples, pictures = 0, list[Path](), list[Path]()
-    for folder, files in _image_folders(path):
+    for folder, inside in listed.files.items():
+        files = [file for file in inside if file.suffix.lower() in PICTURES]
         images += len(files)
         samples += _one_of_each_kind(files)
         of_depth = is_named_depth(folder.name) and folder != path
         pictures += [file for file in files if of_depth or DEPTH_WORD.fullmatch(file.stem)]
     deep = next((file for file in samples if is_16_bit(file)), None)
     if deep is not None:
-        inside = deep.parent.relative_to(path).as_posix() if deep.parent != path else path.name
-        where = f"{printable(inside)}/ holds 16-bit PNG images that look like depth ({printable(deep.name)})"
+        place = deep.parent.relative_to(path).as_posix() if deep.parent != path else path.name
+        where = f"{printable(place)}/ holds 16-bit PNG images that look like depth ({printable(deep.name)})"
         return f"{path}: {where}, but in no layout that is known: {MOVE}"
     return (
-        unread_files(path)
+        unread_files(listed)
         or (_of_pictures(path, pictures) if len(pictures) >= LEAST_PICTURES else None)
         or (
             f"{path}: holds {images} colour images, but no depth that is read ({KINDS}): "
-            f"{if_depth(path)}{RECORD}"
+            f"{if_depth(listed)}{RECORD}"
             if images >= LEAST_IMAGES
             else None
         )
@@ -94,24 +100,13 @@ def _of_pictures(path: Path, pictures: list[Path]) -> str:
     return f"{line}; {PACKED}" if packed else line
 
 
-def _unread_kind(path: Path) -> str | None:
+def _unread_kind(listed: Listed) -> str | None:
     """Return an error message on EXR depth images, which are not supported; None if there are none."""
-    if not path.is_dir():
+    every = (file for files in listed.files.values() for file in files)
+    first = next((file for file in every if file.suffix.lower() == ".exr"), None)
+    if first is None:
         return None
-    for folder in folders_below(path):
-        files = sorted(listed_paths(folder, wanted=lambda name: name.lower().endswith(".exr")))
-        if files:
-            return (
-                f"{path}: {printable(str(files[0].relative_to(path)))}: EXR images are not read; of Record3D "
-                f"export the .r3d file, else {conversion(path, files[0])}; then {MOVE}"
-            )
-    return None
-
-
-def _image_folders(path: Path) -> Iterator[tuple[Path, list[Path]]]:
-    """Yield (folder, its images) for the folder and those below it; folders without images are skipped."""
-    for folder in folders_below(path):
-        files = (file for file in islice(listed_paths(folder), LOOKED_AT) if file.is_file())
-        images = sorted(file for file in files if file.suffix.lower() in PICTURES)
-        if images:
-            yield folder, images
+    return (
+        f"{listed.path}: {printable(str(first.relative_to(listed.path)))}: EXR images are not read; of "
+        f"Record3D export the .r3d file, else {conversion(listed, first)}; then {MOVE}"
+    )

@@ -172,7 +172,8 @@ class FolderRecording(ConfidenceRecording):
             lambda: _read_trajectory(path, stamps_ns, files, depth.stems)
         )
         if trajectory is not None and intrinsics.y_up:
-            trajectory = with_y_down(trajectory)
+            trajectory, note = with_y_down(trajectory, path)
+            warnings = [*warnings, note]
         return cls(
             path=path,
             places=files,

@@ -1,12 +1,14 @@
 """Name files that look like depth, but are of a kind or in a layout that is not read, and say what to do."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
-from kinectbench.core import listed_paths, printable, read_head
+from kinectbench.core import printable, read_head, scanned
 from kinectbench.stages.ingest.depth_files import ARRAYS, depth_size_px
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_SIDE_PX
@@ -14,8 +16,9 @@ from kinectbench.stages.ingest.recording import read_image_file
 
 # Enough images to be a recording, or a folder of depth, and not a stray picture.
 LEAST_IMAGES = 5
-# Limits of the search: entries of a folder, folders of a level, and levels below the recording's folder.
-LOOKED_AT, MOST_FOLDERS, LEVELS = 20_000, 200, 3
+# Limits of the search: entries of a folder, entries in all (two such folders), folders of a level, and levels
+# below the recording's folder.
+LOOKED_AT, MOST_ENTRIES, MOST_FOLDERS, LEVELS = 20_000, 40_000, 200, 3
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
 # Files of depth that is read in a folder depth/, and kinds that hold nothing but depth.
 READ, ONLY_DEPTH = ARRAYS | {".tif", ".tiff"}, frozenset({".pfm", ".dpt"})
@@ -56,15 +59,57 @@ SIZES_PX = (
 VALUES = ((2, "uint16"), (4, "float32"))
 
 
-def folders_below(path: Path) -> Iterator[Path]:
-    """Yield a folder and those below it down to three levels, each level by name; not the hidden ones."""
-    level = [path]
-    for _ in range(LEVELS):
-        yield from level
-        below = (child for folder in level for child in sorted(islice(listed_paths(folder), LOOKED_AT)))
-        folders = (child for child in below if not child.name.startswith(".") and child.is_dir())
-        level = list(islice(folders, MOST_FOLDERS))
-    yield from level
+@dataclass(frozen=True)
+class Listed:
+    """The files of a folder and of those below it.
+
+    Attributes:
+        path: the folder.
+        files: each folder's files by name, without hidden ones; a level of folders comes after that above it.
+    """
+
+    path: Path
+    files: dict[Path, list[Path]]
+
+    @classmethod
+    def of(cls, path: Path, left_out: tuple[str, ...]) -> "Listed":
+        """List a folder once, and those below it down to three levels, each level by name.
+
+        Hidden folders, links to folders, and folders below `path` that cannot be read are skipped.
+
+        Args:
+            path: the folder.
+            left_out: suffixes in lower case, with their dots, of files to leave out.
+
+        Raises:
+            OSError: the folder itself cannot be read.
+        """
+        files, level, left = dict[Path, list[Path]](), [path], MOST_ENTRIES
+        for _ in range(LEVELS + 1):
+            below = list[Path]()
+            for folder in level:
+                try:
+                    entries = list(islice(scanned(folder), min(left, LOOKED_AT)))
+                except OSError:
+                    if folder == path:
+                        raise
+                    continue
+                left -= len(entries)
+                shown = sorted((e for e in entries if not e.name.startswith(".")), key=lambda e: e.name)
+                below += [folder / e.name for e in shown if e.is_dir(follow_symlinks=False)]
+                kept = (e.name for e in shown if not e.name.lower().endswith(left_out) and e.is_file())
+                files[folder] = [folder / name for name in kept]
+            level = below[:MOST_FOLDERS]
+        return cls(path, files)
+
+    @cached_property
+    def color_px(self) -> list[tuple[int, int]]:
+        """Width and height of the first intact picture, of the first five in each folder; [] without one."""
+        for files in self.files.values():
+            for file in [file for file in files if file.suffix.lower() in PICTURES][:LEAST_IMAGES]:
+                with suppress(DamagedImageError):
+                    return [image_header(read_image_file(file), str(file))[1:]]
+        return []
 
 
 def is_named_depth(name: str) -> bool:
@@ -72,82 +117,80 @@ def is_named_depth(name: str) -> bool:
     return bool(LIKE_DEPTH.search(name)) and not COLOR_WORD.fullmatch(name)
 
 
-def unread_files(path: Path) -> str | None:
+def unread_files(listed: Listed) -> str | None:
     """Return an error message on files that look like depth in no known layout or kind; None if none do.
 
     Files look like depth if they, or their folder, are so named. Arrays of other names may be depth if they
     have the size of an image.
 
     Raises:
-        OSError: a folder cannot be read.
+        OSError: a file cannot be read.
     """
-    if not path.is_dir():
-        return None
-    folders = list(folders_below(path))
     for named in (True, False):
-        for folder in folders:
-            of_depth = folder != path and is_named_depth(folder.name)
-            for kind, files in _by_kind(folder, of_depth=of_depth, named=named).items():
-                if len(files) >= LEAST_IMAGES and (named or _is_an_image(path, files[0])):
-                    return _message(path, kind, files, "look like depth" if named else "may be depth")
+        for folder, inside in listed.files.items():
+            of_depth = folder != listed.path and is_named_depth(folder.name)
+            for kind, files in _by_kind(inside, of_depth=of_depth, named=named).items():
+                if len(files) >= LEAST_IMAGES and (named or _is_an_image(listed, files[0])):
+                    return _message(listed, kind, files, "look like depth" if named else "may be depth")
     return None
 
 
-def if_depth(path: Path) -> str:
+def if_depth(listed: Listed) -> str:
     """Return "if its 8 .h5 files are depth, ..., else " for files that may hold depth; "" without such files.
 
     Raises:
-        OSError: a folder cannot be read.
+        OSError: a file cannot be read.
     """
-    for folder in folders_below(path):
-        for kind, files in _by_kind(folder, of_depth=False, named=False).items():
+    for inside in listed.files.values():
+        for kind, files in _by_kind(inside, of_depth=False, named=False).items():
             if kind in POSSIBLY and len(files) >= LEAST_IMAGES:
-                name = printable(files[0].relative_to(path).as_posix())
+                name = printable(files[0].relative_to(listed.path).as_posix())
                 are = f"if its {len(files)} {kind} files, such as {name}, are depth"
-                return f"{are}, {conversion(path, files[0])}, and {MOVE}; else "
+                return f"{are}, {conversion(listed, files[0])}, and {MOVE}; else "
     return ""
 
 
-def conversion(path: Path, file: Path) -> str:
+def conversion(listed: Listed, file: Path) -> str:
     """Return the words "write it as ...", with a line of Python that does it, if the kind of file has one.
 
+    There is no line if the name holds a backtick, which would end it.
+
     Args:
-        path: the recording's folder.
+        listed: the files of the recording's folder.
         file: one of its files of depth.
     """
-    kind, name = file.suffix.lower(), printable(file.relative_to(path).as_posix())
-    read = READ_BY.get(kind, "").format(f=f'"{name}"')
-    if kind in BARE:
-        read = _raw(path, file, name)
-    if not read:
+    kind, name = file.suffix.lower(), file.relative_to(listed.path).as_posix()
+    template = _raw(listed, file) if kind in BARE else READ_BY.get(kind, "")
+    if not template or "`" in name:
         return CONVERT
+    read = template.format(f=repr(name))
     imported = read.split(".")[0]
     modules = "numpy" if imported == "numpy" else f"{imported.replace('scipy', 'scipy.io')}, numpy"
     before = 'import os; os.environ["OPENCV_IO_ENABLE_OPENEXR"] = "1"; ' if kind == ".exr" else ""
-    line = f'{before}import {modules}; numpy.save("depth/{printable(file.stem)}.npy", {read})'
+    line = f"{before}import {modules}; numpy.save({f'depth/{file.stem}.npy'!r}, {read})"
     return f"{CONVERT}, such as by `{line}`"
 
 
-def _by_kind(folder: Path, *, of_depth: bool, named: bool) -> dict[str, list[Path]]:
-    """Return a folder's files that may be depth by their suffix, sorted.
+def _by_kind(inside: Sequence[Path], *, of_depth: bool, named: bool) -> dict[str, list[Path]]:
+    """Return a folder's files that may be depth by their suffix, in the given order.
 
     Args:
-        folder: the folder.
-        of_depth: whether it is named depth.
+        inside: the folder's files.
+        of_depth: whether the folder is named depth.
         named: whether to list files that are so named, or all arrays.
     """
     by_kind = dict[str, list[Path]]()
-    for file in islice(listed_paths(folder), LOOKED_AT):
+    for file in inside:
         kind = file.suffix.lower()
-        if file.name.startswith(".") or kind in PICTURES:
+        if kind in PICTURES:
             continue
         if named:
             wanted = kind in ONLY_DEPTH or ((of_depth or is_named_depth(file.stem)) and kind not in BESIDE)
         else:
             wanted = kind in READ | BARE | POSSIBLY
-        if wanted and file.is_file() and (kind not in TABLES or _is_table(file)):
+        if wanted and (kind not in TABLES or _is_table(file)):
             by_kind.setdefault(kind, []).append(file)
-    return {kind: sorted(files) for kind, files in by_kind.items()}
+    return by_kind
 
 
 def _is_table(file: Path) -> bool:
@@ -156,10 +199,10 @@ def _is_table(file: Path) -> bool:
     return len(line.split()) >= LEAST_SIDE_PX
 
 
-def _is_an_image(path: Path, file: Path) -> bool:
+def _is_an_image(listed: Listed, file: Path) -> bool:
     """Whether an array, a TIFF or a file of bare values has the size of an image of a room."""
     if file.suffix.lower() in BARE:
-        return bool(_raw(path, file, ""))
+        return bool(_raw(listed, file))
     if file.suffix.lower() not in READ:
         return False
     with suppress(DamagedImageError):
@@ -167,33 +210,23 @@ def _is_an_image(path: Path, file: Path) -> bool:
     return False
 
 
-def _message(path: Path, kind: str, files: Sequence[Path], looks: str) -> str:
-    name = printable(files[0].relative_to(path).as_posix())
-    found = f"{path}: {len(files)} {kind} files, such as {name}, {looks}"
+def _message(listed: Listed, kind: str, files: Sequence[Path], looks: str) -> str:
+    name = printable(files[0].relative_to(listed.path).as_posix())
+    found = f"{listed.path}: {len(files)} {kind} files, such as {name}, {looks}"
     if kind in READ:
         return f"{found}, but in no layout that is known: {MOVE}"
     if kind in CLOUDS:
         return f"{found}, but are clouds of points: export the depth images, and {CONVERT}; then {MOVE}"
     if kind == ZIPPED:
         return f"{found}, but {kind} is not read: unpack them; then {MOVE}"
-    return f"{found}, but {kind} is not read: {conversion(path, files[0])}; then {MOVE}"
+    return f"{found}, but {kind} is not read: {conversion(listed, files[0])}; then {MOVE}"
 
 
-def _raw(path: Path, file: Path, name: str) -> str:
-    """Return how to read a file of bare values in Python, by its length; "" if it is of no known size."""
+def _raw(listed: Listed, file: Path) -> str:
+    """Return how to read a file {f} of bare values in Python, by its length; "" if it is of no known size."""
     count = file.stat().st_size
-    for width, height in (*_color_sizes(path), *SIZES_PX):
+    for width, height in (*listed.color_px, *SIZES_PX):
         for each, kind in VALUES:
             if count == width * height * each:
-                return f'numpy.fromfile("{name}", "{kind}").reshape({height}, {width})'
+                return f'numpy.fromfile({{f}}, "{kind}").reshape({height}, {width})'
     return ""
-
-
-def _color_sizes(path: Path) -> list[tuple[int, int]]:
-    """Return width and height of the first intact PNG or JPEG in a folder or below it; [] without one."""
-    for folder in folders_below(path):
-        for file in sorted(islice(listed_paths(folder), LOOKED_AT))[:LEAST_IMAGES]:
-            if file.suffix.lower() in PICTURES and file.is_file():
-                with suppress(DamagedImageError):
-                    return [image_header(read_image_file(file), str(file))[1:]]
-    return []

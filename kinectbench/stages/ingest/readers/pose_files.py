@@ -118,10 +118,22 @@ def read_pose_file(
     return GivenTrajectory(frames_ns, trajectory.T_world_camera), warnings
 
 
-def with_y_down(given: GivenTrajectory) -> GivenTrajectory:
-    """Mirror y of cameras and world in poses of cameras whose y axis points up (`Intrinsics.y_up`)."""
+def with_y_down(given: GivenTrajectory, path: Path) -> tuple[GivenTrajectory, str]:
+    """Mirror y of cameras and world in poses of cameras whose y axis points up (`Intrinsics.y_up`).
+
+    Args:
+        given: the poses.
+        path: the recording, for the warning.
+
+    Returns:
+        The mirrored poses, and a warning.
+    """
     mirror = np.diag([1.0, -1.0, 1.0, 1.0])
-    return replace(given, T_world_camera=mirror @ given.T_world_camera @ mirror)
+    note = (
+        f"{path}: fy is negative: the camera's y axis points up, as ICL-NUIM's: fy is read as positive, and "
+        "y is mirrored in given poses, and so in the world"
+    )
+    return replace(given, T_world_camera=mirror @ given.T_world_camera @ mirror), note
 
 
 def _by_id(rows: Sequence[tuple[str, str]], stems: Sequence[str]) -> list[Float64 | None]:

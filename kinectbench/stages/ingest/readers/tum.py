@@ -95,7 +95,8 @@ class TumRecording(FileRecording):
         up = _measured_up(path, camera_file, [ns for ns, _ in depth])
         trajectory, pose_warnings, error = read_given(lambda: _poses(path, len(depth) if why else None))
         if trajectory is not None and intrinsics.y_up:
-            trajectory = with_y_down(trajectory)
+            trajectory, note = with_y_down(trajectory, path)
+            pose_warnings = [*pose_warnings, note]
         return cls(
             path=path,
             places=files,
