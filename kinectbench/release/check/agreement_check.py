@@ -215,10 +215,9 @@ def _other_figures(text: str, tables: Sequence[str], categories: Collection[str]
 
     The first of `tables`, those that follow from benchmark.json, has the figures of all recordings. A row of
     it is known by its first cell; if that is also a category, which has tables too, by its number of cells.
-    A recording whose own row is missing has a message already.
+    If a recording's own row is missing, `_missing` says so.
     """
-    whole = f"\n{text}\n"
-    rows = (row for row in tables[0].splitlines()[2:] if f"\n{row}\n" in whole)
+    rows = (row for row in tables[0].splitlines()[2:] if f"\n{row}\n" in f"\n{text}\n")
     wanted = {cells[0]: cells for cells in map(_cells, rows)}
     stated = {line for table in tables for line in table.splitlines()}
     for _, line in _lines(text):
@@ -229,9 +228,8 @@ def _other_figures(text: str, tables: Sequence[str], categories: Collection[str]
 
 
 def _cells(row: str) -> list[str]:
-    """Return a table row's cells, the first one without Markdown's emphasis."""
-    first, *others = row.strip().strip("|").split("|")
-    return [first.strip(" \t*_`"), *(cell.strip() for cell in others)]
+    """Return a table row's cells, without Markdown's emphasis around them."""
+    return [cell.strip(" *_`") for cell in row.strip(" |").split("|")]
 
 
 def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:

@@ -341,11 +341,11 @@ def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
     return (f"{path / MASKS_FOLDER}: {such}: name each as its depth image is named",)
 
 
-def visible(folder: Path, pattern: str) -> list[Path]:
+def visible(folder: Path, *patterns: str) -> list[Path]:
     """List files in a folder that match a pattern, without hidden files, which no recording includes."""
 
     def matches(name: str) -> bool:
-        return fnmatchcase(name, pattern) and not name.startswith(".")
+        return any(fnmatchcase(name, each) for each in patterns) and not name.startswith(".")
 
     return list(listed_paths(folder, wanted=matches)) if folder.is_dir() else []
 

@@ -242,8 +242,9 @@ def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]
 def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    ours = path / "trajectory.txt"
-    file, logs = path / "trajectory.log", sorted(filter(starts_like_a_log, visible(path, "*.log")))
+    ours, beside = path / "trajectory.txt", visible(path, "*.log", "*.freiburg")
+    logs = sorted(file for file in beside if file.suffix == ".log" and starts_like_a_log(file))
+    file = path / "trajectory.log"
     if len(logs) == 1 and not file.is_file():
         file = logs[0]
     names = (*(log.name for log in logs), *POSE_FILES)
@@ -253,7 +254,7 @@ def _read_trajectory(
         return trajectory, [*warnings, *passed_over(file, names)]
     if pose_folder(path) and not ours.is_file():
         return read_pose_folder(path, files)
-    in_one = ours if ours.is_file() else pose_file(path)
+    in_one = ours if ours.is_file() else pose_file(path, beside)
     if in_one is None:
         return None, unread_poses(path)
     trajectory, warnings = read_pose_file(in_one, stamps_ns, stems)

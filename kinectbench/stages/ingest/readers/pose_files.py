@@ -18,7 +18,7 @@ from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, tr
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
-from kinectbench.stages.ingest.recording import FrameFiles, first_file, visible
+from kinectbench.stages.ingest.recording import FrameFiles, first_file
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
 POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
@@ -53,12 +53,16 @@ def unread_poses(path: Path) -> list[str]:
     )
 
 
-def pose_file(path: Path) -> Path | None:
+def pose_file(path: Path, beside: Sequence[Path]) -> Path | None:
     """Return the recording's one file with the poses of all frames; None if there is no such file.
 
     ICL-NUIM's file has the suffix .freiburg, as in livingRoom2n.gt.freiburg.
+
+    Args:
+        path: the recording's folder.
+        beside: its visible files, at least those with this suffix.
     """
-    others = visible(path, "*.freiburg")
+    others = [file for file in beside if file.suffix == ".freiburg"]
     return first_file(path / name for name in POSE_FILES) or (others[0] if len(others) == 1 else None)
 
 
