@@ -73,7 +73,10 @@ def swept_from_outside(
     to_camera = directions(count)
     level_or_up = to_camera[:, 2] >= -LEVEL
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
-    wide = None if closer is None else _blocked(obstacle, heights_m, voxel_size_m, closer)
+    wide = None
+    if closer is not None:
+        gap_m = _gap_m(obstacle, voxel_size_m, closer.line_width_m / 2)
+        wide = _blocked(gap_m, space.heights_m, closer)
     lines = _Lines(obstacle, limits, closer, wide, float(np.sqrt(4 * np.pi / count)))
     lower, nothing = without_rising(space, empty), np.zeros_like(space.state)
     ways = lines.marks(lower, to_camera[level_or_up], nothing)
@@ -228,8 +231,7 @@ def line_space(
     heights = np.full(obstacle.shape[2], np.inf, np.float32) if heights_m is None else heights_m
     gap_m = _gap_m(obstacle, voxel_size_m, max(limits.line_width_m, limits.camera_size_m) / 2)
     place = from_beyond((gap_m >= limits.camera_size_m / 2) & (heights >= limits.camera_height_m))
-    half_m = limits.line_width_m / 2 - ROUNDING_M
-    blocked = (gap_m < half_m) | (heights < half_m)
+    blocked = _blocked(gap_m, heights, limits)
     state = np.where(blocked, np.uint8(BLOCKED), np.where(place, np.uint8(PLACE), np.uint8(PASSABLE)))
     return Space(state, heights, voxel_size_m, limits.near_m, limits.camera_height_m)
 
@@ -239,11 +241,10 @@ def _gap_m(obstacle: Bools, voxel_size_m: float, within_m: float) -> Float32:
     return distance_within_m(obstacle, voxel_size_m, within_m + voxel_size_m) - np.float32(voxel_size_m / 2)
 
 
-def _blocked(obstacle: Bools, heights_m: Float32 | None, voxel_size_m: float, limits: SensorLimits) -> Bools:
-    """Return where no axis of a line of sight passes; arguments as in `swept_from_outside`."""
+def _blocked(gap_m: Float32, heights_m: Float32, limits: SensorLimits) -> Bools:
+    """Return where no axis of a line of sight passes: nearer than half its width to obstacle or plane."""
     half_m = limits.line_width_m / 2 - ROUNDING_M
-    blocked = _gap_m(obstacle, voxel_size_m, limits.line_width_m / 2) < half_m
-    return blocked if heights_m is None else blocked | (heights_m < half_m)
+    return (gap_m < half_m) | (heights_m < half_m)
 
 
 def grown(

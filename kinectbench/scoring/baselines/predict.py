@@ -23,6 +23,8 @@ from kinectbench.scoring.references import SOURCES, base_rates
 from kinectbench.scoring.workers import run_tasks
 
 SPLITS: tuple[Split, ...] = ("test", "validation")
+# What begins the version in a method.json of `write_baselines`.
+BY = "kinectbench "
 
 
 @dataclass(frozen=True)
@@ -96,9 +98,9 @@ def write_baselines(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> tuple[str, ...]:
-    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair; then method.json.
+    """Write `out/<name>/<recording>/<view>.npz` for every test and validation pair, and method.json.
 
-    The same release gives the same bytes. method.json identifies the release that was predicted.
+    The same release gives the same bytes. Once all is predicted, method.json identifies the release.
 
     Args:
         release: the release that is predicted.
@@ -111,7 +113,8 @@ def write_baselines(
         The names written.
 
     Raises:
-        SettingsError: no such baseline, one that this release does not allow, or no pair to predict.
+        SettingsError: no such baseline, one that this release does not allow, no pair to predict, or a folder
+            `out/<name>` that holds anything else than a baseline's predictions.
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
     """
@@ -130,17 +133,37 @@ def write_baselines(
             f"{', '.join(blind)}: needs training pairs of every category; leave it out",
             what="truth-held-back",
         )
+    for name in chosen:
+        _check_ours(out / name)
     tasks = baseline_tasks(release, chosen, base_rates(release, jobs))
     # If this run is stopped, no files of an earlier run, perhaps for another release, must be left.
     for name in chosen:
-        _remove(out / name / MethodFile.FILE)
+        _write_method(out, MethodFile(name=name, version=BY + __version__))
         for task in tasks:
             _remove(_path(out, name, task.target))
     run_tasks(partial(_write, out), tasks, jobs, progress)
     for name in chosen:
-        with replaced_file(out / name / MethodFile.FILE) as temporary:
-            temporary.write_text(_method(name, release).text(), encoding="utf-8")
+        sha256 = release.benchmark_sha256
+        _write_method(out, MethodFile(name=name, version=BY + __version__, benchmark_sha256=sha256))
     return chosen
+
+
+def _check_ours(folder: Path) -> None:
+    """Refuse a folder of a baseline's name that holds anything else than a baseline's predictions."""
+    if not folder.is_dir() or all(path.name.startswith(".") for path in folder.iterdir()):
+        return
+    method = MethodFile.read(folder) if (folder / MethodFile.FILE).exists() else None
+    by_baseline = method and (method.version or "").startswith(BY) and method.settings is None
+    if not method or not by_baseline or method.name != folder.name:
+        raise SettingsError(
+            f"{folder}: holds what `baseline` did not write; rename it, or choose another --out",
+            what="other-content",
+        )
+
+
+def _write_method(out: Path, method: MethodFile) -> None:
+    with replaced_file(out / method.name / MethodFile.FILE) as temporary:
+        temporary.write_text(method.text(), encoding="utf-8")
 
 
 def _remove(path: Path) -> None:
@@ -148,13 +171,6 @@ def _remove(path: Path) -> None:
     if path.is_file() or path.is_symlink():
         with storage_errors(path):
             path.unlink()
-
-
-def _method(name: str, release: Release) -> MethodFile:
-    """Return the method.json of a baseline for the predictions of a release."""
-    return MethodFile(
-        name=name, version=f"kinectbench {__version__}", benchmark_sha256=release.benchmark_sha256
-    )
 
 
 def check_baseline_names(names: Sequence[str]) -> None:

@@ -50,7 +50,8 @@ POSSIBLY = frozenset({".pgm", ".jp2", ".mat", ".h5", ".hdf5", ".csv", ".npz"})
 # Texts that may hold an image, and bytes of the longest line that is read.
 TABLES, MOST_LINE = frozenset({".csv", ".txt"}), 64 << 10
 BARE, CLOUDS, ZIPPED = frozenset({".raw", ".bin", ".dat"}), frozenset({".ply", ".pcd", ".xyz", ".las"}), ".gz"
-# Image sizes of common depth cameras, and bytes and types of a value of theirs.
+# Image sizes (width, height) of depth that Kinect, Xtion, RealSense, Azure Kinect, iPhones and simulators
+# write, by their data sheets and defaults; bytes and types of a value of theirs.
 SIZES_PX = (
     (640, 480), (848, 480), (1280, 720), (640, 576), (512, 424), (320, 240), (640, 360), (256, 192),
     (480, 270), (424, 240), (1024, 768), (1024, 1024), (640, 400), (320, 288), (512, 512), (160, 120),
