@@ -54,11 +54,8 @@ def netpbm_head(data: bytes, name: str) -> NetpbmHead:
         kind = "in colour" if data.startswith(b"PF") else "a text"
         raise OddImageError(f"{name}: is {kind}: export depth as one channel of binary values", advice="")
     match = HEAD.match(data[:HEAD_BYTES])
-    try:
-        most = float(match[4]) if match else np.nan
-    except ValueError:
-        most = np.nan
-    if match is None or not np.isfinite(most) or most == 0:
+    most = _most(match[1] == b"P5", match[4]) if match else None
+    if match is None or most is None:
         raise DamagedImageError(f"{name}: the head of the image is damaged")
     width, height, is_pgm = int(match[2]), int(match[3]), match[1] == b"P5"
     if is_pgm and most < 256:
@@ -71,6 +68,16 @@ def netpbm_head(data: bytes, name: str) -> NetpbmHead:
     if not width * height or len(data) - match.end() < width * height * value.itemsize:
         raise DamagedImageError(f"{name}: the image is empty or cut off")
     return NetpbmHead(width, height, value, not is_pgm, match.end())
+
+
+def _most(is_pgm: bool, text: bytes) -> float | None:
+    """Return the largest value of a PGM, 1 to 65535, or the scale of a PFM, not 0; None if it is neither."""
+    if is_pgm:
+        return int(text) if text.isdigit() and 0 < int(text) < 65536 else None
+    try:
+        return scale if np.isfinite(scale := float(text)) and scale != 0 else None
+    except ValueError:
+        return None
 
 
 def decode_netpbm(data: bytes, name: str) -> NDArray[np.generic]:
