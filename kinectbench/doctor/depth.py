@@ -175,7 +175,7 @@ def _byte_order(probe: Probe) -> list[Finding]:
     exchanged = np.mean([_roughness(frame.depth[::4].byteswap()) for frame in probe.whole])
     if not as_is > SMOOTHER * exchanged:
         return []
-    what = "the two bytes of every depth value are exchanged (little-endian data in a big-endian PNG)"
+    what = "the two bytes of every depth value are exchanged (little-endian data in a big-endian image)"
     advice = "write the depth again as 16-bit PNG by a library, or exchange the bytes"
     return [Finding("byte_order", "stops", what, probe.where, advice)]
 

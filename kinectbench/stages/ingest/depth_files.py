@@ -1,4 +1,4 @@
-"""Decode depth images of many kinds: PNG, .npy, .npz, TIFF, HDF5, floats, two 8-bit channels."""
+"""Decode depth images of many kinds: PNG, .npy, .npz, TIFF, PGM, PFM, HDF5, two 8-bit channels."""
 
 import io
 import struct
@@ -24,6 +24,8 @@ from kinectbench.stages.ingest.images import (
     decode_unchanged,
     image_header,
 )
+from kinectbench.stages.ingest.netpbm import SUFFIXES as NETPBM_SUFFIXES
+from kinectbench.stages.ingest.netpbm import decode_netpbm, is_netpbm, netpbm_head
 
 if TYPE_CHECKING:
     from h5py import File
@@ -35,7 +37,7 @@ ARRAYS = frozenset({".npy", ".npz"})
 TIFF_MAGICS = {b"II*\x00": "<", b"MM\x00*": ">"}
 # Numbers of tags in TIFF 6.0, and how many tags to read at most: images have some thirty.
 TIFF_WIDTH, TIFF_HEIGHT, MOST_TIFF_TAGS = 256, 257, 1000
-SUFFIXES = frozenset({".png", ".tif", ".tiff"}) | ARRAYS
+SUFFIXES = frozenset({".png", ".tif", ".tiff"}) | ARRAYS | NETPBM_SUFFIXES
 # Larger floats are not metres of a room, but millimetres.
 FARTHEST_M = 50.0
 # Between neighbours whose high bytes differ by one, depth in two channels mostly changes by less than
@@ -70,6 +72,8 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
     if data[:4] in TIFF_MAGICS:
         _tiff_size_px(data, name)
         return _as_depth(decode_unchanged(data, name), name)
+    if is_netpbm(data, name):
+        return _as_depth(decode_netpbm(data, name), name)
     if channels is not None and data.startswith(PNG_MAGIC):
         image_header(data, name)
         pixels = decode_unchanged(data, name)
@@ -88,6 +92,8 @@ def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
         return width, height
     if data[:4] in TIFF_MAGICS:
         return _tiff_size_px(data, name)
+    if is_netpbm(data, name):
+        return netpbm_head(data, name)[:2]
     return image_header(data, name)[1:]
 
 

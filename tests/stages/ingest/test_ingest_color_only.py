@@ -114,8 +114,9 @@ np.save(NPY, np.ones((4, 4), np.float32))
         ),
         ("depth_left/{:04d}.npy", NPY.getvalue(), ("6 .npy files, such as depth_left/0000.npy, look", ALONE)),
         ("distance_to_plane_{:04d}.npy", NPY.getvalue(), ("such as distance_to_plane_0000.npy", ALONE)),
-        ("f-{:04d}.depth.pgm", b"P5", ("6 .pgm files", ".pgm is not read: write it as 16-bit PNG", ALONE)),
-        ("maps/{:04d}.pfm", b"Pf", ("such as maps/0000.pfm", ".pfm is not read: write it as", ALONE)),
+        ("f-{:04d}.depth.pgm", b"P5", ("6 .pgm files, such as f-0000.depth.pgm, look", ALONE)),
+        ("maps/{:04d}.pfm", b"Pf", ("such as maps/0000.pfm, look like depth", ALONE)),
+        ("f-{:04d}.depth.jp2", b"", ("6 .jp2 files", ".jp2 is not read: write it as 16-bit PNG", ALONE)),
         (
             "front_depth/{:04d}.png",
             png(color_image(0)),

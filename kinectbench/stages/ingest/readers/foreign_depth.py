@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from kinectbench.core import printable, read_head, scanned
-from kinectbench.stages.ingest.depth_files import ARRAYS, depth_size_px
+from kinectbench.stages.ingest.depth_files import SUFFIXES, depth_size_px
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_SIDE_PX
 from kinectbench.stages.ingest.recording import read_image_file
@@ -21,7 +21,7 @@ LEAST_IMAGES = 5
 LOOKED_AT, MOST_ENTRIES, MOST_FOLDERS, LEVELS = 20_000, 40_000, 200, 3
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
 # Files of depth that is read in a folder depth/, and kinds that hold nothing but depth.
-READ, ONLY_DEPTH = ARRAYS | {".tif", ".tiff"}, frozenset({".pfm", ".dpt"})
+READ, ONLY_DEPTH = SUFFIXES - {".png"}, frozenset({".pfm", ".dpt"})
 # Files of a folder named depth that are not its images.
 BESIDE = frozenset(
     {"", ".json", ".yaml", ".yml", ".xml", ".md", ".py", ".log", ".ini", ".db", ".mp4", ".avi"}
@@ -35,8 +35,6 @@ AS_READ = "as 16-bit PNG in mm, or as .npy in metres"
 CONVERT = f"write it {AS_READ}"
 # Kind -> how to read a file {f} as an array in Python.
 READ_BY = {
-    ".pfm": "cv2.imread({f}, -1)",
-    ".pgm": "cv2.imread({f}, -1)",
     ".jp2": "cv2.imread({f}, -1)",
     ".exr": "cv2.imread({f}, -1)",
     ".mat": 'scipy.io.loadmat({f})["depth"]',
@@ -46,7 +44,7 @@ READ_BY = {
     ".txt": "numpy.loadtxt({f})",
 }
 # Kinds that hold depth or other things.
-POSSIBLY = frozenset({".pgm", ".jp2", ".mat", ".h5", ".hdf5", ".csv", ".npz"})
+POSSIBLY = frozenset({".jp2", ".mat", ".h5", ".hdf5", ".csv", ".npz"})
 # Texts that may hold an image, and bytes of the longest line that is read.
 TABLES, MOST_LINE = frozenset({".csv", ".txt"}), 64 << 10
 BARE, CLOUDS, ZIPPED = frozenset({".raw", ".bin", ".dat"}), frozenset({".ply", ".pcd", ".xyz", ".las"}), ".gz"
