@@ -67,10 +67,10 @@ def netpbm_head(data: bytes, name: str) -> NetpbmHead:
         )
     if is_too_large(width, height):
         raise DamagedImageError(f"{name}: {width}x{height} are more pixels than an image may have")
-    kind = np.dtype(">u2" if is_pgm else "<f4" if most < 0 else ">f4")
-    if not width * height or len(data) - match.end() < width * height * kind.itemsize:
+    value = np.dtype(">u2" if is_pgm else "<f4" if most < 0 else ">f4")
+    if not width * height or len(data) - match.end() < width * height * value.itemsize:
         raise DamagedImageError(f"{name}: the image is empty or cut off")
-    return NetpbmHead(width, height, kind, not is_pgm, match.end())
+    return NetpbmHead(width, height, value, not is_pgm, match.end())
 
 
 def decode_netpbm(data: bytes, name: str) -> NDArray[np.generic]:
