@@ -259,6 +259,7 @@ def baselines_of(
     if the scale of all these predictions is unknown, or if the first table has more than `ROWS_IN_JSON` rows.
     """
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
+    from kinectbench.report.space_table import is_baseline
     from kinectbench.scoring.baselines.beside import baselines_beside
 
     spatial = in_space(tables)
@@ -270,7 +271,7 @@ def baselines_of(
         )
         console.lines("baselines: note", [line], "cyan")
         return []
-    protocols, names = (spatial or tables)[0].settings.protocols, [table.method for table in tables]
+    protocols, names = (spatial or tables)[0].settings.protocols, [t.method for t in tables if is_baseline(t)]
     with console.progress_bar("baselines") as progress:
         return baselines_beside(
             release,

@@ -132,6 +132,8 @@ def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[s
     if method is not None and stated.method not in (method.name, folder.resolve().name):
         name, said = printable(stated.method), printable(method.name)
         yield f"'method' states '{name}'; the predictions are of '{said}', as {MethodFile.FILE} says"
+    if (stated.baseline or stated.settings.of_baseline) and not computed.settings.of_baseline:
+        yield "'baseline' states that they are a baseline's, but it predicts otherwise"
     for line in computed.warnings:
         if line not in stated.warnings:
             yield f"'warnings' does not have: {line}"
