@@ -26,10 +26,16 @@ from kinectbench.scoring.declared import (
 )
 from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.pair_result import Journal, counting_of
-from kinectbench.scoring.predictions import check_method, find_predictions, split_methods, stray_lines
+from kinectbench.scoring.predictions import (
+    check_method,
+    find_predictions,
+    split_methods,
+    strays_of,
+)
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import Request, check_declared, check_request
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
+from kinectbench.scoring.strays import NO_TARGET
 from kinectbench.scoring.thresholds import SEARCHED
 
 NOT_FROM_VALIDATION = "the thresholds are not from validation; predict it too"
@@ -121,7 +127,7 @@ def _with_warnings(
     more = (
         *method_lines(predictions, method, release),
         *_changed(method, asked.files, table),
-        *stray_lines(asked.found.stray, (target.name for target in asked.found.missing)),
+        *strays_of(release, asked.found),
     )
     update: dict[str, object] = {"warnings": (*table.warnings, *more)}
     if method is not None and method.run_sha256 is not None:
@@ -250,8 +256,10 @@ def _written(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> Scor
         return table
     kept = f"; the earlier scores in {out} are kept" if (out / ScoreTable.FILE).is_file() else ""
     reason = table.failures[0].reason if table.failures else "no view"
+    stray = next((f"; {line}" for line in table.warnings if NO_TARGET in line), "")
     raise PredictionError(
-        f"{folder}: nothing could be scored: {len(table.failures)} views failed, the first: {reason}{kept}"
+        f"{folder}: nothing could be scored: {len(table.failures)} views failed, the first: {reason}{stray}"
+        f"{kept}"
     )
 
 
