@@ -76,9 +76,7 @@ def long_text(text: str, content: object, most: int) -> str | None:
             continue
         for each in (key, value):
             if isinstance(each, str) and len(each) > most:
-                return (
-                    f"'{printable(key)}' has {len(each)} characters; at most {most} are read, so shorten it"
-                )
+                return f"'{printable(key)}' has {len(each)} characters; at most {most} are read; shorten it"
         if isinstance(value, dict):
             ways.append(iter(value.items()))
         elif isinstance(value, list):

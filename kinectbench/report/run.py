@@ -77,7 +77,7 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
         StorageError: a file, or the gallery beside it, is damaged.
     """
     files: list[ScoreFile] = []
-    for path in {path.resolve(): path for path in find_scores(paths)}.values():
+    for path in find_scores(paths):
         file = ScoreFile(path, read_table(path), read_gallery(path))
         sha256 = file.table.benchmark_sha256
         benchmark_sha256 = benchmark_sha256 or sha256

@@ -170,8 +170,9 @@ def _beyond_the_rows(stated: Mapping[str, Any], computed: Mapping[str, Any]) -> 
 
 
 def _verified(stated: ScoreTable, computed: ScoreTable) -> ScoreTable:
-    """Return the table marked as verified, with the hashes of predictions that it lacked."""
-    table = stated.model_copy(update={"hashes": computed.hashes, "verified": None})
+    """Return the table marked as verified, with the computed warnings and the hashes that it lacked."""
+    found = {"hashes": computed.hashes, "warnings": computed.warnings, "verified": None}
+    table = stated.model_copy(update=found)
     mark = Verified(
         date=datetime.now(UTC).date().isoformat(),
         package_version=__version__,
