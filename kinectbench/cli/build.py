@@ -263,8 +263,8 @@ def build_jobs(
         failed += row.error is not None
         if row.error is not None and failed > console.MOST_LINES:
             continue
-        told = warn and (row.made or verbose or again)
-        own = row.summary.warnings if told else (*outcome.warnings, *unused)
+        stated = warn and (row.made or verbose or again)
+        own = row.summary.warnings if stated else (*outcome.warnings, *unused)
         first = row.summary.first if len(own) > 1 and not verbose else None
         _tell_warnings(name, own, first, shlex.join([*COMMANDS.get(upto, (upto,)), name, *options, "-v"]))
         code = f" ({outcome.code})" if verbose and outcome.code else ""

@@ -58,7 +58,10 @@ def test_a_protocol_that_does_not_exist_is_not_advised(release: Release, folder:
 def test_an_interrupt_while_modules_are_imported_is_one_line() -> None:
     words = "import kinectbench.cli; raise KeyboardInterrupt"
     done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=False)
-    assert done.stderr == "error: stopped; run the same command again\n" and done.returncode in (-2, 130)
+    assert done.stderr == "KeyboardInterrupt: stopped; run the same command again\n" and done.returncode in (
+        -2,
+        130,
+    )
     words = "import kinectbench.cli; raise ValueError('seen')"
     done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=False)
     assert done.returncode == 1 and done.stderr.endswith("ValueError: seen\n")
