@@ -169,12 +169,19 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 
 def build_recordings(
-    common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = (), *, brief: bool = False
+    common: Common,
+    ids: list[str] | None,
+    upto: str,
+    force: Sequence[str] = (),
+    *,
+    brief: bool = False,
+    warn: bool = True,
 ) -> "list[BuiltRecording]":
     """Build recordings up to a stage, print warnings and errors, and return each recording's result.
 
     The `error` of a result is None on success. A build that failed before is not tried again while nothing
-    has changed; with `brief`, its error is printed without the reason.
+    has changed; with `brief`, its error is printed without the reason. Without `warn`, warnings of stages are
+    not printed: the caller prints them.
     """
     require_extra("build")
     chosen = chosen_jobs(common, ids)
@@ -189,6 +196,7 @@ def build_recordings(
         brief=brief,
         verbose=common.verbose,
         options=common.options,
+        warn=warn,
     )
 
 
@@ -221,12 +229,13 @@ def build_jobs(
     verbose: bool = False,
     options: Sequence[str] = (),
     again: bool = False,
+    warn: bool = True,
 ) -> "list[BuiltRecording]":
     """Build jobs with some processes or an executor; print and return the results of `build_recordings`.
 
     A recording may take `limit_s` seconds. With `again`, warnings of stages that were current are printed,
-    too. The printed advice includes a command that shows all warnings; `options` (`--config`, `--set`) give
-    it the same settings.
+    too; without `warn`, no stage's are. The printed advice includes a command that shows all warnings;
+    `options` (`--config`, `--set`) give it the same settings.
     """
     from kinectbench.engine.parallel import build as build_all
     from kinectbench.engine.summary import BuiltRecording
@@ -248,12 +257,14 @@ def build_jobs(
         # Warn even if all is current: somebody who has just drawn a mask expects it to be used.
         unused = _unused(job, upto)
         name = job.recording.id
-        row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
+        read = partial(_summary, job, outcome, unused)
+        row = BuiltRecording(name, outcome.error, outcome.made, read, outcome.code)
         rows.append(row)
         failed += row.error is not None
         if row.error is not None and failed > console.MOST_LINES:
             continue
-        own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
+        stated = warn and (row.made or verbose or again)
+        own = row.summary.warnings if stated else (*outcome.warnings, *unused)
         first = row.summary.first if len(own) > 1 and not verbose else None
         _tell_warnings(name, own, first, shlex.join([*COMMANDS.get(upto, (upto,)), name, *options, "-v"]))
         code = f" ({outcome.code})" if verbose and outcome.code else ""

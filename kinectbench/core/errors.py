@@ -118,6 +118,12 @@ class ClusterError(KinectBenchError):
 
 # The code without a Python exception: a process was killed, or hangs.
 KILLED = "run.process-killed"
+IN_USE = StorageError(what="in-use").code
+
+
+def failure_word(code: str | None) -> str:
+    """Return how a recording with an error of this code ended, as tables state it: failed, or in use."""
+    return "in use" if code == IN_USE else "failed"
 
 
 def error_code(error: BaseException) -> str:

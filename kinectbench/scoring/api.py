@@ -15,13 +15,12 @@ from kinectbench.release.release import Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
 from kinectbench.scoring.dataset import Dataset as Dataset
 from kinectbench.scoring.dataset import load as load
-from kinectbench.scoring.pair_result import PairJob, count, count_job
+from kinectbench.scoring.pair_result import PairJob, count, count_job, counting_of
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import check_missing, check_words
 from kinectbench.scoring.rounds import pairs_to_score
-from kinectbench.scoring.score import counting_of
 from kinectbench.scoring.shards import decode_sample as decode_sample
 from kinectbench.scoring.thresholds import (
     STEPS_IN_WORDS,

@@ -6,7 +6,6 @@ from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.score_marks import ACCOUNTED, Mark
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHOD_SOURCE, POOLED_SOURCE
 
 # Maximum number of names in a mark.
@@ -34,8 +33,8 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
 
 
 def _baseline(table: ScoreTable) -> str:
-    """Return a mark if the table says that it is a baseline's, or if its method is named like a baseline."""
-    return "baseline" if table.baseline or table.method.lower() in BASELINE_NAMES else ""
+    """Return a mark if the table is a baseline's. Its name does not tell: a user's method may have it."""
+    return "baseline" if table.baseline or table.settings.of_baseline else ""
 
 
 def _older(table: ScoreTable) -> str:

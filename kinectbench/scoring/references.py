@@ -1,4 +1,4 @@
-"""References for scores: base rates of categories, and names of baselines."""
+"""Base rates of categories, which are references for scores."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -62,11 +62,3 @@ def _occupied_share(task: tuple[Path, str]) -> float:
     """Return the share of voxels that are occupied in the truth of a pair; `task` is (file, SHA-256)."""
     (full,) = read_parts(*task, ("full",))
     return int(np.bitwise_count(full).sum()) / (8 * full.size)
-
-
-# Names of baselines. `kinectbench baseline` makes predictions of these names, and a table of such a name is
-# marked as a baseline.
-BASELINE_NAMES = (
-    *("empty", "base-rate", "partial", "hull", "carved-hull", "mirror", "silhouette"),
-    *("mean-shape", "nearest"),
-)

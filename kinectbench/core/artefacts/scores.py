@@ -119,6 +119,11 @@ class ScoreSettings(StoredPart):
         None, description="version of what baselines predict; only in their tables"
     )
 
+    @property
+    def of_baseline(self) -> bool:
+        """Whether kinectbench found the predictions to be a baseline's."""
+        return self.baseline_version is not None
+
 
 class BaseRate(StoredPart):
     """The base rate of one category."""
