@@ -76,7 +76,9 @@ class Judged:
         return "reject" if self.limits else "look" if self.look else "accept"
 
 
-def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> Iterator[Judged]:
+def judged(
+    settings: BenchmarkSettings, build: Path, built: Collection[str], *, by_limits_alone: bool = False
+) -> Iterator[Judged]:
     """Yield the reasons against every recording of a benchmark, in the order of the settings.
 
     Values that are not known give no reason.
@@ -85,6 +87,7 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         settings: the benchmark's settings, with limits and the user's reviews.
         build: the folder with a subfolder for each recording.
         built: ids of recordings whose pairs are built.
+        by_limits_alone: whether to find violated limits and failures only, in milliseconds a recording.
 
     Raises:
         StorageError: a built file is damaged.
@@ -98,6 +101,9 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         health = TrajectoryHealth.read_if_there(folder / "trajectory")
         head = CameraFile.read_if_there(folder / "sequence")
         limits = tuple(_beyond(settings.publish.gate, quality, health, head))
+        if by_limits_alone:
+            yield Judged(recording, limits=limits)
+            continue
         of_object = (*_of_object(quality), *_of_parts(folder / "object"))
         of_reference = _of_references(current_reference(folder))
         look = (*_of_poses(health), *of_object, *of_reference, *_of_frames(head))
