@@ -102,7 +102,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Execu
 
 
 def _judged(rows: "list[RecordingSummary]", common: Common | None) -> "list[RecordingSummary]":
-    """Return summaries that also say why `publish` would leave recordings of a benchmark out, if it is here."""
+    """Return summaries that also say why `publish` would leave out recordings of a benchmark here."""
     from kinectbench.release.publish.gate import would_be_left_out
 
     if common is None or url_of(common.place) is not None:

@@ -181,7 +181,8 @@ def would_be_left_out(settings: BenchmarkSettings, build: Path, pairs: Mapping[s
     """
     chosen = tuple(each for each in settings.recordings if each.id in pairs)
     rows = judged(settings.model_copy(update={"recordings": chosen}), build, pairs, by_limits_alone=True)
-    found = _decided(rows, tuple(pairs), allow_poor=False).with_pairs([name for name, count in pairs.items() if count])
+    with_pairs = [name for name, count in pairs.items() if count]
+    found = _decided(rows, tuple(pairs), allow_poor=False).with_pairs(with_pairs)
     return {name: f"{why}{ADVICE if name in found.refused else ''}" for name, why in found.left_out.items()}
 
 
