@@ -12,7 +12,7 @@ from pathlib import Path
 
 from kinectbench.core import StorageError
 from kinectbench.core.artefacts.manifest import Failed, Manifest
-from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.object import FLOOR_CUT, QualityFile
 from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
@@ -162,7 +162,8 @@ def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
 
 def _of_object(quality: QualityFile) -> Iterator[str]:
     """Yield reasons to review the object: warnings, a low estimated IoU, movement, depth out of range."""
-    yield from (line.split(END_OF_WARNING, 1)[0] for line in quality.measurement_warnings)
+    cut = (line for line in quality.warnings if line.startswith(FLOOR_CUT))
+    yield from (line.split(END_OF_WARNING, 1)[0] for line in (*quality.measurement_warnings, *cut))
     known = quality.estimated_known_iou
     if known is not None and known < LEAST_KNOWN:
         yield f"the estimated IoU on known voxels is {known:.2f}, below {LEAST_KNOWN}"

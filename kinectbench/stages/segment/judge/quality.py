@@ -25,6 +25,7 @@ from kinectbench.stages.segment.judge.estimate import (
     estimate_iou,
     volume_share_per_mm,
 )
+from kinectbench.stages.segment.judge.floor_cut import FloorCut
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.judge.thin_walls import unresolved_share
@@ -70,6 +71,7 @@ def measure_quality(
     pose_error: PoseError,
     frontiers: tuple[Frontier, ...],
     rules: Rules,
+    floor_cut: FloorCut,
 ) -> QualityFile:
     """Measure repeatability (the IoU of the two halves' solids) and the estimated IoU; gather the warnings.
 
@@ -77,19 +79,21 @@ def measure_quality(
         chosen: floor and object.
         box: `solid_box` of the solid from all frames.
         solids: from all, from the odd and from the even frames.
-        report: the recording's coverage; its warnings come first.
+        report: the recording's coverage.
         pose_error: the median error of the poses.
         frontiers: openings that no frame saw into.
         rules: by which the solids were made.
+        floor_cut: what it took from the object.
     """
     together, odd, even, sigma_m = solids.whole, solids.odd, solids.even, solids.surface_sigma_m
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
-    estimate = _estimate(solids, pose_error, frontiers)
+    estimate = floor_cut.applied(_estimate(solids, pose_error, frontiers))
     unsupported = _unsupported(chosen, together, rules)
     advice = tuple(f.advice(report.first_rad) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
-    warnings = (*report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
+    cut = floor_cut.warnings()
+    warnings = (*cut, *report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
     return QualityFile(
         format_version=1,
         verdict="look at the warnings" if warnings else "good",
