@@ -114,7 +114,8 @@ def inspect(
     recording, findings = _open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:
         return Diagnosis({"path": str(path), "format": None}, gravest_first(findings)), None
-    ground = Ground(recording, plane_world, is_needed=plane_world is None and not boxed)
+    is_needed, refined = plane_world is None and not boxed, mode == "refine"
+    ground = Ground(recording, plane_world, is_needed, refined)
     if mode == "ignore":
         recording = replace(recording, given_trajectory=None, trajectory_error="")
     probe = probe_recording(recording)

@@ -117,6 +117,7 @@ def segment(
     found = _find(sequence, trajectory, scene, segmentation, fusion, given)
     rules = _rules(found, sequence.camera, trajectory, segmentation, given.underside)
     # Fuse the frames into the grid around the object, and label its voxels.
+    range_is_set = fusion.max_depth_m is not None
     fusion, good = fusion.model_copy(update={"max_depth_m": found.max_depth_m}), trajectory.good_frames
     odd, even = (
         observe(sequence, trajectory, half, found.grid, fusion, progress) for half in (good[0::2], good[1::2])
@@ -137,7 +138,8 @@ def segment(
     surround = observe(sequence, trajectory, some_frames(good), around, fusion)
     labels_around = surround_labels(surround, _support(chosen))
     # Judge the solid.
-    report = coverage_report(sequence, trajectory, scene, chosen, found.grid, found.max_depth_m, rules.limits)
+    seen = (sequence, trajectory, scene, chosen, found.grid, found.max_depth_m, rules.limits)
+    report = coverage_report(*seen, range_is_set=range_is_set)
     box, pose_error = solid_box(whole, chosen.floor), pose_error_of(trajectory)
     quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules, floor_cut)
     return ObjectModel(chosen.floor, box, whole, around, labels_around, sigma_m, quality)

@@ -90,7 +90,7 @@ def measure_quality(
     unknown, unknown_air = _unknown_shares(together)
     estimate = floor_cut.applied(_estimate(solids, pose_error, frontiers))
     unsupported = _unsupported(chosen, together, rules)
-    advice = tuple(f.advice(report.first_rad) for f in frontiers)
+    advice = tuple(f.advice(report.first_rad, rules.underside) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
     cut = floor_cut.warnings()
     warnings = (*cut, *report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
@@ -107,7 +107,7 @@ def measure_quality(
         estimated_known_iou=round(estimate.known, 4),
         estimated_known_iou_low=round(estimate.known_low, 4),
         estimated_known_iou_high=round(estimate.known_high, 4),
-        frontiers=tuple(_frontier_part(frontier, report.first_rad) for frontier in frontiers),
+        frontiers=tuple(_frontier_part(each, line) for each, line in zip(frontiers, advice, strict=True)),
         surface_sigma_m=sigma_m,
         unknown_share=round(unknown, 4),
         unknown_air_share=round(unknown_air, 4),
@@ -143,11 +143,8 @@ def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
     return int((shape.solid & unknown).sum()) / volume, int((~shape.solid & unknown).sum()) / volume
 
 
-def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
-    """Return a frontier as quality.json writes it: rounded, and with advice where to stand.
-
-    `first_rad` is the direction from the object to the first camera, from x of the floor frame.
-    """
+def _frontier_part(frontier: Frontier, advice: str) -> FrontierPart:
+    """Return a frontier as quality.json writes it: rounded, and with advice where to stand."""
     (length, width), (x, y, z), (u, v, w) = (
         (round(value, 4) for value in vector)
         for vector in (frontier.size_m, frontier.center_m, frontier.look_from)
@@ -158,7 +155,7 @@ def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
         size_m=(length, width),
         center_m=(x, y, z),
         look_from=(u, v, w),
-        advice=frontier.advice(first_rad),
+        advice=advice,
         volume_m3=round(frontier.volume_m3, 6),
         inside_share=round(frontier.inside_share, 4),
         solid_share=round(frontier.solid_share, 4),
