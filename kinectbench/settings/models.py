@@ -243,17 +243,11 @@ class FusionSettings(Settings):
         return self
 
 
-# A lower cut would take the noise of any floor for objects.
-LEAST_FLOOR_CUT_M = 0.005
-
-
 class FloorCuts(Settings):
     """Heights that separate the floor from objects on it."""
 
     seed: int = Field(0, ge=0, description="seed of RANSAC")
-    floor_cut_m: float = Field(
-        0.02, ge=LEAST_FLOOR_CUT_M, le=0.1, description="height up to which things are floor"
-    )
+    floor_cut_m: float = Field(0.02, ge=0.005, le=0.1, description="height up to which things are floor")
     low_cut_m: float = Field(
         0.01, ge=0.002, le=0.1, description="the same height for what touches the object (a mat? raise it)"
     )

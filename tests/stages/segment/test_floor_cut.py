@@ -3,11 +3,12 @@
 import pytest
 from analytic_scenes import Surface, box
 from bad_scenes import FINE, FLOOR, recorded
+from pydantic import ValidationError
 
 from kinectbench.core.artefacts.object import FLOOR_CUT, QualityFile
-from kinectbench.settings.models import FusionSettings
+from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.segment.judge.estimate import IouEstimate
-from kinectbench.stages.segment.judge.floor_cut import LEAST_CUT_SHARE, FloorCut
+from kinectbench.stages.segment.judge.floor_cut import LEAST_CUT_SHARE, LEAST_SETTING_M, FloorCut
 
 VOXELS = FusionSettings(voxel_size_m=0.005, max_depth_m=2.2)
 BLOCK = box((-0.15, -0.12, 0), (0.15, 0.12, 0.15))
@@ -42,6 +43,12 @@ def test_half_of_it_is_expected_and_all_of_it_possible(share: float, said: int) 
     assert (lowered.high, lowered.known_high) == (1.0, 1.0)
     assert lowered.known == pytest.approx(0.92 / (1 + said * share / 2))
     assert lowered.low == pytest.approx(0.8 / (1 + said * share))
+
+
+def test_the_least_setting_is_one() -> None:
+    assert SegmentationSettings(floor_cut_m=LEAST_SETTING_M)
+    with pytest.raises(ValidationError):
+        SegmentationSettings(floor_cut_m=0.99 * LEAST_SETTING_M)
 
 
 def test_no_setting_is_advised_that_takes_the_floors_noise() -> None:

@@ -172,6 +172,17 @@ def _of_floor(floor: Floor) -> list[str]:
     ]
 
 
+def _of_range(too_far: float, max_depth_m: float, is_set: bool) -> list[str]:
+    """Return a warning if too large a share of the depth is beyond the range; `is_set`: by the user."""
+    if too_far <= MAX_BEYOND_SHARE:
+        return []
+    remedy = "raise `fusion.max_depth_m`, or leave it out" if is_set else "record from nearer"
+    return [
+        f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no surface: its "
+        f"far side and cavities may be wrong; {remedy}"
+    ]
+
+
 def coverage_report(
     sequence: Sequence,
     trajectory: Trajectory,
@@ -222,13 +233,8 @@ def coverage_report(
             "something stands before the scene that the others do not see: a person walking through, or "
             "poses that are off? record it without, and look at the trajectory"
         )
-    remedy = "raise `fusion.max_depth_m`, or leave it out" if range_is_set else "record from nearer"
     too_far = beyond_depth_share(sequence, trajectory, grid, max_depth_m)
-    if too_far > MAX_BEYOND_SHARE:
-        warnings.append(
-            f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no "
-            f"surface: its far side and cavities may be wrong; {remedy}"
-        )
+    warnings += _of_range(too_far, max_depth_m, range_is_set)
     figures = UnseenSidePart(
         gap_rad=np.radians(round(np.degrees(gap_rad), 1)),
         towards_rad=np.radians(round(np.degrees(towards_rad), 1)),

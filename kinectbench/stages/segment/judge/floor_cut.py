@@ -6,7 +6,6 @@ import numpy as np
 
 from kinectbench.core.artefacts.object import FLOOR_CUT
 from kinectbench.core.types import Bools
-from kinectbench.settings.models import LEAST_FLOOR_CUT_M
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.judge.estimate import IouEstimate
 from kinectbench.stages.segment.solid.evidence import FloorLayers, VoxelEvidence
@@ -17,8 +16,9 @@ from kinectbench.stages.segment.solid.evidence import FloorLayers, VoxelEvidence
 LEAST_CUT_SHARE = 0.02
 # The object's or a mat's: nobody knows which, so half of it is expected to be the object.
 EXPECTED_SHARE = 0.5
-# A cut lower than this many standard deviations of the floor would take floor for the object.
-LEAST_SIGMAS = 3
+# A cut lower than this many standard deviations of the floor would take floor for the object. The setting
+# goes down to `LEAST_SETTING_M`.
+LEAST_SIGMAS, LEAST_SETTING_M = 3, 0.005
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,10 @@ class FloorCut:
         if not self.counts:
             return estimate
         usual, most = 1 / (1 + EXPECTED_SHARE * self.share), 1 / (1 + self.share)
-        reason = f"the floor cut: surface below it, {self.share:.0%} of the volume, may be the object's own"
+        reason = (
+            f"the floor cut: surface below it, {self.share:.0%} of the volume, may be the object's own; half "
+            "of it is expected to be"
+        )
         return replace(
             estimate,
             value=estimate.value * usual,
@@ -103,5 +106,5 @@ def taken_by_floor_cut(
     share = int(columns.sum()) / max(1, int(solid.sum()))
     lower_m = (layers.contact - 1) * voxel_m
     setting_m = round(lower_m / floor.scale, 4)
-    possible = lower_m >= LEAST_SIGMAS * floor.noise_m and setting_m >= LEAST_FLOOR_CUT_M
+    possible = lower_m >= LEAST_SIGMAS * floor.noise_m and setting_m >= LEAST_SETTING_M
     return FloorCut(share, layers.contact * voxel_m, setting_m if possible else None, floor.noise_m)

@@ -45,6 +45,8 @@ BOX_LEFT_OUT = 0.005
 # this share of its outline does. Measured on ten built objects: 0.01 to 0.32 on legs, wheels or a foot,
 # 0.92 to 1 on a rim or a flat base.
 RIM_LAYERS, STANDING_SHARE = 2, 0.5
+# Values of the coverage report that quality.json has by the same names.
+OF_REPORT = ("good_frames", "unseen_side", "moving", "max_depth_m", "beyond_share")
 # Tenths of a millimetre, and less than that at a metre.
 BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
 
@@ -119,11 +121,7 @@ def measure_quality(
         box_odd=_box_part(solid_box(odd, chosen.floor, box.yaw_rad)),
         box_even=_box_part(solid_box(even, chosen.floor, box.yaw_rad)),
         selection=chosen.how,
-        good_frames=report.good_frames,
-        unseen_side=report.unseen_side,
-        moving=report.moving,
-        max_depth_m=report.max_depth_m,
-        beyond_share=report.beyond_share,
+        **{key: getattr(report, key) for key in OF_REPORT},
         method=method(rules),
     )
 
