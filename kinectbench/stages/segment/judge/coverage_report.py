@@ -178,8 +178,8 @@ def _of_range(too_far: float, max_depth_m: float, is_set: bool) -> list[str]:
         return []
     remedy = "raise `fusion.max_depth_m`, or leave it out" if is_set else "record from nearer"
     return [
-        f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no surface: its "
-        f"far side and cavities may be wrong; {remedy}"
+        f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no surface: "
+        f"its far side and cavities may be wrong; {remedy}"
     ]
 
 
