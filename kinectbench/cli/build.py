@@ -93,11 +93,23 @@ def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Execu
             # With --json, or for more recordings, the warnings of current artefacts are not repeated.
             again=name == "build" and not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
         )
+    release = common if name == "build" else None
     if common.as_json:
-        common.tell([row.summary.json_value() for row in rows], ())
+        common.tell([row.json_value() for row in _judged([row.summary for row in rows], release)], ())
     elif rows:
-        show_rows(rows, upto)
+        show_rows(rows, upto, release)
     return exit_status(rows)
+
+
+def _judged(rows: "list[RecordingSummary]", common: Common | None) -> "list[RecordingSummary]":
+    """Return summaries that also say why `publish` would leave out recordings of a benchmark here."""
+    from kinectbench.release.publish.gate import would_be_left_out
+
+    if common is None or url_of(common.place) is not None:
+        return rows
+    pairs = {row.recording: row.pairs or 0 for row in rows if row.error is None}
+    why = would_be_left_out(common.settings, common.root / "build", pairs)
+    return [row.model_copy(update={"left_out_of_release": why.get(row.recording)}) for row in rows]
 
 
 def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
@@ -134,7 +146,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
     return SOME_FAILED if left else 0
 
 
-def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
+def show_rows(rows: "list[BuiltRecording]", upto: str, release: Common | None = None) -> None:
     """Print a table of results up to a stage, for at most 100 recordings, and details of their objects."""
     from kinectbench.engine.pipeline import STAGE_NAMES
 
@@ -142,14 +154,13 @@ def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
     first = rows
     if len(rows) > SHOWN_RECORDINGS:  # drawing all takes longer than the check of whether they are current
         first = sorted(rows, key=lambda row: 0 if row.error else 1 if row.made else 2)[:SHOWN_RECORDINGS]
-    shown = [row.summary for row in first]
+    shown = _judged([row.summary for row in first], release)
     console.out.print(console.summary_table(shown, stages))
     if "segment" in stages:
         # `build` has already printed what to record again (`do this first`).
         console.object_lines(shown, frontiers=upto == "segment")
-    if len(rows) > len(shown):
+    if more := len(rows) - len(shown):
         current = sum(row.error is None and not row.made for row in rows)
-        more = len(rows) - len(shown)
         console.say(f"and {more} more; {current} of all {len(rows)} were up to date; --json lists all")
 
 

@@ -146,7 +146,7 @@ def waiting(what: str, holder: str) -> None:
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """Print about each object: estimated IoU, causes of a wide interval, the user's statements, and advice.
+    """Print about each object: estimated IoU with causes, the user's statements, why it is left out, advice.
 
     Args:
         rows: one summary for each recording.
@@ -162,8 +162,9 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
             out.print(Text(heading), soft_wrap=True)
             for reason in row.estimated_iou_reasons:
                 out.print(Text(f"  {reason}"), soft_wrap=True)
-        if row.rests_on_word:
-            out.print(Text(f"{row.recording}: {row.rests_on_word}"), soft_wrap=True)
+        left_out = row.left_out_of_release and f"would be left out of a release: {row.left_out_of_release}"
+        for line in filter(None, (row.rests_on_word, left_out)):
+            out.print(Text(f"{row.recording}: {line}"), soft_wrap=True)
         for frontier in (row.frontiers or ()) if frontiers and not row.made else ():
             out.print(Text(f"{row.recording}: {frontier.advice}"), soft_wrap=True)
 

@@ -1,7 +1,8 @@
 """Commands before a build: `formats`, `inspect` and `init`."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -195,6 +196,9 @@ def inspect_command(
         tracking=Common().settings.tracking if known else TrackingSettings(),
         follow_links=follow_links or (known is not None and known.follow_links),
     )
+    if look is None and not path.exists():
+        found = tuple(replace(each, advice=_near(recording)) for each in diagnosis.findings)
+        diagnosis = replace(diagnosis, findings=found)
     if page is not None:
         from kinectbench.doctor.page import write_diagnosis_page
 
@@ -217,6 +221,16 @@ def _of_benchmark(name: str) -> "RecordingSettings | None":
     if not NAME.fullmatch(name) or not DEFAULT_CONFIG.is_file() or Path(name).exists():
         return None
     return next((known for known in Common().settings.recordings if known.id == name), None)
+
+
+def _near(name: str) -> str:
+    """Return a hint with the recording id, file or folder that is most similar to a name; "" if none is."""
+    path, known = Path(name), list[str]()
+    if NAME.fullmatch(name) and DEFAULT_CONFIG.is_file():
+        known = [each.id for each in Common().settings.recordings]
+    known += [(path.parent / each.name).as_posix() for each in _children(path.parent)]
+    near = get_close_matches(name, known, 1)
+    return f"did you mean '{near[0]}'?" if near else ""
 
 
 def _show(diagnosis: "Diagnosis") -> None:

@@ -3,7 +3,11 @@
 `scripts/error_codes.py` lists the codes of all errors.
 """
 
+import errno
 from collections.abc import Mapping
+
+# About a name of a file or folder that the file system refuses.
+TOO_LONG = "longer than a file's name can be here: choose a shorter one"
 
 
 class KinectBenchError(Exception):
@@ -134,7 +138,7 @@ def error_code(error: BaseException) -> str:
 
 
 def internal_error(error: BaseException) -> str:
-    """Describe an unforeseen error in one line, with advice if an encoding caused it."""
+    """Describe an unforeseen error in one line, with advice if an encoding or a long name caused it."""
     text = " ".join(str(error).split())
     if isinstance(error, UnicodeEncodeError) and error.encoding.startswith("utf"):
         return f"{error.object[:80]!a}: a name that is not UTF-8; rename the file or folder"
@@ -143,6 +147,9 @@ def internal_error(error: BaseException) -> str:
             f"{error.object[:80]!a}: cannot be a file's name where the locale's encoding is "
             f"{error.encoding}; set LC_ALL=C.UTF-8"
         )
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        name = str(error.filename)
+        return f"{name[:80]}{'…' * (len(name) > 80)}: {TOO_LONG}"
     return f"internal error: {type(error).__name__}: {text}; KINECTBENCH_DEBUG=1 shows where"
 
 

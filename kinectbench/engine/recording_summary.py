@@ -36,6 +36,7 @@ class RecordingSummary(StoredPart):
     )
     warnings: tuple[str, ...] = Field(description="of all stages, one line each")
     first: str | None = Field(None, description="of the warnings the one to see to first")
+    left_out_of_release: str | None = Field(None, description="why `publish` would leave it out")
     status: str = Field(description="failed, in use, up to date, or the seconds it took")
     error: str | None = Field(description="why it failed")
     code: str | None = Field(description="of that error")

@@ -29,6 +29,17 @@ def test_formats(command: Callable[..., Run], tmp_path: Path) -> None:
     assert "    verified on: a real recording whose licence lets it be copied: fr3/cabinet" in text
 
 
+def test_a_mistyped_recording_is_answered_with_a_similar_one(
+    command: Callable[..., Run], small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "b")
+    for name, near in (("tabel", "table"), ("recordings/chiar", "recordings/chair")):
+        said = command(root, "inspect", name)
+        assert said.status == 1 and f"{name}: there is no such file or folder" in said.out
+        assert f"did you mean '{near}'?" in said.out
+    assert "did you mean" not in command(root, "inspect", "qqqq").out
+
+
 def test_init_names_the_folders_in_which_there_is_no_recording(
     command: Callable[..., Run], tmp_path: Path
 ) -> None:

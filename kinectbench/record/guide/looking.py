@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, decimated, invert_rigid, on_so3
 from kinectbench.core.sequence import Sequence
@@ -23,7 +24,6 @@ from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
 from kinectbench.stages.segment.solid.grids import floor_layers, object_grid
-from kinectbench.stages.segment.solid.labels import Label
 from kinectbench.stages.segment.solid.solid import SolidShape, make_solid
 from kinectbench.stages.track.frame_maps import STORED_PER_M, MapCache, stored_depth
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph
