@@ -48,10 +48,10 @@ SAME_UNIT = (
     "the given poses fit by this unit, so that it is theirs, too: give `depth_scale` (units a metre), and "
     "write the poses in metres"
 )
-# Findings that make depth meaningless: no further check is useful.
 # Findings whose advice is a number that depends on the intrinsics; with guessed ones, none is advised.
 BY_INTRINSICS = frozenset({"trajectory_delay", LENGTHS})
 GUESSED = "give the intrinsics, and inspect again: by guessed ones no number is advised"
+# Findings that make depth meaningless: no further check is useful.
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_normalised", "depth_sizes"})
 
 
