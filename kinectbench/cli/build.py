@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinectbench.cli import console
+from kinectbench.cli.build_warnings import tell_unknown_categories, tell_warnings, unused_inputs
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
 from kinectbench.core import SettingsError, listed, printable, require_extra
 from kinectbench.core.store.address import url_of
@@ -77,7 +78,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Execu
 
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
     if name == "build":
-        tell_unknown_categories(common, ids)
+        tell_unknown_categories(chosen_jobs(common, ids))
     chosen, force = shard_jobs(common, ids), stages if common.force else ()
     with nullcontext(executor) if executor else common.executor() as executor:
         rows = build_jobs(
@@ -266,7 +267,7 @@ def build_jobs(
     rows, failed = list[BuiltRecording](), 0
     for job, outcome in zip(chosen, outcomes, strict=True):
         # Warn even if all is current: somebody who has just drawn a mask expects it to be used.
-        unused = _unused(job, upto)
+        unused = unused_inputs(job, upto)
         name = job.recording.id
         read = partial(_summary, job, outcome, unused)
         row = BuiltRecording(name, outcome.error, outcome.made, read, outcome.code)
@@ -277,7 +278,7 @@ def build_jobs(
         stated = warn and (row.made or verbose or again)
         own = row.summary.warnings if stated else (*outcome.warnings, *unused)
         first = row.summary.first if len(own) > 1 and not verbose else None
-        _tell_warnings(name, own, first, shlex.join([*COMMANDS.get(upto, (upto,)), name, *options, "-v"]))
+        tell_warnings(name, own, first, shlex.join([*COMMANDS.get(upto, (upto,)), name, *options, "-v"]))
         code = f" ({outcome.code})" if verbose and outcome.code else ""
         reason = STILL_FAILS.format(id=name) if brief and outcome.repeated else row.error
         console.recording_lines(name, "error", [f"{reason}{code}"] if reason else [], "red")
@@ -287,56 +288,12 @@ def build_jobs(
     return rows
 
 
-def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: str) -> None:
-    """Print a recording's most important warning `first`, those on unused input, and the number of others.
-
-    `own` has all of its warnings; without `first`, all are printed. `kinectbench <show_all>` is the command
-    that prints all.
-    """
-    if first is None or first not in own:
-        console.recording_lines(name, "warning", own, "yellow")
-        return
-    console.recording_lines(name, "do this first", [first], "yellow")
-    # Somebody who has just drawn a mask expects it to be used.
-    without_effect = [line for line in own if ": not used" in line and line != first]
-    console.recording_lines(name, "warning", without_effect, "yellow")
-    more = len(own) - 1 - len(without_effect)
-    if not more:
-        return
-    shown = f"shown by `kinectbench {show_all}`, by the report and by --json"
-    console.recording_lines(name, "note", [f"{more} more warning{'s' * (more > 1)}: {shown}"], "yellow")
-
-
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
     """Return a recording's summary, with warnings about input that has no effect (`unused`) added."""
     from kinectbench.engine.summary import summary
 
     figures = summary(job, outcome)
     return figures.model_copy(update={"warnings": (*figures.warnings, *unused)})
-
-
-def _unused(job: "Job", upto: str) -> tuple[str, ...]:
-    """Return warnings on unused input: masks not named in benchmark.yaml, or `pick` beside `segment_by`."""
-    own, views = job.recording, upto in ("sample-views", "pairs")
-    name, lines = own.id, list[str]()
-    if own.pick and own.segment_by and (views or upto == "segment"):
-        lines.append(f"pick: not used with `segment_by: {own.segment_by}`; remove one of them")
-    if views and job.unused_masks is not None:
-        to_do = f"add `masks: masks/{name}` to {name} in benchmark.yaml to use it"
-        lines.append(f"{job.unused_masks}: not used; {to_do}")
-    return tuple(lines)
-
-
-def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
-    """Print a warning about recordings whose category is still the placeholder that `init` writes."""
-    from kinectbench.settings.template import UNKNOWN_CATEGORY
-
-    chosen = [job.recording for job in chosen_jobs(common, ids)]
-    unknown = [recording.id for recording in chosen if recording.category == UNKNOWN_CATEGORY]
-    if unknown:
-        which = "every recording" if len(unknown) == len(chosen) > 1 else listed(unknown)
-        line = f"no category is stated: set `category` in benchmark.yaml, such as chair or table ({which})"
-        console.lines("warning", [line], "yellow")
 
 
 def built(rows: "list[BuiltRecording]") -> list[str]:

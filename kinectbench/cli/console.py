@@ -158,8 +158,7 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
     for row in rows:
         estimate = with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high, 2)
         if estimate and row.estimated_iou_reasons:
-            heading = f"{row.recording}: estimated IoU {estimate}; {REASONS_FOLLOW}:"
-            out.print(Text(heading), soft_wrap=True)
+            out.print(Text(f"{row.recording}: estimated IoU {estimate}; {REASONS_FOLLOW}:"), soft_wrap=True)
             for reason in row.estimated_iou_reasons:
                 out.print(Text(f"  {reason}"), soft_wrap=True)
         left_out = row.left_out_of_release and f"would be left out of a release: {row.left_out_of_release}"

@@ -13,8 +13,8 @@ from kinectbench.cli.build import (
     chosen_jobs,
     exit_status,
     need_some,
-    tell_unknown_categories,
 )
+from kinectbench.cli.build_warnings import tell_unknown_categories
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.core import IN_USE, ReleaseError, SettingsError, printable, read_plain_text
 from kinectbench.core.store.address import is_web, require_usable, shown, unusable, url_of
@@ -92,7 +92,7 @@ def _built(common: Common, ids: list[str] | None, *, stored: bool) -> "list[Buil
     """
     from kinectbench.engine.locks import refuse_in_use
 
-    tell_unknown_categories(common, ids)
+    tell_unknown_categories(chosen_jobs(common, ids))
     if not common.wait and not stored:
         refuse_in_use([common.root / "build", *(job.build for job in chosen_jobs(common, ids))])
     rows = build_recordings(common, ids, "pairs", brief=True, warn=False)
