@@ -1,5 +1,6 @@
 """What the floor cut takes from a flat part of an object is said, and lowers the estimate."""
 
+import numpy as np
 import pytest
 from analytic_scenes import Surface, box
 from bad_scenes import FINE, FLOOR, recorded
@@ -7,8 +8,16 @@ from pydantic import ValidationError
 
 from kinectbench.core.artefacts.object import FLOOR_CUT, QualityFile
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
+from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.judge.estimate import IouEstimate
-from kinectbench.stages.segment.judge.floor_cut import LEAST_CUT_SHARE, LEAST_SETTING_M, FloorCut
+from kinectbench.stages.segment.judge.floor_cut import (
+    LEAST_CUT_M,
+    LEAST_CUT_SHARE,
+    LEAST_LOW_M,
+    FloorCut,
+    lower_setting,
+)
+from kinectbench.stages.segment.segment import segment
 
 VOXELS = FusionSettings(voxel_size_m=0.005, max_depth_m=2.2)
 BLOCK = box((-0.15, -0.12, 0), (0.15, 0.12, 0.15))
@@ -25,7 +34,9 @@ def test_a_plate_below_the_cut_is_reported_and_lowers_the_estimate() -> None:
     assert not any(line.startswith(FLOOR_CUT) for line in alone.warnings)
     (line,) = (line for line in plate.warnings if line.startswith(FLOOR_CUT))
     # 0.064 square metres in two layers of 5 mm, of the block's 10.8 litres.
-    assert "lower than 10 mm" in line and line.endswith("set `segmentation.floor_cut_m: 0.005`")
+    assert "lower than 10 mm" in line and line.endswith(
+        "set `segmentation.low_cut_m: 0.005` (for all recordings)"
+    )
     assert plate.estimated_iou and alone.estimated_iou and plate.estimated_iou < alone.estimated_iou - 0.015
     assert any("the floor cut" in reason for reason in plate.estimated_iou_reasons)
 
@@ -37,7 +48,7 @@ def test_a_plate_above_the_cut_is_the_objects() -> None:
 
 @pytest.mark.parametrize(("share", "said"), [(LEAST_CUT_SHARE, 1), (LEAST_CUT_SHARE - 0.001, 0)])
 def test_half_of_it_is_expected_and_all_of_it_possible(share: float, said: int) -> None:
-    cut = FloorCut(share, 0.015, 0.01, 0.002)
+    cut = FloorCut(share, True, 0.015, "low_cut_m: 0.01", 0.002)
     lowered = cut.applied(ESTIMATE)
     assert len(cut.warnings()) == said == len(lowered.reasons)
     assert (lowered.high, lowered.known_high) == (1.0, 1.0)
@@ -45,12 +56,55 @@ def test_half_of_it_is_expected_and_all_of_it_possible(share: float, said: int) 
     assert lowered.low == pytest.approx(0.8 / (1 + said * share))
 
 
-def test_the_least_setting_is_one() -> None:
-    assert SegmentationSettings(floor_cut_m=LEAST_SETTING_M)
+@pytest.mark.parametrize(("name", "least_m"), [("floor_cut_m", LEAST_CUT_M), ("low_cut_m", LEAST_LOW_M)])
+def test_the_least_settings_are_theirs(name: str, least_m: float) -> None:
+    assert SegmentationSettings.model_validate({name: least_m})
     with pytest.raises(ValidationError):
-        SegmentationSettings(floor_cut_m=0.99 * LEAST_SETTING_M)
+        SegmentationSettings.model_validate({name: 0.99 * least_m})
+
+
+def test_a_foot_below_an_overhang_is_reported() -> None:
+    """The base of a pedestal, below its top."""
+    top = [box((-0.2, -0.2, 0.37), (0.2, 0.2, 0.4)), box((-0.05, -0.05, 0), (0.05, 0.05, 0.4))]
+    for things, said in (([], 0), ([box((-0.18, -0.18, 0), (0.18, 0.18, 0.009))], 1)):
+        quality = quality_of(*top, *things)
+        assert sum(line.startswith(FLOOR_CUT) for line in quality.warnings) == said
+
+
+def test_a_rug_is_reported_and_lowers_no_estimate() -> None:
+    """It goes on beyond the object's grid."""
+    rug = quality_of(BLOCK, box((-0.4, -0.4, 0), (0.4, 0.4, 0.009)))
+    (line,) = (line for line in rug.warnings if line.startswith(FLOOR_CUT))
+    assert "at least" in line
+    assert not any("the floor cut" in reason for reason in rug.estimated_iou_reasons)
+
+
+def test_nothing_is_said_where_one_layer_is_floor() -> None:
+    made = recorded([FLOOR, BLOCK, box((-0.2, -0.17, 0), (0.2, 0.17, 0.004))], **FINE)
+    settings = SegmentationSettings(low_cut_m=0.005)
+    quality = segment(made.sequence, made.trajectory, made.scene, settings, VOXELS).quality
+    assert not any(line.startswith(FLOOR_CUT) for line in quality.warnings)
+
+
+@pytest.mark.parametrize(
+    ("height_m", "noise_m", "scale", "setting"),
+    [
+        (0.01, 0.002, 1.0, "low_cut_m: 0.01"),
+        (0.01, 0.003, 1.0, "floor_cut_m: 0.01"),
+        (0.01, 0.004, 1.0, None),
+        (0.003, 0.0005, 1.0, "low_cut_m: 0.003"),
+        (0.003, 0.0009, 1.0, None),
+        (0.003, 0.0009, 0.5, "floor_cut_m: 0.006"),
+        (0.001, 0.0, 1.0, None),
+    ],
+)
+def test_the_setting_that_lowers_the_cut(
+    height_m: float, noise_m: float, scale: float, setting: str | None
+) -> None:
+    floor = Floor(np.array([0.0, 0.0, 1.0, 0.0]), np.eye(4), noise_m, 0.5, scale=scale)
+    assert lower_setting(height_m, floor) == setting
 
 
 def test_no_setting_is_advised_that_takes_the_floors_noise() -> None:
-    (line,) = FloorCut(0.1, 0.015, None, 0.0042).warnings()
-    assert "floor_cut_m" not in line and "scatters by 4.2 mm: record from nearer" in line
+    (line,) = FloorCut(0.1, True, 0.015, None, 0.0042).warnings()
+    assert "_cut_m:" not in line and "scatters by 4.2 mm: record from nearer" in line

@@ -6,7 +6,7 @@ import numpy as np
 
 from kinectbench.core.artefacts.object import FLOOR_CUT
 from kinectbench.core.types import Bools
-from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.floor import FLOOR_SIGMAS, Floor
 from kinectbench.stages.segment.judge.estimate import IouEstimate
 from kinectbench.stages.segment.solid.evidence import FloorLayers, VoxelEvidence
 
@@ -16,9 +16,11 @@ from kinectbench.stages.segment.solid.evidence import FloorLayers, VoxelEvidence
 LEAST_CUT_SHARE = 0.02
 # The object's or a mat's: nobody knows which, so half of it is expected to be the object.
 EXPECTED_SHARE = 0.5
-# A cut lower than this many standard deviations of the floor would take floor for the object. The setting
-# goes down to `LEAST_SETTING_M`.
-LEAST_SIGMAS, LEAST_SETTING_M = 3, 0.005
+# `segmentation.floor_cut_m` at less than this many standard deviations of the floor would take floor for the
+# object. `segmentation.low_cut_m` never goes below `FLOOR_SIGMAS` of them.
+LEAST_SIGMAS = 3.0
+# The least values of the two settings, metres.
+LEAST_CUT_M, LEAST_LOW_M = 0.005, 0.002
 
 
 @dataclass(frozen=True)
@@ -27,15 +29,16 @@ class FloorCut:
 
     Attributes:
         share: volume of the columns of low surface beside the solid, divided by the solid's volume.
+        is_whole: whether that surface ends within the object's grid; a carpet goes on beyond it.
         height_m: height above the floor up to which surface counts as floor, metres.
-        lower_m: the value of `segmentation.floor_cut_m` that lowers it by one voxel; None: the floor's noise,
-            or the setting's range, allows none.
+        setting: the setting that lowers it by a voxel, such as "low_cut_m: 0.005"; None: there is none.
         noise_m: standard deviation of the floor, metres.
     """
 
     share: float
+    is_whole: bool
     height_m: float
-    lower_m: float | None
+    setting: str | None
     noise_m: float
 
     @property
@@ -47,20 +50,25 @@ class FloorCut:
         """Return the warning, whose code is `floor_cut`; none if little is taken."""
         if not self.counts:
             return ()
+        least = "" if self.is_whole else "at least "
         what = (
-            f"{FLOOR_CUT}surface beside the object, {self.share:.0%} of its volume, is lower than "
+            f"{FLOOR_CUT}surface beside the object, {least}{self.share:.0%} of its volume, is lower than "
             f"{1000 * self.height_m:.0f} mm and counts as floor: all is well if it is a mat's; if it is the "
             "object's own, such as the rim of a board, solid and masks lack it"
         )
-        if self.lower_m is not None:
-            return (f"{what}: set `segmentation.floor_cut_m: {self.lower_m:g}`",)
+        if self.setting is not None:
+            return (f"{what}: set `segmentation.{self.setting}` (for all recordings)",)
         noise = f"a floor that scatters by {1000 * self.noise_m:.1f} mm"
         advice = "record from nearer, on a smoother floor"
         return (f"{what}, and no lower cut can tell it from {noise}: {advice}",)
 
     def applied(self, estimate: IouEstimate) -> IouEstimate:
-        """Return the estimate with half of the cut volume missing, and at its lower end all of it."""
-        if not self.counts:
+        """Return the estimate with half of the cut volume missing, and at its lower end all of it.
+
+        It is not changed by surface that goes on beyond the grid: most of that is carpet, and the volume of
+        what is not would be unknown.
+        """
+        if not self.counts or not self.is_whole:
             return estimate
         usual, most = 1 / (1 + EXPECTED_SHARE * self.share), 1 / (1 + self.share)
         reason = (
@@ -83,7 +91,8 @@ def taken_by_floor_cut(
 ) -> FloorCut:
     """Measure the surface in the layers that count as floor that is connected to the solid, beside it.
 
-    The lower half of these layers is not looked at: mats and the floor's noise are there.
+    The lower half of these layers is not looked at: mats and the floor's noise are there. Of a single layer
+    nothing is looked at.
 
     Args:
         evidence: classes of the voxels.
@@ -95,16 +104,31 @@ def taken_by_floor_cut(
     """
     from scipy import ndimage
 
+    if layers.contact < 2:
+        return FloorCut(0.0, True, layers.contact * voxel_m, None, floor.noise_m)
     skipped = layers.contact // 2
     low = slice(layers.below + skipped, layers.first)
     behind = evidence.observed[..., low] & ~evidence.free[..., low] & ~others[..., low]
-    behind &= ~solid.any(axis=2, keepdims=True)
+    behind &= ~solid[..., layers.first, None]  # else the object itself goes on above
     pieces, _ = ndimage.label(behind | solid[..., low], np.ones((3, 3, 3)))
     taken = behind & np.isin(pieces, pieces[solid[..., low]])
     # A column of low surface has as many voxels as its top is high.
     columns = (taken * np.arange(skipped + 1, layers.contact + 1)).max(axis=2, initial=0)
     share = int(columns.sum()) / max(1, int(solid.sum()))
-    lower_m = (layers.contact - 1) * voxel_m
-    setting_m = round(lower_m / floor.scale, 4)
-    possible = lower_m >= LEAST_SIGMAS * floor.noise_m and setting_m >= LEAST_SETTING_M
-    return FloorCut(share, layers.contact * voxel_m, setting_m if possible else None, floor.noise_m)
+    is_whole = not any(side.any() for side in (columns[0], columns[-1], columns[:, 0], columns[:, -1]))
+    setting = lower_setting((layers.contact - 1) * voxel_m, floor)
+    return FloorCut(share, is_whole, layers.contact * voxel_m, setting, floor.noise_m)
+
+
+def lower_setting(height_m: float, floor: Floor) -> str | None:
+    """Return the setting, as a line of benchmark.yaml, by which surface up to a height is floor, not more.
+
+    `low_cut_m` is preferred, because it does not change which things are found. None: the floor's noise, or
+    the settings' range, allows none.
+    """
+    value_m = round(height_m / floor.scale, 4)
+    if height_m >= FLOOR_SIGMAS * floor.noise_m and value_m >= LEAST_LOW_M:
+        return f"low_cut_m: {value_m:g}"
+    if height_m >= LEAST_SIGMAS * floor.noise_m and value_m >= LEAST_CUT_M:
+        return f"floor_cut_m: {value_m:g}"
+    return None
