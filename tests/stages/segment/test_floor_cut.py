@@ -1,5 +1,7 @@
 """What the floor cut takes from a flat part of an object is said, and lowers the estimate."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from analytic_scenes import Surface, box
@@ -11,13 +13,13 @@ from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.judge.estimate import IouEstimate
 from kinectbench.stages.segment.judge.floor_cut import (
-    LEAST_CUT_M,
     LEAST_CUT_SHARE,
     LEAST_LOW_M,
     FloorCut,
-    lower_setting,
+    taken_by_floor_cut,
 )
 from kinectbench.stages.segment.segment import segment
+from kinectbench.stages.segment.solid.evidence import FloorLayers
 
 VOXELS = FusionSettings(voxel_size_m=0.005, max_depth_m=2.2)
 BLOCK = box((-0.15, -0.12, 0), (0.15, 0.12, 0.15))
@@ -48,7 +50,7 @@ def test_a_plate_above_the_cut_is_the_objects() -> None:
 
 @pytest.mark.parametrize(("share", "said"), [(LEAST_CUT_SHARE, 1), (LEAST_CUT_SHARE - 0.001, 0)])
 def test_half_of_it_is_expected_and_all_of_it_possible(share: float, said: int) -> None:
-    cut = FloorCut(share, True, 0.015, "low_cut_m: 0.01", 0.002)
+    cut = FloorCut(share, True, 0.015, 0.01, 0.002)
     lowered = cut.applied(ESTIMATE)
     assert len(cut.warnings()) == said == len(lowered.reasons)
     assert (lowered.high, lowered.known_high) == (1.0, 1.0)
@@ -56,11 +58,10 @@ def test_half_of_it_is_expected_and_all_of_it_possible(share: float, said: int) 
     assert lowered.low == pytest.approx(0.8 / (1 + said * share))
 
 
-@pytest.mark.parametrize(("name", "least_m"), [("floor_cut_m", LEAST_CUT_M), ("low_cut_m", LEAST_LOW_M)])
-def test_the_least_settings_are_theirs(name: str, least_m: float) -> None:
-    assert SegmentationSettings.model_validate({name: least_m})
+def test_the_least_setting_is_one() -> None:
+    assert SegmentationSettings(low_cut_m=LEAST_LOW_M)
     with pytest.raises(ValidationError):
-        SegmentationSettings.model_validate({name: 0.99 * least_m})
+        SegmentationSettings(low_cut_m=0.99 * LEAST_LOW_M)
 
 
 def test_a_foot_below_an_overhang_is_reported() -> None:
@@ -87,22 +88,21 @@ def test_nothing_is_said_where_one_layer_is_floor() -> None:
 
 
 @pytest.mark.parametrize(
-    ("height_m", "noise_m", "scale", "setting"),
+    ("noise_m", "scale", "advised"),
     [
-        (0.01, 0.002, 1.0, "low_cut_m: 0.01"),
-        (0.01, 0.003, 1.0, "floor_cut_m: 0.01"),
-        (0.01, 0.004, 1.0, None),
-        (0.003, 0.0005, 1.0, "low_cut_m: 0.003"),
-        (0.003, 0.0009, 1.0, None),
-        (0.003, 0.0009, 0.5, "floor_cut_m: 0.006"),
-        (0.001, 0.0, 1.0, None),
+        (0.0004, 1.0, "`segmentation.low_cut_m: 0.01` (for"),
+        (0.0004, 0.5, "0.02` (for"),
+        (0.003, 1.0, "3.0 mm"),
     ],
 )
-def test_the_setting_that_lowers_the_cut(
-    height_m: float, noise_m: float, scale: float, setting: str | None
-) -> None:
-    floor = Floor(np.array([0.0, 0.0, 1.0, 0.0]), np.eye(4), noise_m, 0.5, scale=scale)
-    assert lower_setting(height_m, floor) == setting
+def test_the_setting_that_lowers_the_cut(noise_m: float, scale: float, advised: str) -> None:
+    solid, observed = np.zeros((2, 20, 20, 20), bool)
+    solid[5:15, 5:15, 2:15] = observed[3:17, 3:17, 2:15] = True
+    classes = SimpleNamespace(observed=observed, free=np.zeros_like(solid))
+    layers, floor = FloorLayers(1, 3, 1), Floor(np.eye(4)[2], np.eye(4), noise_m, 0.5, scale=scale)
+    cut = taken_by_floor_cut(classes, solid, np.zeros_like(solid), layers, 0.005, floor)  # type: ignore[arg-type]
+    (line,) = cut.warnings()
+    assert cut.is_whole and advised in line
 
 
 def test_no_setting_is_advised_that_takes_the_floors_noise() -> None:

@@ -16,11 +16,8 @@ from kinectbench.stages.segment.solid.evidence import FloorLayers, VoxelEvidence
 LEAST_CUT_SHARE = 0.02
 # The object's or a mat's: nobody knows which, so half of it is expected to be the object.
 EXPECTED_SHARE = 0.5
-# `segmentation.floor_cut_m` at less than this many standard deviations of the floor would take floor for the
-# object. `segmentation.low_cut_m` never goes below `FLOOR_SIGMAS` of them.
-LEAST_SIGMAS = 3.0
-# The least values of the two settings, metres.
-LEAST_CUT_M, LEAST_LOW_M = 0.005, 0.002
+# The least value of `segmentation.low_cut_m`, metres.
+LEAST_LOW_M = 0.002
 
 
 @dataclass(frozen=True)
@@ -31,14 +28,15 @@ class FloorCut:
         share: volume of the columns of low surface beside the solid, divided by the solid's volume.
         is_whole: whether that surface ends within the object's grid; a carpet goes on beyond it.
         height_m: height above the floor up to which surface counts as floor, metres.
-        setting: the setting that lowers it by a voxel, such as "low_cut_m: 0.005"; None: there is none.
+        lower_m: the value of `segmentation.low_cut_m` that lowers it by a voxel, metres; None: the floor's
+            noise, or the setting's range, allows none.
         noise_m: standard deviation of the floor, metres.
     """
 
     share: float
     is_whole: bool
     height_m: float
-    setting: str | None
+    lower_m: float | None
     noise_m: float
 
     @property
@@ -51,16 +49,16 @@ class FloorCut:
         if not self.counts:
             return ()
         least = "" if self.is_whole else "at least "
+        least = "" if self.is_whole else "at least "
         what = (
-            f"{FLOOR_CUT}surface beside the object, {least}{self.share:.0%} of its volume, is lower than "
-            f"{1000 * self.height_m:.0f} mm and counts as floor: all is well if it is a mat's; if it is the "
-            "object's own, such as the rim of a board, solid and masks lack it"
+            f"{FLOOR_CUT}surface that touches the object, {least}{self.share:.0%} of its volume, lies lower "
+            f"than {1000 * self.height_m:.0f} mm and counts as floor: all is well if it is a mat's; if it is "
+            "the object's own, such as the rim of a board, solid and masks lack it"
         )
-        if self.setting is not None:
-            return (f"{what}: set `segmentation.{self.setting}` (for all recordings)",)
+        if self.lower_m is not None:
+            return (f"{what}: set `segmentation.low_cut_m: {self.lower_m:g}` (for all recordings)",)
         noise = f"a floor that scatters by {1000 * self.noise_m:.1f} mm"
-        advice = "record from nearer, on a smoother floor"
-        return (f"{what}, and no lower cut can tell it from {noise}: {advice}",)
+        return (f"{what}, and cannot be told from {noise}: record from nearer, on a smoother floor",)
 
     def applied(self, estimate: IouEstimate) -> IouEstimate:
         """Return the estimate with half of the cut volume missing, and at its lower end all of it.
@@ -116,19 +114,14 @@ def taken_by_floor_cut(
     columns = (taken * np.arange(skipped + 1, layers.contact + 1)).max(axis=2, initial=0)
     share = int(columns.sum()) / max(1, int(solid.sum()))
     is_whole = not any(side.any() for side in (columns[0], columns[-1], columns[:, 0], columns[:, -1]))
-    setting = lower_setting((layers.contact - 1) * voxel_m, floor)
-    return FloorCut(share, is_whole, layers.contact * voxel_m, setting, floor.noise_m)
+    lower_m = _lower_m((layers.contact - 1) * voxel_m, floor)
+    return FloorCut(share, is_whole, layers.contact * voxel_m, lower_m, floor.noise_m)
 
 
-def lower_setting(height_m: float, floor: Floor) -> str | None:
-    """Return the setting, as a line of benchmark.yaml, by which surface up to a height is floor, not more.
+def _lower_m(height_m: float, floor: Floor) -> float | None:
+    """Return `segmentation.low_cut_m`, metres, by which surface up to a height is floor, not more; else None.
 
-    `low_cut_m` is preferred, because it does not change which things are found. None: the floor's noise, or
-    the settings' range, allows none.
+    `floor_cut_m` could be lowered further, but may then join the object and its neighbours.
     """
     value_m = round(height_m / floor.scale, 4)
-    if height_m >= FLOOR_SIGMAS * floor.noise_m and value_m >= LEAST_LOW_M:
-        return f"low_cut_m: {value_m:g}"
-    if height_m >= LEAST_SIGMAS * floor.noise_m and value_m >= LEAST_CUT_M:
-        return f"floor_cut_m: {value_m:g}"
-    return None
+    return value_m if height_m >= FLOOR_SIGMAS * floor.noise_m and value_m >= LEAST_LOW_M else None

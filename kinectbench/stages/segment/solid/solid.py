@@ -150,7 +150,7 @@ def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rul
     if not solid.any():
         raise ShapeError(
             "no solid shape: no surface of the object was measured above what counts as floor; record it "
-            "from all sides, or lower `segmentation.floor_cut_m` if it is flat"
+            "from all sides, or if it is flat, try `segmentation.floor_cut_m: 0.01` (for all recordings)"
         )
     mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
     return SolidBody(observation.grid, solid, mesh)
