@@ -43,7 +43,7 @@ def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do() -> 
     health = health_of(24, grade="not good", verdict=verdict, recommended="refine")
     bad = replace(plain().trajectory, health=health)
     assert replace(plain(), trajectory=bad).coverage_report().warnings == (
-        f"the trajectory is {verdict}; `trajectory: refine` is recommended",
+        f"the trajectory is {verdict}; write `trajectory: refine` below its `id` in benchmark.yaml",
     )
     kept = replace(bad, health=health.model_copy(update={"recommended": "trust"}))
     (told,) = replace(plain(), trajectory=kept).coverage_report().warnings

@@ -153,7 +153,8 @@ def _of_trajectory(trajectory: Trajectory) -> list[str]:
         return []
     better = health.recommended
     if better not in (None, trajectory.source):
-        return [f"the trajectory is {health.verdict}; `trajectory: {better}` is recommended"]
+        line = f"write `trajectory: {better}` below its `id` in benchmark.yaml"
+        return [f"the trajectory is {health.verdict}; {line}"]
     return [f"the trajectory is {health.verdict}; {REMEDIES[trajectory.source]}"]
 
 

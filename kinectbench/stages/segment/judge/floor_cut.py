@@ -58,7 +58,7 @@ class FloorCut:
         if self.lower_m is not None:
             return (f"{what}: set `segmentation.low_cut_m: {self.lower_m:g}` (for all recordings)",)
         noise = f"a floor that scatters by {1000 * self.noise_m:.1f} mm"
-        return (f"{what}, and cannot be told from {noise}: record from nearer, on a smoother floor",)
+        return (f"{what}, and differs too little from {noise}: record from nearer, on a smoother floor",)
 
     def applied(self, estimate: IouEstimate) -> IouEstimate:
         """Return the estimate with half of the cut volume missing, and at its lower end all of it.
