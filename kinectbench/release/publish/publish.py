@@ -58,6 +58,7 @@ class PublishSummary:
         removed: removed private facts, one line each.
         unanswered: keys of the datasheet's unanswered questions.
         refused: ids of recordings left out because they violate limits of `publish.gate`.
+        shortened: whether `warnings` have only the first of several quality warnings of a recording.
     """
 
     folder: Path
@@ -70,6 +71,7 @@ class PublishSummary:
     removed: tuple[str, ...] = ()
     unanswered: tuple[str, ...] = ()
     refused: tuple[str, ...] = ()
+    shortened: bool = False
 
     @property
     def scoring(self) -> Path:
@@ -239,6 +241,7 @@ def _write(
         removed=tuple(removed_lines(removals)),
         unanswered=tuple(unanswered(settings)),
         refused=tuple(passed.refused),
+        shortened=any(len(info.quality.warnings) > 1 for info in infos.values()),
     )
 
 
