@@ -54,9 +54,9 @@ def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collec
             if may_be_meant and (meant := names.pop(_simple(stem), None)):
                 advice = f"rename it to {meant}{suffix.lower()}"
             elif may_be_meant and top not in recordings and len(lines) < NAMED:
-                alike = unclear.get(_numbers(stem), [])
-                for near in get_close_matches(stem, alike, 1):
-                    alike.remove(near)
+                candidates = unclear.get(_numbers(stem), [])
+                for near in get_close_matches(stem, candidates, 1):
+                    candidates.remove(near)
                     advice = f"rename it to {near}{suffix.lower()}, the nearest that is missing, or {advice}"
             line = f"{printable(name)}: {NO_TARGET}; {advice}"
         if line in lines or len(lines) < NAMED:

@@ -210,14 +210,13 @@ def _write(
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     alone = tuple(sorted(isolated.views))
     _write_texts(settings, folder, made, targets, warnings, options, removals, alone)
-    public = _public_settings(settings, options.hold_back, removals, bool(options.isolate))
     privacy(_color(settings, made), removals).write(folder)
     head = Head(
         settings.name,
         settings.license,
         settings.pairs.framing,
         settings.pairs.partial_rule,
-        public,
+        _public_settings(settings, options.hold_back, removals, bool(options.isolate)),
         citation=settings.publish.citation,
         held_back=options.hold_back,
         left_out=passed.left_out,
