@@ -1,5 +1,6 @@
 """The command `publish`."""
 
+import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from kinectbench.cli.build import (
     exit_status,
     need_some,
 )
-from kinectbench.cli.build_warnings import tell_unknown_categories
+from kinectbench.cli.build_warnings import tell_unknown_categories, tell_warnings
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
 from kinectbench.core import IN_USE, ReleaseError, SettingsError, printable, read_plain_text
 from kinectbench.core.store.address import is_web, require_usable, shown, unusable, url_of
@@ -72,11 +73,10 @@ def publish_command(
     if packed or to is not None:
         refuse_unstated(settings, ids)
     rows = _built(common, ids, stored=stored)
+    summary = _published(common, rows, options, stored=stored)
     if stored:
-        summary = _publish_there(common, need_some(rows), options)
         _tell(common, summary, [])
         return _status(rows, summary)
-    summary = _publish_here(common, need_some(rows), options)
     put = None if put_there is None else put_there(summary.folder)
     parts = [part for part in (summary.folder, summary.private) if part is not None]
     written = [_packed(part, archives_to or common.root) for part in parts] if packed else []
@@ -99,6 +99,31 @@ def _built(common: Common, ids: list[str] | None, *, stored: bool) -> "list[Buil
     if any(row.code == IN_USE for row in rows):
         raise typer.Exit(exit_status(rows))
     return rows
+
+
+def _published(
+    common: Common, rows: "list[BuiltRecording]", options: "PublishOptions", *, stored: bool
+) -> "PublishSummary":
+    """Publish what was built; of each recording that is left out, print what to do first."""
+    try:
+        summary = (_publish_there if stored else _publish_here)(common, need_some(rows), options)
+    except (ReleaseError, typer.Exit):
+        _tell_left_out(common, rows)
+        raise
+    _tell_left_out(common, [row for row in rows if row.recording not in summary.recordings])
+    return summary
+
+
+def _tell_left_out(common: Common, rows: "list[BuiltRecording]") -> None:
+    """Print the most important warning of each recording that is left out, unless a person rejected it."""
+    reviews = {each.id: each.review for each in common.settings.recordings if each.review is not None}
+    for row in rows[: console.MOST_LINES]:
+        review = reviews.get(row.recording)
+        if row.summary.first and (review is None or review.decision != "reject"):
+            show_all = shlex.join(["build", row.recording, *common.options, "-v"])
+            # Those on input that has no effect are printed already.
+            own = [line for line in row.summary.warnings if ": not used" not in line]
+            tell_warnings(row.recording, own, row.summary.first, show_all)
 
 
 def _publish_here(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
@@ -247,8 +272,9 @@ def _tell(
 ) -> None:
     """Print what was published, removed, packed and uploaded, and JSON if requested."""
     console.lines("warning", summary.warnings, "yellow")
-    if any(line.endswith(" more)") for line in summary.warnings):
-        line = "all warnings of a recording are shown by `kinectbench build ID -v`, and by the report"
+    if summary.shortened:
+        show_all = shlex.join(["build", "ID", *common.options, "-v"])
+        line = f"all warnings of a recording are shown by `kinectbench {show_all}`, and by the report"
         console.lines("note", [line], "cyan")
     if summary.unanswered:
         keys = ", ".join(summary.unanswered)

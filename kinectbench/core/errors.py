@@ -6,6 +6,8 @@
 import errno
 from collections.abc import Mapping
 
+from kinectbench.core.untrusted import printable
+
 # About a name of a file or folder that the file system refuses.
 TOO_LONG = "longer than a file's name can be here: choose a shorter one"
 
@@ -148,8 +150,8 @@ def internal_error(error: BaseException) -> str:
             f"{error.encoding}; set LC_ALL=C.UTF-8"
         )
     if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
-        name = str(error.filename)
-        return f"{name[:80]}{'…' * (len(name) > 80)}: {TOO_LONG}"
+        where = "" if error.filename is None else f"{printable(str(error.filename), 80)}: "
+        return f"{where}{TOO_LONG}"
     return f"internal error: {type(error).__name__}: {text}; KINECTBENCH_DEBUG=1 shows where"
 
 

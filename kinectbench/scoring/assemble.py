@@ -194,4 +194,5 @@ def describe(counting: Counting, missing: str) -> ScoreSettings:
         interval_level=LEVEL,
         interval_rule=f"category: Student t over objects; overall: bootstrap over objects, by category "
         f"({RESAMPLES} resamples, seed {SEED}); none with fewer than {MIN_OBJECTS} objects in a category",
+        baseline_version=0,
     )

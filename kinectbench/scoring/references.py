@@ -1,4 +1,4 @@
-"""Base rates of categories, which are references for scores."""
+"""References for scores: base rates of categories, and names of baselines."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -62,3 +62,10 @@ def _occupied_share(task: tuple[Path, str]) -> float:
     """Return the share of voxels that are occupied in the truth of a pair; `task` is (file, SHA-256)."""
     (full,) = read_parts(*task, ("full",))
     return int(np.bitwise_count(full).sum()) / (8 * full.size)
+
+
+# Names of baselines. An older table of such a name, which does not state what it is, is marked as a baseline.
+BASELINE_NAMES = (
+    *("empty", "base-rate", "partial", "hull", "carved-hull", "mirror", "silhouette"),
+    *("mean-shape", "nearest"),
+)

@@ -1,6 +1,7 @@
 """Score the predictions of one or several methods against a release."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from kinectbench.core import PredictionError, SettingsError, replaced_file
@@ -15,7 +16,7 @@ from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table
-from kinectbench.scoring.baselines.recognized import is_of_baseline
+from kinectbench.scoring.baselines.recognized import is_of_baseline, made_table
 from kinectbench.scoring.camera.grid_score import score_grid_in_space, space_alone
 from kinectbench.scoring.camera.score import left_out_table, protocols_in_space, score_in_camera, unfit
 from kinectbench.scoring.declared import (
@@ -104,16 +105,14 @@ def score(
 def _counted(
     release: Release, asked: Plan, method: str, rounds: Rounds, how: ScoreSettings, jobs: int
 ) -> ScoreTable:
-    """Count the pairs and make the table; if its rows are those of a baseline, the table says so."""
+    """Count the pairs and make the table."""
     outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
     failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
     rates = base_rates(release, jobs, {target: result.tally for target, result in results.items()})
     empty = [t for t, file in asked.files.items() if file is None]
-    table = make_table(release, method, results, thresholds, rates, failures, how, empty)
-    if not is_of_baseline(release, table, rounds.counting, jobs):
-        return table
-    return make_table(release, method, results, thresholds, rates, failures, as_of_baseline(how), empty)
+    make = partial(make_table, release, method, results, thresholds, rates, failures, empty=empty)
+    return made_table(release, make, how, rounds.counting, jobs)
 
 
 def _with_warnings(

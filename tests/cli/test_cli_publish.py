@@ -60,3 +60,28 @@ def test_a_warning_is_printed_once_and_a_replaced_release_is_named(
         f"note: benchmark: replaced small 1.0.0, benchmark_sha256 {sha256}; both have version 1.0.0: raise "
         "`publish.citation.version`"
     )
+
+
+def test_what_to_do_first_for_recordings_that_are_left_out(
+    command: Command, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "b")
+    config, strict = root / "benchmark.yaml", ("--set", "publish.gate.min_estimated_iou=1")
+    none = command(root, "publish", "--jobs", "1", *strict)
+    assert none.status == 1 and "no recording to publish" in none.err, none.err
+    first = [line for line in none.err.splitlines() if ": do this first: " in line]
+    assert [line.partition(":")[0] for line in first] == ["chair", "table"]
+    assert "`kinectbench build table --set publish.gate.min_estimated_iou=1 -v`" in none.err
+    accepted = "category: chair, review: {decision: accept, reason: looked at}"
+    config.write_text(config.read_text().replace("category: chair", accepted))
+    one = command(root, "publish", "--jobs", "1", *strict)
+    assert one.status == 3 and [line for line in one.err.splitlines() if "do this first" in line] == first[1:]
+    text = first[1].partition("do this first: ")[2]
+    assert one.err.count(text) == 1
+    shown = "all warnings of a recording are shown by `kinectbench build ID"
+    (note,) = [line for line in one.err.splitlines() if shown in line]
+    assert f"{shown} --set publish.gate.min_estimated_iou=1 -v`" in note
+    rejected = accepted.replace("accept", "reject")
+    config.write_text(config.read_text().replace(accepted, rejected))
+    both = command(root, "publish", "--jobs", "1", *strict)
+    assert [line for line in both.err.splitlines() if "do this first" in line] == first[1:]

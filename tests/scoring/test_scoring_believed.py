@@ -20,10 +20,12 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
+from kinectbench.scoring.baselines.registry import BASELINES
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.recheck import recheck
+from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.score import score, score_methods
 
 Command = Callable[..., Run]
@@ -371,6 +373,10 @@ def test_thresholds_of_a_file_without_objects_are_marked(
     assert words_of(table) == mark and bool(table.warnings) == bool(mark)
     again = scored_in_memory(release, method="net", thresholds_file=path)
     assert json.dumps(without_hashes(again)) == json.dumps(without_hashes(table))
+
+
+def test_baselines_are_known_by_their_names() -> None:
+    assert tuple(BASELINES) == BASELINE_NAMES
 
 
 def test_a_category_without_validation_is_marked(release: Release, tmp_path: Path) -> None:

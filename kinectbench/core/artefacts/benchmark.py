@@ -240,3 +240,4 @@ class PublishStamp(Stored):
     removed: tuple[str, ...] = Field(description="what was removed for privacy, one line each")
     unanswered: tuple[str, ...] = Field(description="keys of the datasheet's questions without an answer")
     refused: tuple[str, ...] = Field((), description="ids of the recordings that violate `publish.gate`")
+    shortened: bool = Field(False, description="whether further warnings of recordings are left out")

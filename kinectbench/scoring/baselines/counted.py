@@ -89,7 +89,7 @@ def _refuse_to_replace(paths: Sequence[Path]) -> None:
     for path in paths:
         with contextlib.suppress(StorageError):  # there is none, or it is damaged
             table = read_table(path)
-            if not table.settings.of_baseline and any(of.prediction for of in table.hashes.values()):
+            if table.settings.baseline_version == 0:
                 raise SettingsError(
                     f"{path}: has the scores of a method that is named like a baseline; give another folder "
                     "for those of the baselines: --out",
@@ -147,15 +147,21 @@ def counted_baselines(
 
 
 def baselines_that_differ(
-    release: Release, tables: Mapping[str, ScoreTable], counting: Counting, jobs: int = 1
+    release: Release,
+    tables: Mapping[str, ScoreTable],
+    counting: Counting,
+    jobs: int = 1,
+    *,
+    every: bool = False,
 ) -> set[str]:
-    """Count a few randomly drawn test pairs again; return the baselines whose tables have other rows.
+    """Count some test pairs again; return the baselines whose tables have other rows for them.
 
     Args:
         release: the release that was predicted.
         tables: {baseline: its table}, made with `release` and `counting`.
         counting: how pairs are counted.
         jobs: number of processes.
+        every: whether all pairs are counted again; else a few that are randomly drawn.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
@@ -169,7 +175,7 @@ def baselines_that_differ(
     tasks = baseline_tasks(release, tuple(thresholds), rates, ("test",))
     of = "".join(table.facts_sha256() for table in tables.values())
     pairs = drawn([task.target.name for task in tasks], of)
-    chosen = [task for task in tasks if task.target.name in pairs]
+    chosen = [task for task in tasks if every or task.target.name in pairs]
     recounted = run_tasks(partial(_count, counting, thresholds), chosen, jobs)
     wrong = set(tables.keys() - thresholds.keys())
     for name, of_category in thresholds.items():

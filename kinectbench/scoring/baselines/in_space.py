@@ -87,20 +87,27 @@ def space_baselines(
 
 
 def space_baselines_that_differ(
-    release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
+    release: Release,
+    tables: Mapping[str, ScoreTable],
+    protocols: tuple[str, ...],
+    jobs: int = 1,
+    *,
+    every: bool = False,
 ) -> set[str]:
-    """Score a few randomly drawn views again; return the baselines whose tables have other rows for them.
+    """Score some views again; return the baselines whose tables have other rows for them.
 
     Args:
         release: the release that was predicted.
         tables: {baseline: its table}.
         protocols: camera, aligned or both.
         jobs: number of processes.
+        every: whether all views are scored again; else a few that are randomly drawn.
     """
     rates = base_rates(release, jobs)
     tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
     of = "".join(table.facts_sha256() for table in tables.values())
-    pairs = drawn([task.target.name for task in tasks], of)
+    names = [task.target.name for task in tasks]
+    pairs = {*names} if every else drawn(names, of)
     chosen = [task for task in tasks if task.target.name in pairs]
     if any(task.target.category not in table.thresholds for task in chosen for table in tables.values()):
         return set(tables)

@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_benchmark import Run
+from synthetic_release import RECORDINGS, publish_synthetic
 
 from kinectbench.core import SettingsError
 from kinectbench.core.voxels.pair_file import unpack
-from kinectbench.release.release import Release
+from kinectbench.release.release import Release, open_release
 from kinectbench.report.run import files_in, kept_baselines
 from kinectbench.report.space_table import is_baseline
+from kinectbench.scoring.api import Scorer
 from kinectbench.scoring.baselines.counted import score_baselines
 from kinectbench.scoring.baselines.predict import write_baselines
 from kinectbench.scoring.read_table import read_table
@@ -70,6 +72,49 @@ def test_files_changed_after_baseline_are_no_baseline(
     for protocols in (["known"], ["camera"]):
         table = score(release, tmp_path / "partial", method="partial", protocols=protocols, surface=False)
         assert not is_baseline(table), protocols
+
+
+def test_a_baseline_with_one_prediction_of_another_is_none(tmp_path: Path) -> None:
+    # Of eleven pairs, four would be drawn.
+    publish_synthetic(tmp_path, (("chair_01", "chair", "red_chair", "test", 10), *RECORDINGS[2:]))
+    release = open_release(tmp_path / "benchmark")
+    write_baselines(release, tmp_path / "predictions", ["hull"])
+    folder = tmp_path / "predictions" / "hull"
+    for changed in range(3):
+        for protocols in (["known"], ["camera"]):
+            table = score(release, folder, method="hull", protocols=protocols, surface=False)
+            assert is_baseline(table) == (not changed), (changed, protocols)
+        (folder / "chair_01" / f"{changed:03d}.npz").unlink()
+        np.save(folder / "chair_01" / f"{changed:03d}.npy", np.ones((16, 16, 16), bool))
+
+
+def test_older_tables_are_of_baselines_by_their_names(release: Release, tmp_path: Path) -> None:
+    """Tables that do not state whether they are a baseline's."""
+    write_baselines(release, tmp_path / "predictions", ["hull"])
+    score(release, tmp_path / "predictions" / "hull", method="hull", surface=False).write(tmp_path / "hull")
+    path = tmp_path / "hull" / "scores.json"
+    content = json.loads(path.read_text())
+    del content["settings"]["baseline_version"]
+    path.write_text(json.dumps(content))
+    assert is_baseline(read_table(path))
+    path.write_text(json.dumps(content | {"method": "net"}))
+    assert not is_baseline(read_table(path))
+    path.write_text(json.dumps(content))
+    assert recheck(release, path, tmp_path / "predictions" / "hull") == []
+    score_baselines(release, tmp_path, protocols=["known"], surface=False)
+    assert read_table(path).settings.of_baseline
+
+
+def test_a_scorer_gives_the_table_of_score(release: Release, tmp_path: Path) -> None:
+    write_baselines(release, tmp_path, ["empty"])
+    table = score(release, tmp_path / "empty", method="empty", protocols=["known"], surface=False)
+    scorer = Scorer(release.folder, method="empty", protocols=["known"], surface=False)
+    for target in sorted(release.targets, key=lambda of: of.split != "validation"):
+        if target.split != "train":
+            scorer.update(target.name, np.zeros((16, 16, 16), bool))
+    again = scorer.result()
+    assert is_baseline(table) and is_baseline(again)
+    assert (again.settings, again.warnings) == (table.settings, table.warnings)
 
 
 def test_a_table_that_says_baseline_is_not_verified(release: Release, tmp_path: Path) -> None:
