@@ -1,8 +1,6 @@
 """Slips and forgeries at `compare` and `score --recheck`: one clear line, and nothing planted is verified."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -53,15 +51,3 @@ def test_a_protocol_that_does_not_exist_is_not_advised(release: Release, folder:
         compare([one, other], protocol="nope")
     with raises(SettingsError, "settings.other-scores", match="again with `--protocol known`"):
         compare([one, other])
-
-
-def test_an_interrupt_while_modules_are_imported_is_one_line() -> None:
-    words = "import kinectbench.cli; raise KeyboardInterrupt"
-    done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=False)
-    assert done.stderr == "KeyboardInterrupt: stopped; run the same command again\n" and done.returncode in (
-        -2,
-        130,
-    )
-    words = "import kinectbench.cli; raise ValueError('seen')"
-    done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and done.stderr.endswith("ValueError: seen\n")
