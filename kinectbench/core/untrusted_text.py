@@ -24,9 +24,9 @@ OBJECT_VALUES = 3
 MOST_KEYS = 300_000
 # Limit of texts with wide characters: one escaped character beyond U+FFFF makes a string four bytes wide.
 WIDE_CHARACTERS = 16 << 20
-# Largest number of characters of one text or key in a JSON file: twenty pages that a person may read (chosen
-# here). Longer ones would be printed, compared and put on pages.
-MOST_TEXT = 100_000
+# Largest number of characters of one text or key in a JSON file: a book that a person may read (chosen here).
+# Longer ones would be printed, compared and put on pages.
+MOST_TEXT = 1_000_000
 _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 

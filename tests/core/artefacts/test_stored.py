@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.trajectory import FrameHealth, TrajectoryHealth
 from kinectbench.core.errors import PredictionError, StorageError
 
-MOST_TEXT = 100_000  # characters
+MOST_TEXT = 1_000_000  # characters
 HEAD = {"source": "tracked", "verdict": "", "grade": "5 mm", "frames": 1, "tracked": 1}
 
 
@@ -166,5 +166,5 @@ def test_a_long_text_of_any_key_is_refused_in_one_short_line(more: dict[str, obj
         ScoreTable.parse(text.replace('"name"', '"method"'), "scores.json")
     kept = {"name": "net", "source": "x" * (MOST_TEXT // 2) + '"' * (MOST_TEXT // 2)}
     assert MethodFile.parse(json.dumps(kept), "method.json").json_value()["source"] == kept["source"]
-    with raises(PredictionError, "prediction.too-large", match="'source' has 200000 characters"):
+    with raises(PredictionError, "prediction.too-large", match=f"'source' has {2 * MOST_TEXT} characters"):
         MethodFile.parse(json.dumps(kept | {"source": 'x"' * MOST_TEXT}), "method.json")
