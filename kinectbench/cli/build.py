@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from kinectbench.cli import console
+from kinectbench.cli.build_warnings import tell_unknown_categories, tell_warnings, unused_inputs
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
 from kinectbench.core import SettingsError, listed, printable, require_extra
 from kinectbench.core.store.address import url_of
@@ -77,7 +78,7 @@ def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Execu
 
     upto, stages = ("pairs", STAGE_NAMES) if name == "build" else (name, (name,))
     if name == "build":
-        tell_unknown_categories(common, ids)
+        tell_unknown_categories(chosen_jobs(common, ids))
     chosen, force = shard_jobs(common, ids), stages if common.force else ()
     with nullcontext(executor) if executor else common.executor() as executor:
         rows = build_jobs(
@@ -93,11 +94,23 @@ def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Execu
             # With --json, or for more recordings, the warnings of current artefacts are not repeated.
             again=name == "build" and not common.as_json and len(chosen) <= SHOWN_RECORDINGS,
         )
+    release = common if name == "build" else None
     if common.as_json:
-        common.tell([row.summary.json_value() for row in rows], ())
+        common.tell([row.json_value() for row in _judged([row.summary for row in rows], release)], ())
     elif rows:
-        show_rows(rows, upto)
+        show_rows(rows, upto, release)
     return exit_status(rows)
+
+
+def _judged(rows: "list[RecordingSummary]", common: Common | None) -> "list[RecordingSummary]":
+    """Return summaries that also say why `publish` would leave out recordings of a benchmark here."""
+    from kinectbench.release.publish.gate import would_be_left_out
+
+    if common is None or url_of(common.place) is not None:
+        return rows
+    pairs = {row.recording: row.pairs or 0 for row in rows if row.error is None}
+    why = would_be_left_out(common.settings, common.root / "build", pairs)
+    return [row.model_copy(update={"left_out_of_release": why.get(row.recording)}) for row in rows]
 
 
 def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
@@ -134,7 +147,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
     return SOME_FAILED if left else 0
 
 
-def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
+def show_rows(rows: "list[BuiltRecording]", upto: str, release: Common | None = None) -> None:
     """Print a table of results up to a stage, for at most 100 recordings, and details of their objects."""
     from kinectbench.engine.pipeline import STAGE_NAMES
 
@@ -142,14 +155,13 @@ def show_rows(rows: "list[BuiltRecording]", upto: str) -> None:
     first = rows
     if len(rows) > SHOWN_RECORDINGS:  # drawing all takes longer than the check of whether they are current
         first = sorted(rows, key=lambda row: 0 if row.error else 1 if row.made else 2)[:SHOWN_RECORDINGS]
-    shown = [row.summary for row in first]
+    shown = _judged([row.summary for row in first], release)
     console.out.print(console.summary_table(shown, stages))
     if "segment" in stages:
         # `build` has already printed what to record again (`do this first`).
         console.object_lines(shown, frontiers=upto == "segment")
-    if len(rows) > len(shown):
+    if more := len(rows) - len(shown):
         current = sum(row.error is None and not row.made for row in rows)
-        more = len(rows) - len(shown)
         console.say(f"and {more} more; {current} of all {len(rows)} were up to date; --json lists all")
 
 
@@ -169,12 +181,19 @@ def chosen_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 
 def build_recordings(
-    common: Common, ids: list[str] | None, upto: str, force: Sequence[str] = (), *, brief: bool = False
+    common: Common,
+    ids: list[str] | None,
+    upto: str,
+    force: Sequence[str] = (),
+    *,
+    brief: bool = False,
+    warn: bool = True,
 ) -> "list[BuiltRecording]":
     """Build recordings up to a stage, print warnings and errors, and return each recording's result.
 
     The `error` of a result is None on success. A build that failed before is not tried again while nothing
-    has changed; with `brief`, its error is printed without the reason.
+    has changed; with `brief`, its error is printed without the reason. Without `warn`, warnings of stages are
+    not printed: the caller prints them.
     """
     require_extra("build")
     chosen = chosen_jobs(common, ids)
@@ -189,6 +208,7 @@ def build_recordings(
         brief=brief,
         verbose=common.verbose,
         options=common.options,
+        warn=warn,
     )
 
 
@@ -221,12 +241,13 @@ def build_jobs(
     verbose: bool = False,
     options: Sequence[str] = (),
     again: bool = False,
+    warn: bool = True,
 ) -> "list[BuiltRecording]":
     """Build jobs with some processes or an executor; print and return the results of `build_recordings`.
 
     A recording may take `limit_s` seconds. With `again`, warnings of stages that were current are printed,
-    too. The printed advice includes a command that shows all warnings; `options` (`--config`, `--set`) give
-    it the same settings.
+    too; without `warn`, no stage's are. The printed advice includes a command that shows all warnings;
+    `options` (`--config`, `--set`) give it the same settings.
     """
     from kinectbench.engine.parallel import build as build_all
     from kinectbench.engine.summary import BuiltRecording
@@ -246,16 +267,18 @@ def build_jobs(
     rows, failed = list[BuiltRecording](), 0
     for job, outcome in zip(chosen, outcomes, strict=True):
         # Warn even if all is current: somebody who has just drawn a mask expects it to be used.
-        unused = _unused(job, upto)
+        unused = unused_inputs(job, upto)
         name = job.recording.id
-        row = BuiltRecording(name, outcome.error, outcome.made, partial(_summary, job, outcome, unused))
+        read = partial(_summary, job, outcome, unused)
+        row = BuiltRecording(name, outcome.error, outcome.made, read, outcome.code)
         rows.append(row)
         failed += row.error is not None
         if row.error is not None and failed > console.MOST_LINES:
             continue
-        own = row.summary.warnings if row.made or verbose or again else (*outcome.warnings, *unused)
+        stated = warn and (row.made or verbose or again)
+        own = row.summary.warnings if stated else (*outcome.warnings, *unused)
         first = row.summary.first if len(own) > 1 and not verbose else None
-        _tell_warnings(name, own, first, shlex.join([*COMMANDS.get(upto, (upto,)), name, *options, "-v"]))
+        tell_warnings(name, own, first, shlex.join([*COMMANDS.get(upto, (upto,)), name, *options, "-v"]))
         code = f" ({outcome.code})" if verbose and outcome.code else ""
         reason = STILL_FAILS.format(id=name) if brief and outcome.repeated else row.error
         console.recording_lines(name, "error", [f"{reason}{code}"] if reason else [], "red")
@@ -265,56 +288,12 @@ def build_jobs(
     return rows
 
 
-def _tell_warnings(name: str, own: Sequence[str], first: str | None, show_all: str) -> None:
-    """Print a recording's most important warning `first`, those on unused input, and the number of others.
-
-    `own` has all of its warnings; without `first`, all are printed. `kinectbench <show_all>` is the command
-    that prints all.
-    """
-    if first is None or first not in own:
-        console.recording_lines(name, "warning", own, "yellow")
-        return
-    console.recording_lines(name, "do this first", [first], "yellow")
-    # Somebody who has just drawn a mask expects it to be used.
-    without_effect = [line for line in own if ": not used" in line and line != first]
-    console.recording_lines(name, "warning", without_effect, "yellow")
-    more = len(own) - 1 - len(without_effect)
-    if not more:
-        return
-    shown = f"shown by `kinectbench {show_all}`, by the report and by --json"
-    console.recording_lines(name, "note", [f"{more} more warning{'s' * (more > 1)}: {shown}"], "yellow")
-
-
 def _summary(job: "Job", outcome: "Outcome", unused: tuple[str, ...]) -> "RecordingSummary":
     """Return a recording's summary, with warnings about input that has no effect (`unused`) added."""
     from kinectbench.engine.summary import summary
 
     figures = summary(job, outcome)
     return figures.model_copy(update={"warnings": (*figures.warnings, *unused)})
-
-
-def _unused(job: "Job", upto: str) -> tuple[str, ...]:
-    """Return warnings on unused input: masks not named in benchmark.yaml, or `pick` beside `segment_by`."""
-    own, views = job.recording, upto in ("sample-views", "pairs")
-    name, lines = own.id, list[str]()
-    if own.pick and own.segment_by and (views or upto == "segment"):
-        lines.append(f"pick: not used with `segment_by: {own.segment_by}`; remove one of them")
-    if views and job.unused_masks is not None:
-        to_do = f"add `masks: masks/{name}` to {name} in benchmark.yaml to use it"
-        lines.append(f"{job.unused_masks}: not used; {to_do}")
-    return tuple(lines)
-
-
-def tell_unknown_categories(common: Common, ids: list[str] | None) -> None:
-    """Print a warning about recordings whose category is still the placeholder that `init` writes."""
-    from kinectbench.settings.template import UNKNOWN_CATEGORY
-
-    chosen = [job.recording for job in chosen_jobs(common, ids)]
-    unknown = [recording.id for recording in chosen if recording.category == UNKNOWN_CATEGORY]
-    if unknown:
-        which = "every recording" if len(unknown) == len(chosen) > 1 else listed(unknown)
-        line = f"no category is stated: set `category` in benchmark.yaml, such as chair or table ({which})"
-        console.lines("warning", [line], "yellow")
 
 
 def built(rows: "list[BuiltRecording]") -> list[str]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Concatenate
 
 import typer
 
-from kinectbench.cli import console
+from kinectbench.cli import STOPPED, console
 from kinectbench.core import KinectBenchError, SettingsError, followed
 from kinectbench.core.store.address import shown, url_of
 
@@ -36,7 +36,7 @@ class OnInterrupt:
     A command changes it if running it again would not continue its work.
     """
 
-    words = "stopped; run the same command again to go on from here"
+    words = STOPPED
 
 
 on_interrupt = OnInterrupt()

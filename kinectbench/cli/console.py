@@ -15,7 +15,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from kinectbench.cli.wide_table import WideTable
-from kinectbench.core import listed, printable
+from kinectbench.core import failure_word, listed, printable
 from kinectbench.engine.interrupts import check_interrupt
 
 if TYPE_CHECKING:
@@ -50,6 +50,10 @@ COLUMNS: Mapping[str, Mapping[str, str]] = {
 PASSED_OVER = "frames that did not do as a view, and views without a pair"
 # Formats of some fields; other figures have three decimals.
 FORMATS: Mapping[str, str] = {"containment": ".1%", "residual_mm": ".1f"}
+ADVICE = {
+    "failed": "Correct them and run the same command again: what is done is kept.",
+    "in use": "Run the same command again when the other run has ended, or without --no-wait.",
+}
 # Keys of text columns; other columns have numbers.
 TEXTS = ("recording", "status", "state", "next", "error")
 
@@ -142,7 +146,7 @@ def waiting(what: str, holder: str) -> None:
 
 
 def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None:
-    """Print about each object: estimated IoU, causes of a wide interval, the user's statements, and advice.
+    """Print about each object: estimated IoU with causes, the user's statements, why it is left out, advice.
 
     Args:
         rows: one summary for each recording.
@@ -154,26 +158,24 @@ def object_lines(rows: "Sequence[RecordingSummary]", *, frontiers: bool) -> None
     for row in rows:
         estimate = with_interval(row.estimated_iou, row.estimated_iou_low, row.estimated_iou_high, 2)
         if estimate and row.estimated_iou_reasons:
-            heading = f"{row.recording}: estimated IoU {estimate}; {REASONS_FOLLOW}:"
-            out.print(Text(heading), soft_wrap=True)
+            out.print(Text(f"{row.recording}: estimated IoU {estimate}; {REASONS_FOLLOW}:"), soft_wrap=True)
             for reason in row.estimated_iou_reasons:
                 out.print(Text(f"  {reason}"), soft_wrap=True)
-        if row.rests_on_word:
-            out.print(Text(f"{row.recording}: {row.rests_on_word}"), soft_wrap=True)
+        left_out = row.left_out_of_release and f"would be left out of a release: {row.left_out_of_release}"
+        for line in filter(None, (row.rests_on_word, left_out)):
+            out.print(Text(f"{row.recording}: {line}"), soft_wrap=True)
         for frontier in (row.frontiers or ()) if frontiers and not row.made else ():
             out.print(Text(f"{row.recording}: {frontier.advice}"), soft_wrap=True)
 
 
 def failures(rows: "Sequence[BuiltRecording]") -> None:
-    """Print one line on the failed recordings and how to continue; nothing if none failed or only one ran."""
-    failed = [row.recording for row in rows if row.error is not None]
-    if failed and len(rows) > 1:
-        others_done = "; the rest is done" if len(failed) < len(rows) else ""
-        text = (
-            f"{len(failed)} of {len(rows)} recordings: {listed(failed)}{others_done}. "
-            "Correct them and run the same command again: what is done is kept."
-        )
-        lines("failed", [text], "red")
+    """Print a line on the failed recordings and one on those in use; nothing if only one recording ran."""
+    ended = {row.recording: failure_word(row.code) for row in rows if row.error is not None}
+    others_done = "; the rest is done" if len(ended) < len(rows) else ""
+    for word, advice in ADVICE.items() if len(rows) > 1 else ():
+        if names := [name for name, of in ended.items() if of == word]:
+            text = f"{len(names)} of {len(rows)} recordings: {listed(names)}{others_done}. {advice}"
+            lines(word, [text], "red")
 
 
 def summary_table(rows: "Sequence[RecordingSummary]", stages: Sequence[str]) -> WideTable:
@@ -347,13 +349,13 @@ class RecordingBars:
         if outcome.error and self._failed > MOST_LINES:
             return  # only counted; the last lines of the run say where reasons are
         if self._plain and (outcome.made or outcome.error):
-            what = "failed" if outcome.error else "done"
+            what = failure_word(outcome.code) if outcome.error else "done"
             count = f", {self._ended}{self._of}" if self._all is not None else ""
             # With several recordings, the list of all errors may come late.
             why = f": {outcome.error}" if outcome.error and self._all is not None else ""
             self._plain.say(f"{outcome.recording}: {what}{count}{why}")
         elif outcome.error and self._all is not None:
-            recording_lines(outcome.recording, "failed", [outcome.error], "red")
+            recording_lines(outcome.recording, failure_word(outcome.code), [outcome.error], "red")
 
     def _rest(self) -> str:
         """Return the state of the run as text, such as `3 failed, 97 left, 8 workers, 12 min to go`."""

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from kinectbench.cli import console
-from kinectbench.cli.common import Common, takes
+from kinectbench.cli.common import Common, refuse_in_release, takes
 from kinectbench.core import SettingsError
 from kinectbench.core.store.address import shown, url_of
 
@@ -76,6 +76,7 @@ def _fetch_release(
     url = release_url(release)
     part = ReleasePart(split, tuple(category or ()), views)
     folder = out or Path(url.rpartition("/")[2])
+    refuse_in_release(folder, makes_release=True)
     with console.progress_bar("fetch") as progress:
         fetched = fetch_release(url, folder, None if part == ReleasePart() else part, progress)
     result = {

@@ -1,5 +1,6 @@
 """The command `publish`."""
 
+import shlex
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,14 +14,14 @@ from kinectbench.cli.build import (
     chosen_jobs,
     exit_status,
     need_some,
-    tell_unknown_categories,
 )
+from kinectbench.cli.build_warnings import tell_unknown_categories, tell_warnings
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
-from kinectbench.core import SettingsError, printable, read_plain_text
+from kinectbench.core import IN_USE, ReleaseError, SettingsError, printable, read_plain_text
 from kinectbench.core.store.address import is_web, require_usable, shown, unusable, url_of
 
 if TYPE_CHECKING:
-    from kinectbench.core.artefacts.benchmark import PublishOptions
+    from kinectbench.core.artefacts.benchmark import PublishOptions, ReleaseInfo
     from kinectbench.core.store.store import Store
     from kinectbench.engine.summary import BuiltRecording
     from kinectbench.release.publish.publish import PublishSummary
@@ -59,7 +60,6 @@ def publish_command(
 ) -> int:
     """Build what is not up to date, and write the release to benchmark/ from all that could be built."""
     from kinectbench.release.publish.archive import refuse_unstated
-    from kinectbench.release.publish.current import publish_if_stale
 
     settings = common.settings
     options = publish_options(settings, hold_back or (), thresholds, allow_poor, isolate)
@@ -72,21 +72,78 @@ def publish_command(
     put_there = None if to is None else _putting(to)
     if packed or to is not None:
         refuse_unstated(settings, ids)
-    tell_unknown_categories(common, ids)
-    rows = build_recordings(common, ids, "pairs", brief=True)
+    rows = _built(common, ids, stored=stored)
+    summary = _published(common, rows, options, stored=stored)
     if stored:
-        summary = _publish_there(common, need_some(rows), options)
         _tell(common, summary, [])
         return _status(rows, summary)
-    root, tell = common.root, partial(console.waiting, "publish")
-    summary = publish_if_stale(
-        settings, root, need_some(rows), common.force, options, wait=common.wait, waiting=tell
-    )
     put = None if put_there is None else put_there(summary.folder)
     parts = [part for part in (summary.folder, summary.private) if part is not None]
-    written = [_packed(part, archives_to or root) for part in parts] if packed else []
+    written = [_packed(part, archives_to or common.root) for part in parts] if packed else []
     _tell(common, summary, written, put)
     return _status(rows, summary)
+
+
+def _built(common: Common, ids: list[str] | None, *, stored: bool) -> "list[BuiltRecording]":
+    """Build recordings for `publish`, which prints their warnings itself.
+
+    With `--no-wait`, nothing is built if another run uses a recording, and nothing is published: a release
+    without that recording would replace one that has it.
+    """
+    from kinectbench.engine.locks import refuse_in_use
+
+    tell_unknown_categories(chosen_jobs(common, ids))
+    if not common.wait and not stored:
+        refuse_in_use([common.root / "build", *(job.build for job in chosen_jobs(common, ids))])
+    rows = build_recordings(common, ids, "pairs", brief=True, warn=False)
+    if any(row.code == IN_USE for row in rows):
+        raise typer.Exit(exit_status(rows))
+    return rows
+
+
+def _published(
+    common: Common, rows: "list[BuiltRecording]", options: "PublishOptions", *, stored: bool
+) -> "PublishSummary":
+    """Publish what was built; of each recording that is left out, print what to do first."""
+    try:
+        summary = (_publish_there if stored else _publish_here)(common, need_some(rows), options)
+    except (ReleaseError, typer.Exit):
+        _tell_left_out(common, rows)
+        raise
+    _tell_left_out(common, [row for row in rows if row.recording not in summary.recordings])
+    return summary
+
+
+def _tell_left_out(common: Common, rows: "list[BuiltRecording]") -> None:
+    """Print the most important warning of each recording that is left out, unless a person rejected it."""
+    reviews = {each.id: each.review for each in common.settings.recordings if each.review is not None}
+    for row in rows[: console.MOST_LINES]:
+        review = reviews.get(row.recording)
+        if row.summary.first and (review is None or review.decision != "reject"):
+            show_all = shlex.join(["build", row.recording, *common.options, "-v"])
+            # Those on input that has no effect are printed already.
+            own = [line for line in row.summary.warnings if ": not used" not in line]
+            tell_warnings(row.recording, own, row.summary.first, show_all)
+
+
+def _publish_here(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
+    """Publish to this machine; print a note if another release was replaced."""
+    from kinectbench.core.artefacts.benchmark import ReleaseInfo
+    from kinectbench.release.publish.current import publish_if_stale
+
+    try:
+        before = ReleaseInfo.read_if_there(common.root / "benchmark")
+    except ReleaseError:  # it is damaged
+        before = None
+    tell = partial(console.waiting, "publish")
+    summary = publish_if_stale(
+        common.settings, common.root, recordings, common.force, options, wait=common.wait, waiting=tell
+    )
+    if before is not None and before.benchmark_sha256 != summary.benchmark_sha256:
+        version = common.settings.publish.citation.version
+        again = f"; both have version {version}: raise `publish.citation.version`" if before.version else ""
+        _tell_replaced(summary.folder, before, again if version == before.version else "")
+    return summary
 
 
 def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
@@ -215,6 +272,10 @@ def _tell(
 ) -> None:
     """Print what was published, removed, packed and uploaded, and JSON if requested."""
     console.lines("warning", summary.warnings, "yellow")
+    if summary.shortened:
+        show_all = shlex.join(["build", "ID", *common.options, "-v"])
+        line = f"all warnings of a recording are shown by `kinectbench {show_all}`, and by the report"
+        console.lines("note", [line], "cyan")
     if summary.unanswered:
         keys = ", ".join(summary.unanswered)
         line = f"not stated in datasheet.md: {keys}; answer under `publish: datasheet:` in benchmark.yaml"
@@ -248,10 +309,15 @@ def _tell(
 def _put_line(url: str, put: "PutSummary") -> str:
     """Return a line about the upload; print a note if it has replaced another release."""
     if put.replaced is not None:
-        name = " ".join(part for part in (put.replaced.name, put.replaced.version) if part)
-        line = f"{shown(url)}: replaced {name}, benchmark_sha256 {put.replaced.benchmark_sha256}"
-        console.lines("note", [line], "cyan")
+        _tell_replaced(url, put.replaced)
     return f"put to {shown(url)}: {put.put} files put, {put.kept} kept, {put.removed} removed"
+
+
+def _tell_replaced(place: Path | str, before: "ReleaseInfo", more: str = "") -> None:
+    """Print which release at a place was replaced."""
+    name = " ".join(part for part in (before.name, before.version) if part)
+    line = f"{shown(place)}: replaced {name}, benchmark_sha256 {before.benchmark_sha256}{more}"
+    console.lines("note", [line], "cyan")
 
 
 def _put_value(url: str, put: "PutSummary") -> dict[str, object]:

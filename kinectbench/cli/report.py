@@ -24,13 +24,22 @@ def report_command(
         list[Path] | None,
         typer.Option(help="scores.json, or a folder of them; repeat to merge; default: scores/"),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="default: index.html in the folder of scores")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="the file to write: a page (default: index.html in the folder of scores), or with "
+            "--paper-table Markdown (default: printed)"
+        ),
+    ] = None,
     baselines: Baselines = True,
     paper_table: Annotated[
         bool, typer.Option("--paper-table", help="print the paper's table of the scores instead, Markdown")
     ] = False,
 ) -> int:
-    """Write the benchmark's page, scores/index.html: recordings, pairs, scores. It opens from disk."""
+    """Write the benchmark's page, scores/index.html: recordings, pairs, scores. It opens from disk.
+
+    With ids, the page has those recordings and all scores.
+    """
     if paper_table:
         return _paper_table(common, ids, scores or [common.beside("scores")], out, baselines)
     from kinectbench.release.release import open_release
@@ -44,7 +53,7 @@ def report_command(
             read_table(path)
     release = None if common.benchmark is None else open_release(release_here(common.benchmark))
     rows = [] if release else build_recordings(common, ids, "pairs", brief=True)
-    page = write_page(common, release, scores or common.beside("scores"), out, baselines)
+    page = write_page(common, release, scores or common.beside("scores"), out, baselines, ids)
     common.tell_written(page.resolve())
     return exit_status(rows)
 
@@ -80,6 +89,7 @@ def write_page(
     scores: Path | list[Path],
     out: Path | None = None,
     baselines: bool = True,
+    ids: Sequence[str] | None = None,
 ) -> Path:
     """Write a page with the scores and the release; if `release` is None, with the local benchmark's build.
 
@@ -89,6 +99,7 @@ def write_page(
         scores: scores.json files, or folders that hold them.
         out: the page's path; None: index.html in the folder of scores.
         baselines: whether baselines are shown.
+        ids: the recordings to show of the build; None: all.
 
     Returns:
         The page's path.
@@ -98,9 +109,10 @@ def write_page(
     if release is not None:
         page, warnings = page_of_release(release, scores, out, baselines)
     else:
+        shown = [r for r in common.settings.recordings if not ids or r.id in ids]
         with console.recording_bars() as progress:
             page, warnings = page_of_benchmark(
-                common.settings,
+                common.settings.model_copy(update={"recordings": shown}),
                 common.root,
                 scores,
                 lambda name, done, total: progress("report", name, done, total),

@@ -259,6 +259,7 @@ def baselines_of(
     if the scale of all these predictions is unknown, or if the first table has more than `ROWS_IN_JSON` rows.
     """
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
+    from kinectbench.report.space_table import is_baseline
     from kinectbench.scoring.baselines.beside import baselines_beside
 
     spatial = in_space(tables)
@@ -270,7 +271,7 @@ def baselines_of(
         )
         console.lines("baselines: note", [line], "cyan")
         return []
-    protocols, names = (spatial or tables)[0].settings.protocols, [table.method for table in tables]
+    protocols, names = (spatial or tables)[0].settings.protocols, [t.method for t in tables if is_baseline(t)]
     with console.progress_bar("baselines") as progress:
         return baselines_beside(
             release,
@@ -285,6 +286,8 @@ def baselines_of(
 
 def tell_problems(tables: "Sequence[ScoreTable]") -> None:
     """Print each method's warnings and failures, one line for each mistake; at most 20 lines of failures."""
+    from kinectbench.scoring.predictions import NO_PREDICTION
+
     for table in tables:
         console.lines(f"{table.method}: warning", console.by_mistake(table.warnings), "yellow")
         reasons = console.by_mistake(failure.reason for failure in table.failures)
@@ -292,6 +295,10 @@ def tell_problems(tables: "Sequence[ScoreTable]") -> None:
             more = f"and {len(reasons) - SHOWN_FAILURES} more; `kinectbench check --json` lists up to 1,000"
             reasons = [*reasons[:SHOWN_FAILURES], more]
         console.lines(f"{table.method}: error", reasons, "red")
+        missing = sum(NO_PREDICTION in failure.reason for failure in table.failures)
+        if missing and table.rows:
+            line = f"{missing} predictions are missing: add them, or score empty grids there: --missing empty"
+            console.lines(f"{table.method}: note", [line], "cyan")
 
 
 @takes("as_json")

@@ -1,6 +1,7 @@
 """Geometry, voxels, trajectories and artefacts; here the errors, and how files are read, named and kept."""
 
 from kinectbench.core.errors import (
+    IN_USE,
     KILLED,
     CaptureError,
     ClusterError,
@@ -17,6 +18,7 @@ from kinectbench.core.errors import (
     StorageError,
     TrackingError,
     error_code,
+    failure_word,
     internal_error,
     pydantic_message,
 )

@@ -3,7 +3,13 @@
 `scripts/error_codes.py` lists the codes of all errors.
 """
 
+import errno
 from collections.abc import Mapping
+
+from kinectbench.core.untrusted import printable
+
+# About a name of a file or folder that the file system refuses.
+TOO_LONG = "longer than a file's name can be here: choose a shorter one"
 
 
 class KinectBenchError(Exception):
@@ -118,6 +124,12 @@ class ClusterError(KinectBenchError):
 
 # The code without a Python exception: a process was killed, or hangs.
 KILLED = "run.process-killed"
+IN_USE = StorageError(what="in-use").code
+
+
+def failure_word(code: str | None) -> str:
+    """Return how a recording with an error of this code ended, as tables state it: failed, or in use."""
+    return "in use" if code == IN_USE else "failed"
 
 
 def error_code(error: BaseException) -> str:
@@ -128,7 +140,7 @@ def error_code(error: BaseException) -> str:
 
 
 def internal_error(error: BaseException) -> str:
-    """Describe an unforeseen error in one line, with advice if an encoding caused it."""
+    """Describe an unforeseen error in one line, with advice if an encoding or a long name caused it."""
     text = " ".join(str(error).split())
     if isinstance(error, UnicodeEncodeError) and error.encoding.startswith("utf"):
         return f"{error.object[:80]!a}: a name that is not UTF-8; rename the file or folder"
@@ -137,6 +149,9 @@ def internal_error(error: BaseException) -> str:
             f"{error.object[:80]!a}: cannot be a file's name where the locale's encoding is "
             f"{error.encoding}; set LC_ALL=C.UTF-8"
         )
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
+        where = "" if error.filename is None else f"{printable(str(error.filename), 80)}: "
+        return f"{where}{TOO_LONG}"
     return f"internal error: {type(error).__name__}: {text}; KINECTBENCH_DEBUG=1 shows where"
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import TOO_LONG, StorageError
 from kinectbench.core.untrusted import open_plain
 
 # Names that are safe as names of files, and in paths of a release.
@@ -123,7 +123,7 @@ def storage_errors(path: Path) -> Iterator[None]:
             errno.EROFS: "the disk is read-only: choose a folder that can be written",
             errno.EACCES: "no permission to write there: choose another folder or change its rights",
             errno.EFBIG: "files may not grow so large here: raise the limit (`ulimit -f`) and try again",
-            errno.ENAMETOOLONG: "longer than a file's name can be here: choose a shorter one",
+            errno.ENAMETOOLONG: TOO_LONG,
             errno.EPERM: "no permission to write there: choose another folder or change its rights",
         }.get(error.errno or 0)
         if not advice:

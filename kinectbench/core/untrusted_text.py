@@ -9,7 +9,8 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import repeat
 from typing import Any, NoReturn
 
 from kinectbench.core.untrusted import printable
@@ -23,6 +24,9 @@ OBJECT_VALUES = 3
 MOST_KEYS = 300_000
 # Limit of texts with wide characters: one escaped character beyond U+FFFF makes a string four bytes wide.
 WIDE_CHARACTERS = 16 << 20
+# Largest number of characters of one text or key in a JSON file: a book that a person may read (chosen here).
+# Longer ones would be printed, compared and put on pages.
+MOST_TEXT = 1_000_000
 _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 
@@ -52,6 +56,42 @@ def parsed_json(text: str, *, constants: bool, most_values: int = MOST_VALUES) -
     return json.JSONDecoder(object_pairs_hook=counted, parse_constant=None if constants else _refuse).decode(
         text
     )
+
+
+def long_text(text: str, content: object, most: int) -> str | None:
+    """Return a line on a text or key of more than `most` characters in JSON; None if there is none.
+
+    Args:
+        text: JSON.
+        content: what was parsed from it.
+        most: largest number of characters.
+    """
+    if not (_runs_without_quote(text, most) or '\\"' in text):
+        return None
+    ways: list[Iterator[tuple[str, object]]] = [iter([("", content)])]
+    while ways:
+        key, value = next(ways[-1], (None, None))
+        if key is None:
+            ways.pop()
+            continue
+        for each in (key, value):
+            if isinstance(each, str) and len(each) > most:
+                return f"'{printable(key)}' has {len(each)} characters; at most {most} are read; shorten it"
+        if isinstance(value, dict):
+            ways.append(iter(value.items()))
+        elif isinstance(value, list):
+            ways.append(zip(repeat(key), value))
+    return None
+
+
+def _runs_without_quote(text: str, most: int) -> bool:
+    """Return whether a text has more than `most` characters in a row without a quotation mark."""
+    place = -1
+    while place + 1 + most < len(text):
+        before, place = place, text.rfind('"', place + 1, place + 2 + most)
+        if place < 0:
+            return before + 1 + most < len(text)
+    return False
 
 
 def _refuse(constant: str) -> NoReturn:

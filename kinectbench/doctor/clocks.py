@@ -148,8 +148,10 @@ def check_partners(probe: Probe) -> Iterator[Finding]:
     without = [frame.index for frame in probe.frames if frame.gray is None]
     share = 1 - len(without) / max(len(probe.frames), 1)
     if not len(color_ns):
-        if share == 0 and probe.frames:
-            yield Finding("no_color", "note", "there is no colour", probe.where)
+        if without:
+            what = f"{len(without)} of the {len(probe.frames)} frames looked at have no colour image"
+            name, what = ("color_unpaired", what) if share else ("no_color", "there is no colour")
+            yield Finding(name, "note", what, probe.where)
         return
     if share >= PAIRED_SHARE:
         return

@@ -19,6 +19,12 @@ OFF_PX = 4.0
 CLEAR = 5.0
 # It is an error if the best score is this many times the unchanged (unmirrored) score; chosen by hand.
 MUCH_BETTER, MIRROR_BETTER = 1.25, 1.5
+# How one of the two images may lie against the other, and what brings colour onto depth: rows and columns.
+FLIPS = {
+    "mirrored left to right": (1, -1),
+    "mirrored top to bottom": (-1, 1),
+    "turned upside down": (-1, -1),
+}
 
 
 @dataclass(frozen=True)
@@ -31,7 +37,8 @@ class EdgeFit:
     Attributes:
         here: the score without a shift.
         best: the best score at a shift up to 24 px in these images; the shift is `shift_px`.
-        mirrored: the best score with colour mirrored left to right.
+        flipped: the best score with colour mirrored or turned as in `FLIPS`.
+        flip: the key of that score in `FLIPS`.
         shift_px: (2,) best shift: how far colour lies to the right of and below depth, depth pixels.
         pixel_px: pixels of depth per pixel of these images.
         place: the best fit with zoom and shift; None: not searched.
@@ -39,7 +46,8 @@ class EdgeFit:
 
     here: float
     best: float
-    mirrored: float
+    flipped: float
+    flip: str
     shift_px: NDArray[np.float64]
     pixel_px: float
     place: ColorPlace | None = None
@@ -91,15 +99,16 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
             continue
         gray = cv2.cvtColor(frame.bgr, cv2.COLOR_BGR2GRAY)
         jumps, edges = depth_jumps(frame.depth, size), color_edges(np.asarray(gray, np.uint8), size)
-        sums.append(np.stack([_correlation(jumps, edges), _correlation(jumps, edges[:, ::-1])]))
+        ways = [edges[::rows, ::columns] for rows, columns in ((1, 1), *FLIPS.values())]
+        sums.append(np.stack([_correlation(jumps, way) for way in ways]))
     if not sums:
         return None
-    right, mirrored = np.sum(sums, axis=0)
-    near = _around(right)
+    right, *flipped = np.sum(sums, axis=0)
+    near, scores = _around(right), [float(_around(each).max()) for each in flipped]
     row, column = np.unravel_index(int(np.argmax(near)), near.shape)
     shift = np.array([column - REACH_PX, row - REACH_PX]) * factor
     here, best = float(near[REACH_PX, REACH_PX]), float(near.max())
-    fit = EdgeFit(here, best, float(_around(mirrored).max()), shift, factor)
+    fit = EdgeFit(here, best, max(scores), list(FLIPS)[int(np.argmax(scores))], shift, factor)
     unclear = probe.recording.color_registered and (here <= CLEAR or fit.shifted)
     return replace(fit, place=place_color(probe)) if unclear else fit
 
@@ -117,9 +126,9 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
             advice = "`color_registered: false` in camera.json"
             yield Finding("color_not_registered", "warning", what, probe.where, advice)
         return
-    if fit.mirrored > CLEAR and fit.mirrored > MIRROR_BETTER * fit.best:
-        what = "colour is mirrored left to right against depth"
-        yield Finding("color_mirrored", "warning", what, probe.where, "mirror one of the two, and look which")
+    if fit.flipped > CLEAR and fit.flipped > MIRROR_BETTER * fit.best:
+        what, advice = f"colour is {fit.flip} against depth", "correct one of the two, and look which"
+        yield Finding("color_mirrored", "warning", what, probe.where, advice)
         return
     if probe.recording.color_registered and fit.elsewhere:
         what = f"colour is said to lie on depth, but its edges are {_where(fit)}"

@@ -27,6 +27,7 @@ from kinectbench.doctor.edges import EdgeFit, check_edges, fit_edges
 from kinectbench.doctor.finding import Diagnosis, Finding, gravest_first
 from kinectbench.doctor.floor import Ground, check_floor, seen_floor
 from kinectbench.doctor.grade import check_grade
+from kinectbench.doctor.lengths import LENGTHS
 from kinectbench.doctor.probe import Probe, probe_recording
 from kinectbench.doctor.still import NO_MOTION, check_still
 from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory, shows_motion
@@ -47,6 +48,9 @@ SAME_UNIT = (
     "the given poses fit by this unit, so that it is theirs, too: give `depth_scale` (units a metre), and "
     "write the poses in metres"
 )
+# Findings whose advice is a number that depends on the intrinsics; with guessed ones, none is advised.
+BY_INTRINSICS = frozenset({"trajectory_delay", LENGTHS})
+GUESSED = "give the intrinsics, and inspect again: by guessed ones no number is advised"
 # Findings that make depth meaningless: no further check is useful.
 HOPELESS = frozenset({"no_depth", "byte_order", "depth_normalised", "depth_sizes"})
 
@@ -114,14 +118,16 @@ def inspect(
     recording, findings = _open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:
         return Diagnosis({"path": str(path), "format": None}, gravest_first(findings)), None
-    ground = Ground(recording, plane_world, is_needed=plane_world is None and not boxed)
+    is_needed, refined = plane_world is None and not boxed, mode == "refine"
+    ground = Ground(recording, plane_world, is_needed, refined)
     if mode == "ignore":
         recording = replace(recording, given_trajectory=None, trajectory_error="")
     probe = probe_recording(recording)
     findings += [Finding("reader", "warning", text, str(path)) for text in recording.warnings]
     findings += _inside(path, recording)
     early = [*check_clock(probe), *check_depth(probe)]
-    if not any(finding.name == "intrinsics" for finding in findings):
+    guessed = any(finding.name == "intrinsics" for finding in findings)
+    if not guessed:
         early += check_intrinsics(probe)
     findings += early
     facts = _facts(probe)
@@ -132,6 +138,8 @@ def inspect(
         hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in findings)
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
             findings += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
+    if guessed:
+        findings = [replace(f, advice=GUESSED) if f.name in BY_INTRINSICS else f for f in findings]
     return Diagnosis(facts, gravest_first(findings)), probe
 
 

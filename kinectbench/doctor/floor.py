@@ -43,7 +43,7 @@ SCATTER_TIMES = 4.0
 SCATTERS = (
     "the frames scatter by {seen_mm:.0f} mm about the floor, a Kinect's depth at {far_m:.1f} m by "
     "{expected_mm:.0f}; the poses or the intrinsics are off, or it is another surface: try "
-    "`trajectory: refine` or `ignore`, record with more of the floor in view, or give a box"
+    "{modes}, record with more of the floor in view, or give a box"
 )
 BY_FRAMES = "{why}; that is what {count} frames show by themselves: a build fuses all, and may still find it"
 
@@ -58,11 +58,13 @@ class Ground:
         recording: the recording, with its gravity and its trajectory, even if the trajectory is ignored.
         plane_world: (4,) a plane from the settings, in the world of the given poses; None: not set.
         is_needed: whether a build must find a floor: the settings have neither a plane nor a box.
+        refined: whether the settings refine the given trajectory.
     """
 
     recording: Recording
     plane_world: Sequence[float] | None = None
     is_needed: bool = True
+    refined: bool = False
 
 
 @dataclass(frozen=True)
@@ -195,22 +197,25 @@ def _heights_together(
         depths_m.append((points_world[on_floor] - T[:3, 3]) @ T[:3, 2])
         if on_floor.sum() > MIN_ON_FLOOR * len(points_world):
             heights_m[index] = transform_points(floor.T_floor_world, T_world_camera[index, :3, 3])[2]
-    return SeenFloor(heights_m, (*floor.warnings, *_scatters(floor.noise_m, np.concatenate(depths_m))))
+    scatters = _scatters(floor.noise_m, np.concatenate(depths_m), ground.refined)
+    return SeenFloor(heights_m, (*floor.warnings, *scatters))
 
 
-def _scatters(noise_m: float, depths_m: Points) -> Iterator[str]:
+def _scatters(noise_m: float, depths_m: Points, refined: bool) -> Iterator[str]:
     """Yield a warning if the frames scatter about their common floor more than depth noise explains.
 
     Args:
         noise_m: scatter of all frames' points about the floor, metres.
         depths_m: (m,) depths of the points near the floor in their cameras, metres; if empty, no warning.
+        refined: whether the settings refine the poses, so that this is not advised.
     """
     if not len(depths_m):
         return
     far_m = float(np.median(depths_m))
     expected_m = depth_sigma_m(far_m)
     if noise_m > SCATTER_TIMES * expected_m:
-        yield SCATTERS.format(seen_mm=1000 * noise_m, far_m=far_m, expected_mm=1000 * expected_m)
+        modes = "`trajectory: ignore`" if refined else "`trajectory: refine` or `ignore`"
+        yield SCATTERS.format(seen_mm=1000 * noise_m, far_m=far_m, expected_mm=1000 * expected_m, modes=modes)
 
 
 def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":

@@ -15,7 +15,7 @@ import shutil
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO
@@ -63,6 +63,18 @@ def locked(
             yield
         finally:
             _write(lock, "")
+
+
+def refuse_in_use(folders: Iterable[Path]) -> None:
+    """Refuse folders in which another run works, before slow work; folders that do not exist are skipped.
+
+    Raises:
+        StorageError: another run holds the lock of a folder.
+    """
+    for folder in folders:
+        if folder.is_dir():
+            with locked(folder, wait=False):
+                pass
 
 
 @contextlib.contextmanager

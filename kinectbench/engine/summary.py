@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Self, TypeVar
 
-from kinectbench.core import KinectBenchError
+from kinectbench.core import KinectBenchError, failure_word
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reconstruction import ReconstructionFile
 from kinectbench.core.artefacts.sequence import CameraFile
@@ -37,17 +37,19 @@ class BuiltRecording:
         error: why the recording failed; None if it did not.
         made: names of the stages that the run made.
         read: reads the summary.
+        code: code of the error, as in docs/errors.md.
     """
 
     recording: str
     error: str | None
     made: tuple[str, ...]
     read: Callable[[], RecordingSummary]
+    code: str | None = None
 
     @classmethod
     def of(cls, row: RecordingSummary) -> Self:
         """Return a recording whose summary is already read."""
-        return cls(row.recording, row.error, row.made, lambda: row)
+        return cls(row.recording, row.error, row.made, lambda: row, row.code)
 
     @cached_property
     def summary(self) -> RecordingSummary:
@@ -93,12 +95,18 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
         + _without_pair(job, pairs)
         + outcome.warnings,
         first=_to_do_first(sequence, health, quality, views),
-        status="failed" if outcome.error else f"{outcome.seconds:.1f} s" if outcome.made else "up to date",
+        status=_status(outcome),
         error=outcome.error,
         code=outcome.code,
         made=outcome.made,
         current=outcome.current,
     )
+
+
+def _status(outcome: Outcome) -> str:
+    if outcome.error:
+        return failure_word(outcome.code)
+    return f"{outcome.seconds:.1f} s" if outcome.made else "up to date"
 
 
 def _without_pair(job: Job, pairs: PairsFile | None) -> tuple[str, ...]:

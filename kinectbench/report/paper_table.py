@@ -13,6 +13,7 @@ from statistics import fmean
 from kinectbench.core import SettingsError, printable
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.report.space_table import is_baseline
 from kinectbench.scoring.compare import method_names
 from kinectbench.scoring.published import (
     CATEGORIES,
@@ -45,12 +46,14 @@ class PaperRow:
         published: title of the paper's table that states these results; "" for a scored method.
         iou: {category: mean over pairs}; a category without a pair is left out.
         ce: {category: mean cross-entropy over pairs}, nats per voxel.
+        baseline: whether it is a baseline.
     """
 
     method: str
     published: str
     iou: Mapping[str, float]
     ce: Mapping[str, float]
+    baseline: bool = False
 
 
 @dataclass(frozen=True)
@@ -96,11 +99,14 @@ def _tables(
         if not rows or not table.complete or any(None in (row.iou, row.ce) for row in rows):
             why = "some of its pairs are not scored" if rows else f"not scored under '{protocol}'"
             raise SettingsError(f"{name}: {why}; score it again", what="other-scores")
-        of_methods.append((name, rows))
-    views = sorted({_views(row) for _, rows in of_methods for row in rows}, key=lambda of: (of is None, of))
+        of_methods.append((name, is_baseline(table), rows))
+    views = sorted({_views(row) for *_, rows in of_methods for row in rows}, key=lambda of: (of is None, of))
     result = []
     for of in views:
-        with_views = [(name, [row for row in rows if _views(row) == of]) for name, rows in of_methods]
+        with_views = [
+            (name, baseline, [row for row in rows if _views(row) == of])
+            for name, baseline, rows in of_methods
+        ]
         beside = [table for table in published if table.views == of]
         result.append(_table(TITLES[of] + ending, with_views, beside))
     return result
@@ -113,21 +119,24 @@ def _views(row: ScoreRow) -> int | None:
 
 
 def _table(
-    title: str, methods: Iterable[tuple[str, Sequence[ScoreRow]]], beside: Sequence[PublishedTable]
+    title: str, methods: Iterable[tuple[str, bool, Sequence[ScoreRow]]], beside: Sequence[PublishedTable]
 ) -> PaperTable:
-    methods = [(name, rows) for name, rows in methods if rows]
-    present = {row.category for _, rows in methods for row in rows}
+    methods = [method for method in methods if method[2]]
+    present = {row.category for *_, rows in methods for row in rows}
     known = (*CATEGORIES, *UNSEEN)
     categories = (*(c for c in known if c in present), *sorted(present.difference(known)))
-    ours = [PaperRow(name, "", _means(rows, "iou"), _means(rows, "ce")) for name, rows in methods]
+    ours = [
+        PaperRow(name, "", _means(rows, "iou"), _means(rows, "ce"), baseline)
+        for name, baseline, rows in methods
+    ]
     ours.sort(key=lambda row: -fmean(row.iou.values()))
     published = [
-        PaperRow(row.method, of.title, *(_present(of, figures, categories) for figures in (row.iou, row.ce)))
+        PaperRow(row.method, of.title, _present(of, row.iou, categories), _present(of, row.ce, categories))
         for of in beside
         if of.views is None or present & set(of.categories)
         for row in of.rows
     ]
-    return PaperTable(title, categories, len(methods[0][1]), (*ours, *published))
+    return PaperTable(title, categories, len(methods[0][2]), (*ours, *published))
 
 
 def _means(rows: Sequence[ScoreRow], figure: str) -> dict[str, float]:
@@ -163,6 +172,7 @@ def _lines(table: PaperTable) -> list[str]:
     ]
     for row in table.rows:
         name = f"*{row.method}; {row.published}: {LABEL}*" if row.published else row.method
+        name += " (baseline)" * row.baseline
         figures = [_figure(of.get(category)) for of in (row.iou, row.ce) for category in table.categories]
         lines.append(f"| {_text(name)} | {' | '.join(figures)} |")
     return lines

@@ -13,6 +13,7 @@ from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
 from kinectbench.report.page import Beside, Groups, write_report
 from kinectbench.report.space_gallery import space_cells
+from kinectbench.report.space_table import is_baseline
 from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, too_small
 from kinectbench.scoring.declared import read_in_camera
 from kinectbench.scoring.of_release import not_of_release
@@ -76,7 +77,7 @@ def files_named(paths: Sequence[Path], benchmark_sha256: str | None) -> list[Sco
         StorageError: a file, or the gallery beside it, is damaged.
     """
     files: list[ScoreFile] = []
-    for path in {path.resolve(): path for path in find_scores(paths)}.values():
+    for path in find_scores(paths):
         file = ScoreFile(path, read_table(path), read_gallery(path))
         sha256 = file.table.benchmark_sha256
         benchmark_sha256 = benchmark_sha256 or sha256
@@ -100,7 +101,7 @@ def kept_baselines(files: Sequence[ScoreFile]) -> list[ScoreFile]:
     """Read the scores of baselines that `score` has written beside score files; one file per baseline.
 
     Only scores of the same release, score version and upsampling are returned. Baselines in `files` are left
-    out.
+    out; other methods of their names do not count.
 
     Args:
         files: the page's score files, all of one release.
@@ -108,7 +109,7 @@ def kept_baselines(files: Sequence[ScoreFile]) -> list[ScoreFile]:
     Raises:
         StorageError: a file is damaged.
     """
-    shown = {file.table.method for file in files}
+    shown = {file.table.method for file in files if is_baseline(file.table)}
     counted = {(file.table.benchmark_sha256, file.table.counted_by) for file in files}
     folders = {folder: None for file in files for folder in (file.path.parent, file.path.parent.parent)}
     baselines: dict[str, ScoreFile] = {}

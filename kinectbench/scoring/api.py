@@ -1,6 +1,7 @@
 """Python interface for training: a release as a dataset, and a scorer that counts predictions in memory."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +14,15 @@ from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
+from kinectbench.scoring.baselines.recognized import made_table
 from kinectbench.scoring.dataset import Dataset as Dataset
 from kinectbench.scoring.dataset import load as load
-from kinectbench.scoring.pair_result import PairJob, count, count_job
+from kinectbench.scoring.pair_result import PairJob, count, count_job, counting_of
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import check_method, missing_line
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import check_missing, check_words
 from kinectbench.scoring.rounds import pairs_to_score
-from kinectbench.scoring.score import counting_of
 from kinectbench.scoring.shards import decode_sample as decode_sample
 from kinectbench.scoring.thresholds import (
     STEPS_IN_WORDS,
@@ -131,16 +132,17 @@ class Scorer:
         thresholds = self._fixed()
         empty = self._empty | self._as_empty("test", thresholds)
         missing = [*self._left("validation"), *self._left("test")]
-        return make_table(
+        make = partial(
+            make_table,
             self._release,
             self._method,
             self._results | empty,
             thresholds,
             base_rates(self._release),
             {target: missing_line(target) for target in missing if target not in empty},
-            describe(self._counting, self._missing),
-            empty,
+            empty=empty,
         )
+        return made_table(self._release, make, describe(self._counting, self._missing), self._counting)
 
     def _left(self, split: str) -> list[Target]:
         """Return the pairs of a split that have no prediction yet.

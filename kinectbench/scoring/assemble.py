@@ -76,7 +76,7 @@ def make_table(
         failures=tuple(
             Failure(recording=t.recording, view=t.view, reason=failures[t]) for t in sorted(failures)
         ),
-        warnings=_warnings(method, results, thresholds, failures, empty),
+        warnings=_warnings(settings, results, thresholds, failures, empty),
         hashes={
             target.name: Hashes(truth=target.sha256, prediction=results[target].digest)
             for target in sorted(results)
@@ -99,14 +99,14 @@ def _validation(
 
 
 def _warnings(
-    method: str,
+    settings: ScoreSettings,
     results: Mapping[Target, PairResult],
     thresholds: Thresholds,
     failures: Mapping[Target, str],
     empty: Collection[Target],
 ) -> tuple[str, ...]:
     """Return the table's warnings: on thresholds, and on suspicious, missing or unusable predictions."""
-    lines = [*thresholds.warnings, *suspicious_lines(method, results, thresholds)]
+    lines = [*thresholds.warnings, *suspicious_lines(results, thresholds, settings.of_baseline)]
     if empty:
         lines.append(f"{len(empty)} predictions are missing and were counted as empty grids")
     if failures:
@@ -165,6 +165,11 @@ def quality_of(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityF
     return {name: recordings[name].quality for name in names if name in recordings}
 
 
+def as_of_baseline(settings: ScoreSettings) -> ScoreSettings:
+    """Return the settings with the version of the baselines, which makes a table that of a baseline."""
+    return settings.model_copy(update={"baseline_version": VERSIONS["baselines"]})
+
+
 def describe(counting: Counting, missing: str) -> ScoreSettings:
     """Return the settings that the scores depend on; `missing` ("error" or "empty") as in `score`."""
     way = "cell centres to cell centres" if counting.upsampling == HALF_PIXEL else "outermost centres aligned"
@@ -189,4 +194,5 @@ def describe(counting: Counting, missing: str) -> ScoreSettings:
         interval_level=LEVEL,
         interval_rule=f"category: Student t over objects; overall: bootstrap over objects, by category "
         f"({RESAMPLES} resamples, seed {SEED}); none with fewer than {MIN_OBJECTS} objects in a category",
+        baseline_version=0,
     )

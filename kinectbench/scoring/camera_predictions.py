@@ -26,8 +26,9 @@ from kinectbench.scoring.depth_agreement import (
     beyond_share,
     likeliest,
 )
-from kinectbench.scoring.predictions import stray_files, stray_lines
+from kinectbench.scoring.predictions import NO_PREDICTION, stray_files
 from kinectbench.scoring.sameness import Held, content_of, same_lines
+from kinectbench.scoring.strays import stray_lines
 
 # Number of predictions that `score` compares with their depth (chosen here).
 LOOKED_AT = 5
@@ -249,7 +250,7 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
 
 def missing_in_camera(name: str) -> str:
     """Return the line that a prediction is missing, with the accepted file names."""
-    return f"{name}: no prediction; expected {name}{', '.join(SUFFIXES)}"
+    return f"{name}: {NO_PREDICTION} {name}{', '.join(SUFFIXES)}"
 
 
 def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list[str]:
@@ -257,7 +258,8 @@ def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list
     names = [name for target in release.targets for name in _names_of(target, method.hypotheses)]
     expected = {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)}
     missing = (name for name in names if not any((folder / (name + end)).exists() for end in SUFFIXES))
-    return stray_lines(stray_files(folder, expected), missing)
+    recordings = {target.recording for target in release.targets}
+    return stray_lines(stray_files(folder, expected), missing, recordings)
 
 
 def _unknown(release: Release, method: MethodFile) -> set[str]:

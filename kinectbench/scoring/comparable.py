@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from kinectbench.core import SettingsError, printable
-from kinectbench.core.artefacts.score_figures import AVERAGED, METRICS, ScoreRow, any_in_space
+from kinectbench.core.artefacts.score_figures import AVERAGED, IN_SPACE, METRICS, ScoreRow, any_in_space
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.scoring.averages import ObjectMeans, object_means
+from kinectbench.scoring.protocols import check_protocols
 
 Tables = Mapping[str, ScoreTable]
 # {heading (protocol, with its part and kind): {category: means of its objects}}.
@@ -86,6 +87,8 @@ def _scored_metrics(means: Mapping[str, ObjectMeans]) -> list[str]:
 
 def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[str], protocol: str) -> str:
     """Return the message that the methods `lacking` were not scored under a protocol, and how to proceed."""
+    if not protocol.startswith(IN_SPACE):
+        check_protocols([protocol])
     line = f"{', '.join(lacking)}: not scored under '{protocol}'"
     if shared := [name for name in next(iter(of.values())) if all(name in means for means in of.values())]:
         return f"{line}; all are under {', '.join(shared)}: compare with `--protocol {shared[0]}`"
@@ -93,7 +96,7 @@ def _other_protocol(tables: Tables, of: Mapping[str, Means], lacking: Sequence[s
     cells = [name for name in tables if name not in spatial]
     both = [name for name in of[spatial[0]] if all(name in of[other] for other in spatial)] if spatial else []
     if not cells or not both:
-        return f"{line}; score it again with it"
+        return f"{line}; score it again with `--protocol {protocol}`"
     common = "camera" if "camera" in both else both[0]
     return (
         f"{line}: {', '.join(spatial)} in the camera frame and {', '.join(cells)} in cells can stand under "

@@ -177,10 +177,12 @@ def _qualified(tables: Mapping[str, ScoreTable]) -> list[str]:
 def find_scores(paths: Sequence[Path]) -> list[Path]:
     """Return the scores.json files at paths; a path is a file, a method's folder, or a folder of methods.
 
+    A file that is named twice counts once.
+
     Raises:
         SettingsError: a path does not exist, or has no scores.json.
     """
-    files = []
+    files = list[Path]()
     for path in paths:
         if path.is_dir():
             own = [path / SCORES_JSON] if (path / SCORES_JSON).is_file() else []
@@ -194,7 +196,7 @@ def find_scores(paths: Sequence[Path]) -> list[Path]:
             files.append(path)
         else:
             raise SettingsError(f"{path}: no such file or folder", what="no-file")
-    return files
+    return [*{file.resolve(): file for file in files}.values()]
 
 
 def find_methods(paths: Sequence[Path]) -> list[Path]:

@@ -34,8 +34,9 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
 
 
 def _baseline(table: ScoreTable) -> str:
-    """Return a mark if the table says that it is a baseline's, or if its method is named like a baseline."""
-    return "baseline" if table.baseline or table.method.lower() in BASELINE_NAMES else ""
+    """Return a mark if the table is a baseline's. Only in older tables, its name tells."""
+    by_name = table.settings.baseline_version is None and table.method.lower() in BASELINE_NAMES
+    return "baseline" if table.baseline or table.settings.of_baseline or by_name else ""
 
 
 def _older(table: ScoreTable) -> str:

@@ -1,7 +1,7 @@
 """Count one prediction against its truth; keep the counts of each pair, so that a run can be resumed."""
 
 import contextlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -22,11 +22,11 @@ from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.engine.shards import Shard
-from kinectbench.release.release import Target
+from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import Prediction, ceiling_tallies, ious, occupied, protocol_counts, tallies
 from kinectbench.scoring.mesh_prediction import MESHES
 from kinectbench.scoring.prediction_file import load_hashed
-from kinectbench.scoring.protocols import further_grids
+from kinectbench.scoring.protocols import further_grids, protocols_of
 from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.surface import surface_metrics
 from kinectbench.scoring.truth import PackedTruth, read_packed_truth, read_voxel_size
@@ -69,6 +69,13 @@ class Counting:
     def further_grids(self) -> tuple[str, ...]:
         """Names of the grids of a pair file that the protocols need beside `full`, `known` and `seen`."""
         return further_grids(self.protocols)
+
+
+def counting_of(
+    release: Release, protocols: Sequence[str] | None, upsampling: str, surface: bool
+) -> Counting:
+    """Return how the pairs of a release are counted; arguments and errors are as in `score`."""
+    return Counting(protocols_of(release, protocols), upsampling, surface)
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,9 @@
 
 import contextlib
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from kinectbench.core import PredictionError, lies_below, listed_paths, name_problem, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
@@ -19,12 +18,11 @@ from kinectbench.scoring.grid_axes import MOST_LOOKED_AT, axes_problem
 from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
 from kinectbench.scoring.prediction_file import load_hashed, load_prediction
 from kinectbench.scoring.sameness import Held, content_of, same_lines
+from kinectbench.scoring.strays import OTHER_MESHES, SUFFIXES, stray_lines
 from kinectbench.scoring.suspicious import MOST_OUTSIDE
 from kinectbench.scoring.truth import read_parts, read_voxel_size
 
-SUFFIXES = (".npy", ".npz", ".ply", ".obj")
-# Mesh formats that are not supported; a file with such a suffix in a prediction's place is reported.
-OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
+NO_PREDICTION = "no prediction; expected"
 # The files that a method's folder should hold, in words.
 EXPECTED = "<recording>/<view>.npy, .npz, .ply or .obj, or in the camera frame .glb"
 # Maximum number of files in a folder of predictions; every release has fewer pairs.
@@ -150,48 +148,15 @@ def _readable(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def stray_lines(stray: Sequence[str], missing: Iterable[str]) -> list[str]:
-    """Return a line for each of the first 20 files that match no target, and one with the number of others.
-
-    Files in a folder whose name differs from a recording's only in letter case have one line together.
-
-    Args:
-        stray: names of these files, relative to the method's folder.
-        missing: `<recording>/<view>` of targets without a file. If a stray file's name differs from one of
-            these only in letter case, or in what is around the number of the view, the line says how to
-            rename the file.
-    """
-    names = {_simple(name): name for name in missing}
-    folders = {name.partition("/")[0].lower(): name.partition("/")[0] for name in names.values()}
-    lines = dict[str, int]()
-    for name in stray:
-        top, suffix = name.partition("/")[0], PurePosixPath(name).suffix
-        meant = names.get(_simple(name.removesuffix(suffix)))
-        if folders.get(top.lower(), top) != top:
-            wanted = folders[top.lower()]
-            line = f"{printable(top)}/: its letter case is not that of the benchmark; rename it to {wanted}/"
-        elif name in folders.values():
-            line = f"{printable(name)}: no folder; put a folder of this name there, with its predictions"
-        else:
-            is_meant = meant and suffix.lower() in (*SUFFIXES, *OTHER_MESHES)
-            advice = f"rename it to {meant}{suffix.lower()}" if is_meant else "move it away"
-            line = f"{printable(name)}: answers no target of the benchmark; {advice}"
-        if line in lines or len(lines) < NAMED:
-            lines[line] = lines.get(line, 0) + 1
-    more = len(stray) - sum(lines.values())
-    return [*lines, *[f"and {more} more files that answer no target of the benchmark"] * (more > 0)]
-
-
-def _simple(name: str) -> str:
-    """Return `<folder>/<file>` in lower case, with the file's number alone if it has just one."""
-    folder, _, file = name.lower().rpartition("/")
-    numbers = re.findall(r"\d+", file)
-    return f"{folder}/{numbers[0].lstrip('0') if len(numbers) == 1 else file}"
-
-
 def missing_line(target: Target) -> str:
     """Return the line that a target has no file, with the accepted file names."""
-    return f"{target.name}: no prediction; expected {target.name}.npy, .npz, .ply or .obj"
+    return f"{target.name}: {NO_PREDICTION} {target.name}.npy, .npz, .ply or .obj"
+
+
+def strays_of(release: Release, found: FoundPredictions) -> list[str]:
+    """Return the lines of `stray_lines` on what was found in a method's folder."""
+    missing = (target.name for target in found.missing)
+    return stray_lines(found.stray, missing, {target.recording for target in release.targets})
 
 
 def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:
@@ -354,7 +319,7 @@ def check_grids(
         progress(done, len(release.targets))
     if line := axes_problem(_looked_at(release, predictions, list(readable))):
         problems.append(line)
-    problems += stray_lines(predictions.stray, (target.name for target in predictions.missing))
+    problems += strays_of(release, predictions)
     return problems, list(same_lines({target.name: of for target, of in sorted(readable.items())}))
 
 

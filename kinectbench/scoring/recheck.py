@@ -132,6 +132,8 @@ def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[s
     if method is not None and stated.method not in (method.name, folder.resolve().name):
         name, said = printable(stated.method), printable(method.name)
         yield f"'method' states '{name}'; the predictions are of '{said}', as {MethodFile.FILE} says"
+    if (stated.baseline or stated.settings.of_baseline) and not computed.settings.of_baseline:
+        yield "'baseline' states that they are a baseline's, but it predicts otherwise"
     for line in computed.warnings:
         if line not in stated.warnings:
             yield f"'warnings' does not have: {line}"
@@ -168,8 +170,9 @@ def _beyond_the_rows(stated: Mapping[str, Any], computed: Mapping[str, Any]) -> 
 
 
 def _verified(stated: ScoreTable, computed: ScoreTable) -> ScoreTable:
-    """Return the table marked as verified, with the hashes of predictions that it lacked."""
-    table = stated.model_copy(update={"hashes": computed.hashes, "verified": None})
+    """Return the table marked as verified, with the computed warnings and the hashes that it lacked."""
+    found = {"hashes": computed.hashes, "warnings": computed.warnings, "verified": None}
+    table = stated.model_copy(update=found)
     mark = Verified(
         date=datetime.now(UTC).date().isoformat(),
         package_version=__version__,

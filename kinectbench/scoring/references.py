@@ -64,8 +64,7 @@ def _occupied_share(task: tuple[Path, str]) -> float:
     return int(np.bitwise_count(full).sum()) / (8 * full.size)
 
 
-# Names of baselines. `kinectbench baseline` makes predictions of these names, and a table of such a name is
-# marked as a baseline.
+# Names of baselines. An older table of such a name, which does not state what it is, is marked as a baseline.
 BASELINE_NAMES = (
     *("empty", "base-rate", "partial", "hull", "carved-hull", "mirror", "silhouette"),
     *("mean-shape", "nearest"),

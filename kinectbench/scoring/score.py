@@ -1,6 +1,7 @@
 """Score the predictions of one or several methods against a release."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 from kinectbench.core import PredictionError, SettingsError, replaced_file
@@ -8,13 +9,14 @@ from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.provenance import ThresholdsFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS
-from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.assemble import describe, make_table
+from kinectbench.scoring.assemble import as_of_baseline, describe, make_table
+from kinectbench.scoring.baselines.recognized import is_of_baseline, made_table
 from kinectbench.scoring.camera.grid_score import score_grid_in_space, space_alone
 from kinectbench.scoring.camera.score import left_out_table, protocols_in_space, score_in_camera, unfit
 from kinectbench.scoring.declared import (
@@ -23,12 +25,18 @@ from kinectbench.scoring.declared import (
     method_lines,
     read_in_camera,
 )
-from kinectbench.scoring.pair_result import Counting, Journal
-from kinectbench.scoring.predictions import check_method, find_predictions, split_methods, stray_lines
-from kinectbench.scoring.protocols import protocols_of
+from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.pair_result import Journal, counting_of
+from kinectbench.scoring.predictions import (
+    check_method,
+    find_predictions,
+    split_methods,
+    strays_of,
+)
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import Request, check_declared, check_request
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
+from kinectbench.scoring.strays import NO_TARGET
 from kinectbench.scoring.thresholds import SEARCHED
 
 NOT_FROM_VALIDATION = "the thresholds are not from validation; predict it too"
@@ -81,19 +89,30 @@ def score(
     asked = plan(release, predictions, thresholds_file, missing)
     if space := space_alone(protocols, upsampling, close):
         table = score_grid_in_space(release, asked, method, space, missing, here, progress)
+        if is_of_baseline(release, table, space, here):
+            table = table.model_copy(update={"settings": as_of_baseline(table.settings)})
+            table = table.model_copy(update={"marks": marks_of(table)})
         return _with_warnings(table, predictions, asked, release)
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
     _refuse_many_rows(len(release.split("test")), counting.protocols)
     rounds = Rounds(release, counting, journal, jobs, progress)
-    outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
-    failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
-    results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
-    rates = base_rates(release, here, {target: result.tally for target, result in results.items()})
-    empty, how = [t for t, file in asked.files.items() if file is None], describe(counting, missing)
-    table = make_table(release, method, results, thresholds, rates, failures, how, empty)
+    table = _counted(release, asked, method, rounds, describe(counting, missing), here)
     if table.complete:
         journal.remove()
     return _with_warnings(table, predictions, asked, release)
+
+
+def _counted(
+    release: Release, asked: Plan, method: str, rounds: Rounds, how: ScoreSettings, jobs: int
+) -> ScoreTable:
+    """Count the pairs and make the table."""
+    outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
+    failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
+    results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}
+    rates = base_rates(release, jobs, {target: result.tally for target, result in results.items()})
+    empty = [t for t, file in asked.files.items() if file is None]
+    make = partial(make_table, release, method, results, thresholds, rates, failures, empty=empty)
+    return made_table(release, make, how, rounds.counting, jobs)
 
 
 def _with_warnings(
@@ -107,7 +126,7 @@ def _with_warnings(
     more = (
         *method_lines(predictions, method, release),
         *_changed(method, asked.files, table),
-        *stray_lines(asked.found.stray, (target.name for target in asked.found.missing)),
+        *strays_of(release, asked.found),
     )
     update: dict[str, object] = {"warnings": (*table.warnings, *more)}
     if method is not None and method.run_sha256 is not None:
@@ -135,13 +154,6 @@ def _refuse_many_rows(pairs: int, protocols: Sequence[str]) -> None:
             f"table may have: ask for one --protocol, or score a release of at most {most} pairs",
             what="too-large",
         )
-
-
-def counting_of(
-    release: Release, protocols: Sequence[str] | None, upsampling: str, surface: bool
-) -> Counting:
-    """Return how the pairs of a release are counted; arguments and errors are as in `score`."""
-    return Counting(protocols_of(release, protocols), upsampling, surface)
 
 
 def score_methods(
@@ -243,8 +255,10 @@ def _written(table: ScoreTable, folder: Path, out: Path, *, alone: bool) -> Scor
         return table
     kept = f"; the earlier scores in {out} are kept" if (out / ScoreTable.FILE).is_file() else ""
     reason = table.failures[0].reason if table.failures else "no view"
+    stray = next((f"; {line}" for line in table.warnings if NO_TARGET in line), "")
     raise PredictionError(
-        f"{folder}: nothing could be scored: {len(table.failures)} views failed, the first: {reason}{kept}"
+        f"{folder}: nothing could be scored: {len(table.failures)} views failed, the first: {reason}{stray}"
+        f"{kept}"
     )
 
 

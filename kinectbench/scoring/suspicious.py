@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.scoring.counts import THRESHOLDS
-from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.thresholds import Thresholds
 
 # Largest share of a mesh's volume outside the cube that is plausible: a cube that is placed by the view alone
@@ -16,14 +15,14 @@ LEAST_OUTSIDE = 0.001
 
 
 def suspicious_lines(
-    method: str, results: Mapping[Target, PairResult], thresholds: Thresholds
+    results: Mapping[Target, PairResult], thresholds: Thresholds, of_baseline: bool
 ) -> Iterator[str]:
     """Yield lines on how many meshes are cut off at the cube, and how many predictions are empty or full.
 
     Args:
-        method: the method's name; for a baseline, empty and full predictions are not reported.
         results: the result of every counted pair; its `cells` is 0 if there was no prediction.
         thresholds: threshold of every category of the test split.
+        of_baseline: whether they are a baseline's; then empty and full predictions are not reported.
     """
     outside = {t.name: of.outside_share for t, of in results.items() if of.outside_share >= LEAST_OUTSIDE}
     if outside:
@@ -34,7 +33,7 @@ def suspicious_lines(
             f"{files} partly outside the cube and {'is' if len(outside) == 1 else 'are'} cut off there, "
             f"{worst} by {outside[worst]:.1%} of its volume{frame}"
         )
-    if method.lower() in BASELINE_NAMES:
+    if of_baseline:
         return
     test = {t: of for t, of in results.items() if t.split == "test" and of.cells}
     empty: list[str] = []

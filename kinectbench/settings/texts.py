@@ -5,9 +5,12 @@ from typing import Annotated
 from pydantic import AfterValidator
 
 from kinectbench.core import STEERING
+from kinectbench.core.untrusted_text import MOST_TEXT
 
 
 def _steers_nothing(value: str) -> str:
+    if len(value) > MOST_TEXT:
+        raise ValueError(f"it has {len(value)} characters; at most {MOST_TEXT} are read")
     if STEERING.search(value):
         raise ValueError("it holds control characters; leave them out")
     return value

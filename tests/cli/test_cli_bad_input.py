@@ -335,6 +335,29 @@ def test_the_code_of_an_error_is_shown_to_whoever_looks_for_its_cause(
     assert check_line(command(tmp_path, "build"), 2, "") == f"{line} (settings.no-file)"
 
 
+LONG = "x" * 300
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("simulate", LONG),
+        ("simulate", f"a/{LONG}", "--frames", "3"),
+        ("inspect", LONG),
+        ("init", LONG),
+        ("build", "-c", LONG),
+        ("verify", LONG),
+        ("report", "--out", LONG),
+    ],
+)
+def test_a_name_that_is_too_long_is_said_in_one_line(
+    command: Command, one: Path, words: tuple[str, ...]
+) -> None:
+    line = command(one, *words).err.splitlines()[-1]
+    assert "longer than a file's name can be here: choose a shorter one" in line, line
+    assert "internal error" not in line and "stopped" not in line
+
+
 def test_what_libraries_say_of_a_damaged_image_is_not_shown(tmp_path: Path) -> None:
     """libjpeg complains on standard error by itself; only in a process of its own is that the command's."""
     folder = write_tum(tmp_path / "r")

@@ -36,6 +36,16 @@ def test_the_first_of_several_warnings_and_how_many_more(
     assert [f"table: warning: {line}" for line in said["warnings"]] == whole[: more + 1]
 
 
+def test_a_build_says_what_a_release_leaves_out(command: Command, small: Path, tmp_path: Path) -> None:
+    root = copied(small, tmp_path / "b")
+    assert "left out of a release" not in command(root, "build", "--jobs", "1").out
+    strict = ("build", "table", "--jobs", "1", "--set", "publish.gate.min_estimated_iou=1")
+    shown = next(line for line in command(root, *strict).out.splitlines() if "left out of" in line)
+    reason = json.loads(command(root, *strict, "--json").out)[0]["left_out_of_release"]
+    assert shown == f"table: would be left out of a release: {reason}"
+    assert "less than publish.gate.min_estimated_iou: 1; mend it, or accept it" in reason
+
+
 @pytest.mark.parametrize("words", [("segment",), ("segment", "--suggest"), ("track",), ("ingest",)])
 def test_the_note_names_a_command_that_shows_all(
     command: Command, small: Path, tmp_path: Path, words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch

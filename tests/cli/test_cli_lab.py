@@ -83,6 +83,18 @@ def test_stages_left_over_from_other_settings_do_not_count(
     assert "ATE, rmse" in table.out and "index.html" in table.out
 
 
+def test_what_failed_now_is_not_judged_as_it_was_before(
+    command: Command, small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "copy")
+    run = command(root, "evaluate", "chair", "--json")
+    assert run.status == 0 and json.loads(run.out)["solid"]
+    run = command(root, "evaluate", "chair", "--json", "--set", "fusion.voxel_size_m=0.001")
+    assert run.status == 1 and "too large" in run.err, run.err
+    found = json.loads(run.out)
+    assert found["trajectory"] is not None and found["solid"] is None and found["pairs"] is None
+
+
 def test_evaluate_says_in_one_line_what_is_wrong(command: Command, small: Path) -> None:
     for arguments, says in (
         (("chiar",), "did you mean 'chair'"),

@@ -30,6 +30,8 @@ INTO: dict[str, list[str]] = {
 DEFAULTS: dict[str, list[str]] = {
     "scores": ["score", "--benchmark", "."],
     "predictions of a network": ["predict", "recae-small", "."],
+    "a release of its folder": ["fetch", "."],
+    "a release of another": ["fetch", "../other/benchmark"],
 }
 
 
@@ -50,9 +52,10 @@ def test_nothing_is_written_into_a_release(
 def test_nothing_is_written_into_a_release_by_default(
     command: Command, release: Release, tmp_path: Path, name: str
 ) -> None:
-    if name != "scores":
+    if "network" in name:
         pytest.importorskip("torch")
     folder = Path(shutil.copytree(release.folder, tmp_path / "release"))
+    shutil.copytree(release.folder, tmp_path / "other" / "benchmark")
     before = hashes(folder)
     check_line(command(folder, *DEFAULTS[name]), 2, "in a release, release/, which must stay")
     assert hashes(folder) == before

@@ -3,12 +3,15 @@
 import json
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 
+import pytest
 from small_benchmark import Run, copied
 
-from kinectbench.cli.recordings import _without_recording
+from kinectbench.cli import recordings
+from kinectbench.cli.recordings import MOST_COMPARED_PATHS, _without_recording
 from kinectbench.settings.file import load_benchmark
 from kinectbench.stages.ingest.readers import FORMATS, find_recordings
 
@@ -27,6 +30,41 @@ def test_formats(command: Callable[..., Run], tmp_path: Path) -> None:
     assert "klg: a .klg file of ElasticFusion\n    verified on: nothing real, but files written" in text
     assert "    verified on: a real recording: 150 frames of redkitchen" in text
     assert "    verified on: a real recording whose licence lets it be copied: fr3/cabinet" in text
+
+
+def test_a_mistyped_recording_is_answered_with_a_similar_one(
+    command: Callable[..., Run], small: Path, tmp_path: Path
+) -> None:
+    root = copied(small, tmp_path / "b")
+    for name, near in (("tabel", "table"), ("recordings/chiar", "recordings/chair")):
+        said = command(root, "inspect", name)
+        assert said.status == 1 and f"{name}: there is no such file or folder" in said.out
+        assert f"did you mean '{near}'?" in said.out
+    assert "did you mean" not in command(root, "inspect", "qqqq").out
+    # The id is right, its path is not: what is near the path is named.
+    config = root / "benchmark.yaml"
+    for path, answer in (
+        ("recordings/chiar", "did you mean 'recordings/chair'?"),
+        ("chair", "file or folder"),
+    ):
+        config.write_text(config.read_text().replace("path: recordings/chair,", f"path: {path},"))
+        (line,) = [line for line in command(root, "inspect", "chair").out.splitlines() if "no such" in line]
+        assert answer in line and "did you mean 'chair'" not in line
+        config.write_text(config.read_text().replace(f"path: {path},", "path: recordings/chair,"))
+
+
+def test_a_mistyped_path_is_compared_with_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for number in range(MOST_COMPARED_PATHS + 10):
+        (tmp_path / f"recording_{number}").touch()
+    compared = list[int]()
+
+    def close(name: str, names: Sequence[str], count: int) -> list[str]:
+        compared.append(len(names))
+        return get_close_matches(name, names, count)
+
+    monkeypatch.setattr(recordings, "get_close_matches", close)
+    assert "did you mean" in recordings._near(str(tmp_path / "recordinh_7"), ids=True)
+    assert compared == [MOST_COMPARED_PATHS]
 
 
 def test_init_names_the_folders_in_which_there_is_no_recording(

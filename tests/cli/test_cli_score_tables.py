@@ -13,6 +13,7 @@ from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.scoring.compare import compare
+from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.read_table import recomputed
 
 PAPERS = ("bench", "chair", "couch", "table")
@@ -86,7 +87,9 @@ def test_what_sets_a_method_apart_is_said() -> None:
     verified = Verified(
         date="2026-11-25", package_version="0.1.0", table_sha256="0" * 64, predictions_sha256="0" * 64
     )
-    text = "\n".join(drawn([score_table([net, long, hull.model_copy(update={"verified": verified})])], 120))
+    hull = hull.model_copy(update={"verified": verified, "baseline": True})
+    hull = hull.model_copy(update={"marks": marks_of(hull)})
+    text = "\n".join(drawn([score_table([net, long, hull])], 120))
     assert "net* " in text and "hull (baseline)*" in text
     names, marks = "net, a-method-with-a-name-of-quite-some-length-indeed, hull", "thresholds fixed at 0.5"
     assert f"* {names}: score version 1, now {VERSIONS['score']}; {marks}" in text

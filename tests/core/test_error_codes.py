@@ -1,6 +1,7 @@
 """Every error has a code that the table of errors lists; the code survives pickling."""
 
 import ast
+import errno
 import pickle
 from pathlib import Path
 
@@ -8,7 +9,14 @@ import pytest
 from error_codes import ERROR_CODES, KINDS
 from raising import raises
 
-from kinectbench.core.errors import KinectBenchError, RecordingError, SettingsError, error_code
+from kinectbench.core.errors import (
+    TOO_LONG,
+    KinectBenchError,
+    RecordingError,
+    SettingsError,
+    error_code,
+    internal_error,
+)
 
 ROOT = Path(__file__).parents[2]
 TREES = [ast.parse(path.read_text(encoding="utf-8")) for path in sorted((ROOT / "kinectbench").rglob("*.py"))]
@@ -102,3 +110,10 @@ def test_a_meaning_that_its_code_says_is_left_out() -> None:
     assert "- `segmentation.no-floor`, `segmentation.no-masks`, `segmentation.no-object`\n" in text
     assert "- `storage.no-room`: There is not enough free space.\n" in text
     assert [code for code in ERROR_CODES if f"`{code}`" not in text] == []
+
+
+def test_a_long_name_is_printed_shortened_and_safe() -> None:
+    said = internal_error(OSError(errno.ENAMETOOLONG, "", "\x1b[31mred\n" + 300 * "x"))
+    assert said.startswith("?[31mred?xx") and said.endswith(f"xx: {TOO_LONG}")
+    assert len(said) == 80 + len(f": {TOO_LONG}")
+    assert internal_error(OSError(errno.ENAMETOOLONG, "")) == TOO_LONG

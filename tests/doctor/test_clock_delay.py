@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from kinectbench.core.trajectory.stamps import StampFaults, find_doubled, find_stamp_faults, typical_period_ns
+from kinectbench.doctor.clocks import check_partners
 from kinectbench.doctor.delays import Motion, check_color_drift, estimate_delay_ns, image_motion
 from kinectbench.doctor.probe import Probe, SmallFrame, frames_to_read
 
@@ -106,6 +107,31 @@ class Recorded:
     @property
     def recorded_stamps_ns(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         return self.stamps_ns, self.stamps_ns
+
+
+@pytest.mark.parametrize(
+    ("colours", "said"),
+    [
+        (9, []),
+        (3, [("color_unpaired", "6 of the 9 frames looked at have no colour image")]),
+        (0, [("no_color", "there is no colour")]),
+    ],
+)
+def test_frames_without_colour_are_counted_where_colour_has_no_stamps(
+    colours: int, said: list[tuple[str, str]]
+) -> None:
+    @dataclass
+    class Unstamped(Recorded):
+        @property
+        def recorded_stamps_ns(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+            return self.stamps_ns, np.zeros(0, np.int64)
+
+    depth, gray = np.ones((3, 4), np.float32), np.zeros((3, 4), np.uint8)
+    frames = tuple(SmallFrame(i, i, depth, gray if i < colours else None, b"") for i in range(9))
+    look = Probe(Unstamped(np.arange(9)), frames, (), (), (), 1)  # type: ignore[arg-type]
+    found = [*check_partners(look)]
+    assert [(each.name, each.what) for each in found] == said
+    assert all(each.severity == "note" for each in found)
 
 
 @pytest.mark.parametrize(

@@ -201,6 +201,17 @@ def test_the_command(small_chair: Path, command: Callable[..., Run], tmp_path: P
     assert unknown.status == 2 and "in --set fz=1: unknown" in unknown.err
 
 
+def test_guessed_intrinsics_give_no_number_to_write_down(tmp_path: Path) -> None:
+    wrong = make_wrong(CHAIR, "poses 200 ms late", tmp_path / "wrong", 40)
+    known = next(f for f in inspect(wrong)[0].findings if f.name == "trajectory_delay")
+    assert "`camera: {trajectory_delay_s: " in known.advice
+    (wrong / "camera.json").unlink()
+    found = {f.name: f for f in inspect(wrong)[0].findings}
+    assert found["intrinsics"].severity == "stops"
+    assert found["trajectory_delay"].advice.startswith("give the intrinsics, and inspect again")
+    assert not any("_s: " in f.advice for f in found.values())
+
+
 def test_a_recording_of_the_benchmark_is_inspected_by_its_id(
     command: Callable[..., Run], tmp_path: Path
 ) -> None:

@@ -1,6 +1,7 @@
 """Ctrl-C that comes where nothing can be raised is remembered, without a traceback."""
 
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -145,3 +146,27 @@ def test_an_answered_interrupt_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> 
             signal.raise_signal(signal.SIGTERM)
         time.sleep(0.1)
     assert ended == []
+
+
+class Interrupts:
+    """Stands for Ctrl-C while the command line's modules are imported."""
+
+    def find_spec(self, name: str, *_: object) -> None:
+        if name == "kinectbench.cli.main":
+            raise KeyboardInterrupt
+
+
+def test_a_stop_during_the_imports_has_the_usual_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delitem(sys.modules, "kinectbench.cli.main", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupts(), *sys.meta_path])
+    with pytest.raises(SystemExit) as stopped:
+        runpy.run_module("kinectbench", run_name="__main__")
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err == "error: stopped; run the same command again to go on from here\n"
+
+
+def test_the_hook_of_an_application_stays() -> None:
+    code = "import sys; sys.excepthook = own = print; import kinectbench.cli; print(sys.excepthook is own)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "True\n"

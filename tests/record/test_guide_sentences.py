@@ -47,6 +47,8 @@ BELOW = frontier((0.5, 0.5, -1.0), "down", underside=True)
 # An opening at the floor that is best looked into from a little below the level.
 DOOR = replace(frontier((0, -1, -0.02)), center_m=(0.0, 0.0, 0.1))
 UP = frontier((0.0, 0.0, 1.0), "up")
+HIGH_TOO = ring()
+HIGH_TOO.frames[:, -1] = FRAMES_ENOUGH
 
 
 @pytest.mark.parametrize(
@@ -74,6 +76,9 @@ UP = frontier((0.0, 0.0, 1.0), "up")
         (replace(ROUND, frontiers=[replace(UP, obstructed=True)]), "enough", "enough"),
         (replace(ROUND, frontiers=[BELOW]), "lower", "what lies below is unseen"),
         (replace(ROUND, frontiers=[replace(BELOW, center_m=(0, 0, 0.1))]), "enough", "enough"),
+        (replace(ROUND, unknown_share=0.01), "enough", "enough"),
+        (replace(ROUND, unknown_share=0.5), "higher", "hold the camera higher, and go around once more"),
+        (replace(ROUND, unknown_share=0.5, ring=HIGH_TOO), "lower", "and go around once more"),
     ],
 )
 def test_each_sentence(situation: Situation, kind: str, words: str) -> None:

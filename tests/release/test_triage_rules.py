@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.triage import TriageFile
 from kinectbench.release.check.figure_check import gate_problems
 from kinectbench.release.check.verify import verify
-from kinectbench.release.publish.gate import gate
+from kinectbench.release.publish.gate import REJECTED, WITHOUT_PAIR, gate, would_be_left_out
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.triage.stands_alone import share_standing_alone
 from kinectbench.release.triage.triage import triage
@@ -110,6 +110,22 @@ def test_sound_recordings_are_accepted_and_limits_reject(tmp_path: Path) -> None
     assert _row(triage(settings(min_estimated_iou=0.4), tmp_path, [NAME])).decision == "accept"
     review = {"decision": "reject", "reason": "a cloth hangs over it"}
     assert _row(triage(settings(review), built(tmp_path), [NAME])).decision == "reject"
+
+
+def test_what_a_build_says_of_a_release_is_what_publish_does(tmp_path: Path) -> None:
+    """`build` names the reasons of `publish`, of the recordings that it built."""
+    low: dict[str, Any] = {"estimated_known_iou": 0.9, "estimated_known_iou_low": 0.6}
+    build = built(tmp_path, "not good", **low)
+    reason = gate(settings(), build, [NAME], allow_poor=False).left_out[NAME]
+    assert reason.startswith("lower end of the estimated IoU on known voxels, as the trajectory is not good")
+    said = would_be_left_out(settings(), build, {NAME: 8})
+    assert list(said) == [NAME] and said[NAME].startswith(reason) and "`--allow-poor`" in said[NAME]
+    assert would_be_left_out(settings(min_estimated_iou=0.5), build, {NAME: 8}) == {}
+    assert would_be_left_out(settings(min_estimated_iou=0.5), build, {NAME: 0}) == {NAME: WITHOUT_PAIR}
+    accepted = settings({"decision": "accept", "reason": "I measured it"})
+    assert would_be_left_out(accepted, build, {NAME: 8}) == {}
+    rejected = settings({"decision": "reject", "reason": "a cloth hangs over it"})
+    assert would_be_left_out(rejected, build, {NAME: 8}) == {NAME: f"{REJECTED}a cloth hangs over it"}
 
 
 def test_a_doubt_is_not_said_twice(tmp_path: Path) -> None:

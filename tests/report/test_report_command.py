@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fuzz.releases import seal
-from small_benchmark import Run
+from small_benchmark import Run, copied
 
 from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.core.untrusted import STEERING
@@ -64,6 +64,16 @@ def test_a_release_may_have_a_name_that_no_benchmark_yaml_accepts(
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert not STEERING.search(page.replace("\r", ""))
     assert "my chairs &lt;b&gt;" in page and "<b> \x1b" not in page
+
+
+def test_with_ids_the_page_has_those_recordings_alone(command: Command, small: Path, tmp_path: Path) -> None:
+    root = copied(small, tmp_path / "b")
+    for name, ids in (("all.html", ()), ("chair.html", ("chair",))):
+        assert command(root, "report", *ids, "--out", name, "--jobs", "1").status == 0
+    both, one = ((root / name).read_text(encoding="utf-8") for name in ("all.html", "chair.html"))
+    assert "path: recordings/table" in both and "path: recordings/chair" in both
+    assert "path: recordings/table" not in one and "path: recordings/chair" in one
+    assert ">table<" in both
 
 
 def test_without_names_it_is_the_folder_of_scores(command: Command, release: Release, scored: Path) -> None:

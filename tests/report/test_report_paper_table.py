@@ -100,11 +100,12 @@ def test_the_command_prints_it_or_writes_it(
     words = ("report", "--paper-table", "--benchmark", str(release.folder), "--scores", str(scores))
     printed = command(tmp_path, *words)
     assert printed.status == 0 and printed.out.startswith("**all pairs**: "), printed
-    assert "\n| mine | " in printed.out and "\n| hull | " in printed.out
+    assert "\n| mine | " in printed.out and "\n| hull (baseline) | " in printed.out
     alone = command(tmp_path, *words, "--no-baselines")
-    assert "| mine |" in alone.out and "| hull |" not in alone.out
+    assert "| mine |" in alone.out and "| hull" not in alone.out
     (found,) = json.loads(command(tmp_path, *words, "--json").out)
-    assert found["rows"][0].keys() == {"method", "published", "iou", "ce"}
+    assert found["rows"][0].keys() == {"method", "published", "iou", "ce", "baseline"}
+    assert {row["method"]: row["baseline"] for row in found["rows"] if not row["published"]}["hull"] is True
     assert list(tmp_path.iterdir()) == []
     assert command(tmp_path, *words, "--out", "table.md").status == 0
     assert (tmp_path / "table.md").read_text() == printed.out

@@ -67,6 +67,7 @@ def test_what_every_baseline_is_marked_with_stands_above_the_table() -> None:
     fixed = {"thresholds": {"chair": 0.5}, "threshold_source_by_category": {"chair": "fixed"}}
     names = ("net", "hull", "partial")
     parsed = parsed_tables([made(name, 0.4, 1.0) | (fixed if name != "net" else {}) for name in names])
+    parsed = [t if t.method == "net" else t.model_copy(update={"baseline": True}) for t in parsed]
     table = tables.protocol_table(parsed, "known")
     assert len(table.shared) == 1 and len(table.of_baselines) == 1 and "fixed" in table.of_baselines[0]
     assert {row.method: row.marks for row in table.rows} == {

@@ -326,7 +326,7 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, Any], list[str]]] = {
     "a part of validation, rest empty": (("val_chair",), {"missing": "empty"}, ["VALIDATION"]),
     "a test pair missing": (("chair_02",), {}, []),
     "no validation": (("chair_03", "table_02"), {}, ["thresholds fixed at 0.5"]),
-    "a baseline's name": ((), {"method": "hull"}, ["baseline"]),
+    "a baseline's name": ((), {"method": "hull"}, []),
 }
 
 

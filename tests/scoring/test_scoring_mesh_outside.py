@@ -8,6 +8,7 @@ import trimesh
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.release.release import Release
+from kinectbench.scoring.baselines.predict import write_baselines
 from kinectbench.scoring.mesh_outside import outside_share
 from kinectbench.scoring.mesh_prediction import IN_CAMERA
 from kinectbench.scoring.prediction_file import Loaded, load_hashed
@@ -123,5 +124,7 @@ def test_doubtful_predictions_are_counted_in_a_line_each(release: Release, tmp_p
     assert check(release, tmp_path) == [
         f"{targets[0].name}.ply: 50% of its volume lies outside the cube: use the grid's axes, {IN_CAMERA}"
     ]
-    baseline = score(release, tmp_path, method="empty", protocols=["known"], surface=False).warnings
+    write_baselines(release, tmp_path / "baselines", ["empty"])
+    folder = tmp_path / "baselines" / "empty"
+    baseline = score(release, folder, method="empty", protocols=["known"], surface=False).warnings
     assert not any("predict nothing" in line for line in baseline)

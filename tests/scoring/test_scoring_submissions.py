@@ -33,9 +33,9 @@ from kinectbench.scoring.predictions import (
     check_method,
     find_predictions,
     split_methods,
-    stray_lines,
 )
 from kinectbench.scoring.score import score, score_methods
+from kinectbench.scoring.strays import stray_lines
 from kinectbench.scoring.truth import read_voxel_size
 
 VOXEL_M = 0.004

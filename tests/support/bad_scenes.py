@@ -54,11 +54,12 @@ class Recorded:
         return self.coverage_report_of(self.segment(given), given is not None)
 
     def coverage_report_of(
-        self, chosen: Segmentation, given: bool = False, max_depth_m: float = 3.0
+        self, chosen: Segmentation, given: bool = False, max_depth_m: float = 3.0, range_is_set: bool = True
     ) -> CoverageReport:
         assert FUSION.voxel_size_m is not None
         grid = object_grid(chosen.box, chosen.floor, FUSION.voxel_size_m, given=given)
-        return coverage_report(self.sequence, self.trajectory, self.scene, chosen, grid, max_depth_m)
+        seen = (self.sequence, self.trajectory, self.scene, chosen, grid, max_depth_m)
+        return coverage_report(*seen, range_is_set=range_is_set)
 
     def model(
         self,

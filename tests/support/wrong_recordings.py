@@ -226,6 +226,8 @@ WRONG: dict[str, tuple[Callable[[Path], None], str, str]] = {
         "mirrored",
     ),
     "mirrored colour": (change_images("rgb", lambda c: c[:, ::-1]), "color_mirrored", ""),
+    "colour top to bottom": (change_images("rgb", lambda c: c[::-1]), "color_mirrored", ""),
+    "colour upside down": (change_images("rgb", lambda c: c[::-1, ::-1]), "color_mirrored", ""),
     "colour beside depth": (change_images("rgb", _moved_colour), "color_not_registered", "right"),
     "colour of another clock": (stamps("rgb", lambda t: t + 5000), "color_unpaired", "5000"),
     "stamps of poses in nanoseconds": (

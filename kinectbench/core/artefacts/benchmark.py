@@ -7,7 +7,7 @@ from pydantic import Field
 
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reference import ReferenceInfo
-from kinectbench.core.artefacts.stored import Stored, StoredPart
+from kinectbench.core.artefacts.stored import JSON_BYTES, Stored, StoredPart
 from kinectbench.core.errors import KinectBenchError, ReleaseError
 from kinectbench.core.types import Framing, PartialRule, Split
 from kinectbench.core.untrusted_text import strict_json
@@ -225,6 +225,7 @@ class PublishStamp(Stored):
     """build/publish.json: a record of the last publication; it is not part of the release."""
 
     FILE: ClassVar[str] = "publish.json"
+    MAX_TEXT: ClassVar[int] = JSON_BYTES  # a whole threshold file is one text in it
     ERROR: ClassVar[type[KinectBenchError]] = ReleaseError
 
     fingerprint: str = Field(description="fingerprint of the settings, the pairs' manifests and the options")
@@ -239,3 +240,4 @@ class PublishStamp(Stored):
     removed: tuple[str, ...] = Field(description="what was removed for privacy, one line each")
     unanswered: tuple[str, ...] = Field(description="keys of the datasheet's questions without an answer")
     refused: tuple[str, ...] = Field((), description="ids of the recordings that violate `publish.gate`")
+    shortened: bool = Field(False, description="whether further warnings of recordings are left out")

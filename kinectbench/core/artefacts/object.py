@@ -27,6 +27,8 @@ MEASUREMENT_WARNINGS = (
     "what carries it gave no depth",
     "large pieces that do not touch",
 )
+# Begins the warning that the floor cut may have taken parts of the object.
+FLOOR_CUT = "floor_cut: "
 # The underside is asked about, and what a person says of it is shown, if it decides this share of the solid
 # (chosen by hand).
 LEAST_UNDERSIDE_SHARE = 0.05

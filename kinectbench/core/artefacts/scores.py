@@ -116,8 +116,15 @@ class ScoreSettings(StoredPart):
     interval_level: float | None = Field(None, description="level of the confidence intervals")
     interval_rule: str | None = Field(None, description="how intervals are computed")
     baseline_version: int | None = Field(
-        None, description="version of what baselines predict; only in their tables"
+        None,
+        description="version of what baselines predict, in their tables; 0 in those of other methods; null: "
+        "not stated, as in older tables",
     )
+
+    @property
+    def of_baseline(self) -> bool:
+        """Whether kinectbench found the predictions to be a baseline's; False also if it did not look."""
+        return bool(self.baseline_version)
 
 
 class BaseRate(StoredPart):

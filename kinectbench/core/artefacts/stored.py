@@ -36,7 +36,7 @@ from kinectbench.core.errors import KinectBenchError, StorageError, pydantic_mes
 from kinectbench.core.storage import pretty_json
 from kinectbench.core.types import Float64
 from kinectbench.core.untrusted import printable, read_plain_text
-from kinectbench.core.untrusted_text import MOST_VALUES, strict_json
+from kinectbench.core.untrusted_text import MOST_TEXT, MOST_VALUES, long_text, strict_json
 
 # Limit of one file's size: 32 bytes for each value that it may have.
 JSON_BYTES = 64 << 20
@@ -113,6 +113,7 @@ class Stored(StoredPart):
         ERROR: the exception for a missing or damaged file.
         MAX_BYTES: a larger file is refused before it is read, because files are untrusted.
         MAX_VALUES: a file with more JSON values is refused, too.
+        MAX_TEXT: so is a file in which a text or a key has more characters.
     """
 
     FILE: ClassVar[str]
@@ -120,6 +121,7 @@ class Stored(StoredPart):
     ERROR: ClassVar[type[KinectBenchError]] = StorageError
     MAX_BYTES: ClassVar[int] = JSON_BYTES
     MAX_VALUES: ClassVar[int] = MOST_VALUES
+    MAX_TEXT: ClassVar[int] = MOST_TEXT
 
     def text(self) -> str:
         """Return the JSON text of the file."""
@@ -167,6 +169,8 @@ class Stored(StoredPart):
         """
         try:
             content = strict_json(text, cls.MAX_VALUES)
+            if len(text) > cls.MAX_TEXT and (problem := long_text(text, content, cls.MAX_TEXT)):
+                raise cls.ERROR(f"{where}: {problem}", what="too-large")
             if len(text) > LONG_TEXT and (missing := cls._missing(content)):
                 raise cls.ERROR(f"{where}: '{missing}': Field required; {cls.ADVICE}")
             return cls.validated(text)

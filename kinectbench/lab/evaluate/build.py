@@ -17,6 +17,8 @@ from kinectbench.core.trajectory.compare import align_worlds, has_pose, match_st
 from kinectbench.core.trajectory.trajectory import Trajectory, read_trajectory
 from kinectbench.core.types import Float32
 from kinectbench.core.voxels.pair_file import Pair, read_pair
+from kinectbench.engine.failures import stored_failure
+from kinectbench.engine.pipeline import STAGE_NAMES
 from kinectbench.engine.stages import current_stages
 from kinectbench.lab.simulate.truth import Truth
 from kinectbench.stages.ingest.sequence_folder import read_sequence
@@ -68,12 +70,16 @@ def read_build(folder: Path) -> Build:
     """Open the folder `build/<recording>/`; depth images and pairs are read only when needed.
 
     A stage that is not current (see `current_stages`) counts as not built: other settings or another version
-    of the package may have made it.
+    of the package may have made it. Nor does a stage that failed in the last run, nor what follows it: what
+    lies there was made before, by other settings.
 
     Raises:
         StorageError: the folder has no build, or an outdated one, or an artefact is damaged.
     """
-    current = current_stages(folder)
+    current, failed = current_stages(folder), stored_failure(folder)
+    if failed is not None and failed.stage in STAGE_NAMES:
+        made = STAGE_NAMES[: STAGE_NAMES.index(failed.stage)]
+        current = {name: path for name, path in current.items() if name in made}
     if "ingest" not in current:
         if (folder / "sequence").is_dir():
             raise StorageError(

@@ -227,6 +227,7 @@ class Guide:
             first_rad=float(directions_of(positions[:1], center)[0][0]),
             ring=self.ring,
             frontiers=self.seen.frontiers,
+            unknown_share=self.seen.unknown_share,
             positions=positions,
         )
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, decimated, invert_rigid, on_so3
 from kinectbench.core.sequence import Sequence
@@ -23,7 +24,7 @@ from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
 from kinectbench.stages.segment.solid.grids import floor_layers, object_grid
-from kinectbench.stages.segment.solid.solid import make_solid
+from kinectbench.stages.segment.solid.solid import SolidShape, make_solid
 from kinectbench.stages.track.frame_maps import STORED_PER_M, MapCache, stored_depth
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph
 
@@ -48,6 +49,8 @@ class ObjectLook:
         box: box around the object, floor frame.
         mesh: the object and its surroundings, floor frame.
         frontiers: openings to unseen space, which no keyframe looked into, the largest first.
+        unknown_share: volume that no frame saw, though a camera could from the side or from above, as a share
+            of the solid's.
         floor_cut_m: surface nearer to the floor than this counts as floor, metres. It is smaller if the
             cameras are near.
     """
@@ -56,6 +59,7 @@ class ObjectLook:
     box: OrientedBox
     mesh: TriangleMesh
     frontiers: tuple[Frontier, ...]
+    unknown_share: float
     floor_cut_m: float
 
     def moved(self, T_world_before: Float64 | None) -> "ObjectLook | None":
@@ -111,7 +115,15 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
     T_floor_world = found.floor.T_floor_world
     frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)
     mesh = _around(scene, T_floor_world, found.box)
-    return ObjectLook(T_floor_world, found.box, mesh, frontiers, floor_cut_m(found.floor, CUTS))
+    unknown_share = _unknown_share(solid)
+    return ObjectLook(
+        T_floor_world, found.box, mesh, frontiers, unknown_share, floor_cut_m(found.floor, CUTS)
+    )
+
+
+def _unknown_share(shape: SolidShape) -> float:
+    unknown = (shape.labels == Label.UNKNOWN) & ~shape.underside
+    return int(unknown.sum()) / max(1, int(shape.solid.sum()))
 
 
 def _around(scene: TriangleMesh, T_floor_world: Float64, box: OrientedBox) -> TriangleMesh:

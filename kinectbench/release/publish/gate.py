@@ -4,13 +4,13 @@ In benchmark.yaml, `review` of a recording accepts or rejects it, with a reason.
 accepts every built recording. A release states the outcome for each recording, with the reason.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kinectbench.core.artefacts.benchmark import Flow
 from kinectbench.release.publish.same_frames import refuse_same_frames
-from kinectbench.release.triage.rules import NOT_BUILT, judged
+from kinectbench.release.triage.rules import NOT_BUILT, Judged, judged
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
 ALLOWED = "--allow-poor"
@@ -164,10 +164,34 @@ def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], al
         ReleaseError: the same frames would be published under two ids in different splits.
         StorageError: a built file is damaged.
     """
+    passed = _decided(judged(settings, build, recordings), recordings, allow_poor)
+    return replace(passed, twice=tuple(refuse_same_frames(settings, build, passed.published)))
+
+
+def would_be_left_out(settings: BenchmarkSettings, build: Path, pairs: Mapping[str, int]) -> dict[str, str]:
+    """Return {id: why `publish` would leave it out, one line with advice} of built recordings.
+
+    Args:
+        settings: the benchmark's settings, with limits and reviews; other recordings are not looked at.
+        build: the folder with a subfolder for each recording.
+        pairs: {id of a built recording: its number of pairs}.
+
+    Raises:
+        StorageError: a built file is damaged.
+    """
+    chosen = tuple(each for each in settings.recordings if each.id in pairs)
+    rows = judged(settings.model_copy(update={"recordings": chosen}), build, pairs, by_limits_alone=True)
+    with_pairs = [name for name, count in pairs.items() if count]
+    found = _decided(rows, tuple(pairs), allow_poor=False).with_pairs(with_pairs)
+    return {name: f"{why}{ADVICE if name in found.refused else ''}" for name, why in found.left_out.items()}
+
+
+def _decided(rows: Iterable[Judged], recordings: Sequence[str], allow_poor: bool) -> Gate:
+    """Return the decision on judged recordings; `recordings` gives the order of those published."""
     published, poor = list[str](), dict[str, tuple[tuple[str, ...], str]]()
     failed, refused, rejected = dict[str, str](), dict[str, tuple[str, ...]](), dict[str, str]()
     look, not_built = dict[str, tuple[str, ...]](), 0
-    for each in judged(settings, build, recordings):
+    for each in rows:
         name, review = each.recording.id, each.recording.review
         why = _why_all_the_same(each.recording, allow_poor)
         if review is not None and review.decision == "reject":
@@ -185,8 +209,7 @@ def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], al
             elif each.decision == "look":
                 look[name] = each.look
     ordered = tuple(name for name in recordings if name in published)
-    twice = tuple(refuse_same_frames(settings, build, ordered))
-    return Gate(ordered, poor, refused, rejected, failed, look, not_built, twice=twice)
+    return Gate(ordered, poor, refused, rejected, failed, look, not_built)
 
 
 def _why_all_the_same(recording: RecordingSettings, allow_poor: bool) -> str | None:

@@ -58,6 +58,7 @@ class PublishSummary:
         removed: removed private facts, one line each.
         unanswered: keys of the datasheet's unanswered questions.
         refused: ids of recordings left out because they violate limits of `publish.gate`.
+        shortened: whether `warnings` have only the first of several quality warnings of a recording.
     """
 
     folder: Path
@@ -70,6 +71,7 @@ class PublishSummary:
     removed: tuple[str, ...] = ()
     unanswered: tuple[str, ...] = ()
     refused: tuple[str, ...] = ()
+    shortened: bool = False
 
     @property
     def scoring(self) -> Path:
@@ -208,14 +210,13 @@ def _write(
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     alone = tuple(sorted(isolated.views))
     _write_texts(settings, folder, made, targets, warnings, options, removals, alone)
-    public = _public_settings(settings, options.hold_back, removals, bool(options.isolate))
     privacy(_color(settings, made), removals).write(folder)
     head = Head(
         settings.name,
         settings.license,
         settings.pairs.framing,
         settings.pairs.partial_rule,
-        public,
+        _public_settings(settings, options.hold_back, removals, bool(options.isolate)),
         citation=settings.publish.citation,
         held_back=options.hold_back,
         left_out=passed.left_out,
@@ -239,6 +240,7 @@ def _write(
         removed=tuple(removed_lines(removals)),
         unanswered=tuple(unanswered(settings)),
         refused=tuple(passed.refused),
+        shortened=any(len(info.quality.warnings) > 1 for info in infos.values()),
     )
 
 

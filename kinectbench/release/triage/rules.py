@@ -12,7 +12,7 @@ from pathlib import Path
 
 from kinectbench.core import StorageError
 from kinectbench.core.artefacts.manifest import Failed, Manifest
-from kinectbench.core.artefacts.object import QualityFile
+from kinectbench.core.artefacts.object import FLOOR_CUT, QualityFile
 from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
@@ -76,7 +76,9 @@ class Judged:
         return "reject" if self.limits else "look" if self.look else "accept"
 
 
-def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> Iterator[Judged]:
+def judged(
+    settings: BenchmarkSettings, build: Path, built: Collection[str], *, by_limits_alone: bool = False
+) -> Iterator[Judged]:
     """Yield the reasons against every recording of a benchmark, in the order of the settings.
 
     Values that are not known give no reason.
@@ -85,6 +87,7 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         settings: the benchmark's settings, with limits and the user's reviews.
         build: the folder with a subfolder for each recording.
         built: ids of recordings whose pairs are built.
+        by_limits_alone: whether to find violated limits and failures only, in milliseconds a recording.
 
     Raises:
         StorageError: a built file is damaged.
@@ -98,6 +101,9 @@ def judged(settings: BenchmarkSettings, build: Path, built: Collection[str]) -> 
         health = TrajectoryHealth.read_if_there(folder / "trajectory")
         head = CameraFile.read_if_there(folder / "sequence")
         limits = tuple(_beyond(settings.publish.gate, quality, health, head))
+        if by_limits_alone:
+            yield Judged(recording, limits=limits)
+            continue
         of_object = (*_of_object(quality), *_of_parts(folder / "object"))
         of_reference = _of_references(current_reference(folder))
         look = (*_of_poses(health), *of_object, *of_reference, *_of_frames(head))
@@ -156,7 +162,8 @@ def _of_poses(health: TrajectoryHealth | None) -> Iterator[str]:
 
 def _of_object(quality: QualityFile) -> Iterator[str]:
     """Yield reasons to review the object: warnings, a low estimated IoU, movement, depth out of range."""
-    yield from (line.split(END_OF_WARNING, 1)[0] for line in quality.measurement_warnings)
+    cut = (line for line in quality.warnings if line.startswith(FLOOR_CUT))
+    yield from (line.split(END_OF_WARNING, 1)[0] for line in (*quality.measurement_warnings, *cut))
     known = quality.estimated_known_iou
     if known is not None and known < LEAST_KNOWN:
         yield f"the estimated IoU on known voxels is {known:.2f}, below {LEAST_KNOWN}"

@@ -12,9 +12,8 @@ from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, ScoreTable
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
-from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
-from kinectbench.scoring.assemble import describe
+from kinectbench.scoring.assemble import as_of_baseline, describe
 from kinectbench.scoring.baselines.counted import baselines_that_differ, counted_baselines
 from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
 from kinectbench.scoring.baselines.predict import possible_baselines
@@ -60,15 +59,14 @@ def baselines_beside(
     """
     names = [name for name in possible_baselines(release) if name not in without]
     counting = Counting(tuple(protocols), upsampling, surface=False)
-    settings, sign = describe(counting, "error"), ""
+    settings, sign = as_of_baseline(describe(counting, "error")), ""
     make: Callable[..., list[ScoreTable]] = counted_baselines
     differ: Callable[..., Iterable[str]] = baselines_that_differ
     how: Counting | tuple[str, ...] = counting
     if any_in_space(protocols):
         names, how = [name for name in names if name not in WITHOUT_SURFACE], ("camera",)
-        settings, sign = settings_in_space(how, "error"), "+camera"
+        settings, sign = as_of_baseline(settings_in_space(how, "error")), "+camera"
         make, differ = space_baselines, space_baselines_that_differ
-    settings = settings.model_copy(update={"baseline_version": VERSIONS["baselines"]})
     folders = {name: out / BASELINES_FOLDER / f"{name}{sign}" for name in names}
     kept = {name: _kept(folders[name], name, release, settings) for name in names}
     tables = {name: table for name, table in kept.items() if table is not None}
@@ -78,7 +76,7 @@ def baselines_beside(
     wanted = tuple(name for name in names if name not in tables)
     if wanted:
         for table in make(release, wanted, how, jobs=jobs, progress=progress):
-            tables[table.method] = table.model_copy(update={"baseline": True, "settings": settings})
+            tables[table.method] = table.model_copy(update={"baseline": True})
             tables[table.method].write(folders[table.method])
     return [tables[name] for name in names]
 

@@ -1,27 +1,28 @@
 """Score baselines in memory, pair by pair; prediction files of the baselines would give the same tables."""
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from kinectbench.core import SettingsError, StorageError
 from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
-from kinectbench.scoring.assemble import describe, make_table, rows_of
+from kinectbench.scoring.assemble import as_of_baseline, describe, make_table, rows_of
 from kinectbench.scoring.baselines.in_space import space_baselines
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
 from kinectbench.scoring.camera.grid_score import space_alone
-from kinectbench.scoring.pair_result import Counting, ceilings, count, drawn, surfaces
-from kinectbench.scoring.read_table import differing
+from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, drawn, surfaces
+from kinectbench.scoring.read_table import differing, read_table
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import check_words
 from kinectbench.scoring.rounds import pairs_to_score
-from kinectbench.scoring.score import counting_of
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
@@ -59,13 +60,15 @@ def score_baselines(
 
     Raises:
         PairError, ReleaseError: a pair cannot be read, there is no test pair, or its truth is held back.
-        SettingsError: an unknown protocol or an unusable threshold file.
+        SettingsError: an unknown protocol or an unusable threshold file; or `out` has scores of another
+            method of such a name.
         StorageError: the disk is full or read-only.
     """
     check_words(protocols, upsampling)
     check_names(release.targets, str(release.folder))
     pairs_to_score(release, validation=thresholds_file is None)
     names = possible_baselines(release)
+    _refuse_to_replace([out / name / ScoreTable.FILE for name in names])
     how: dict[str, Any] = {"thresholds_file": thresholds_file, "jobs": jobs}
     if space := space_alone(protocols, upsampling):
         tables = space_baselines(release, names, space, **how, progress=progress)
@@ -75,6 +78,23 @@ def score_baselines(
     for table in tables:
         table.write(out / table.method)
     return tables
+
+
+def _refuse_to_replace(paths: Sequence[Path]) -> None:
+    """Refuse to write the scores of baselines over those of other methods that have their names.
+
+    Raises:
+        SettingsError: a file has the scores of a method that is no baseline.
+    """
+    for path in paths:
+        with contextlib.suppress(StorageError):  # there is none, or it is damaged
+            table = read_table(path)
+            if table.settings.baseline_version == 0:
+                raise SettingsError(
+                    f"{path}: has the scores of a method that is named like a baseline; give another folder "
+                    "for those of the baselines: --out",
+                    what="other-scores",
+                )
 
 
 def counted_baselines(
@@ -117,7 +137,7 @@ def counted_baselines(
         counted |= {task.target: of for task, of in zip(tasks, results, strict=True)}
         if "validation" in together:
             thresholds = {name: _searched(release, name, counted) for name in names}
-    settings = describe(counting, "error")
+    settings = as_of_baseline(describe(counting, "error"))
     return [
         make_table(
             release, name, {t: of[name] for t, of in counted.items()}, thresholds[name], rates, {}, settings
@@ -127,32 +147,41 @@ def counted_baselines(
 
 
 def baselines_that_differ(
-    release: Release, tables: Mapping[str, ScoreTable], counting: Counting, jobs: int = 1
+    release: Release,
+    tables: Mapping[str, ScoreTable],
+    counting: Counting,
+    jobs: int = 1,
+    *,
+    every: bool = False,
 ) -> set[str]:
-    """Count a few randomly drawn test pairs again; return the baselines whose tables have other rows.
+    """Count some test pairs again; return the baselines whose tables have other rows for them.
 
     Args:
         release: the release that was predicted.
-        tables: {baseline: its table}, made with `release` and `counting`, without surface metrics.
+        tables: {baseline: its table}, made with `release` and `counting`.
         counting: how pairs are counted.
         jobs: number of processes.
+        every: whether all pairs are counted again; else a few that are randomly drawn.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
     """
-    rates = base_rates(release, jobs)
-    tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
-    pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
-    chosen = [task for task in tasks if task.target.name in pairs]
-    recounted = run_tasks(partial(_count, counting, {}), chosen, jobs)
-    wrong = set()
-    for name, table in tables.items():
+    rates, categories = base_rates(release, jobs), {target.category for target in release.split("test")}
+    thresholds = {
+        name: Thresholds(table.thresholds, "")
+        for name, table in tables.items()
+        if categories <= table.thresholds.keys()
+    }
+    tasks = baseline_tasks(release, tuple(thresholds), rates, ("test",))
+    of = "".join(table.facts_sha256() for table in tables.values())
+    pairs = drawn([task.target.name for task in tasks], of)
+    chosen = [task for task in tasks if every or task.target.name in pairs]
+    recounted = run_tasks(partial(_count, counting, thresholds), chosen, jobs)
+    wrong = set(tables.keys() - thresholds.keys())
+    for name, of_category in thresholds.items():
         results = {task.target: of[name] for task, of in zip(chosen, recounted, strict=True)}
-        kept = {(row.pair, row.protocol): row for row in table.rows}
-        if any(target.category not in table.thresholds for target in results):
-            wrong.add(name)
-            continue
-        again = rows_of(results, counting.protocols, Thresholds(table.thresholds, ""), rates)
+        kept = {(row.pair, row.protocol): row for row in tables[name].rows}
+        again = rows_of(results, counting.protocols, of_category, rates)
         if any(any(differing(kept.get((row.pair, row.protocol)), row, "", whole=True)) for row in again):
             wrong.add(name)
     return wrong

@@ -9,6 +9,7 @@ from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.assemble import as_of_baseline
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.camera.grid import grid_result
@@ -69,7 +70,7 @@ def space_baselines(
     tasks = baseline_tasks(release, names, rates, ("test",))
     found = run_tasks(partial(_results, used, tuple(asked_rows(protocols, "metric"))), tasks, jobs, progress)
     results = {task.target: of for task, of in zip(tasks, found, strict=True)}
-    settings = settings_in_space(protocols, "error")
+    settings = as_of_baseline(settings_in_space(protocols, "error"))
     return [
         table_in_space(
             release,
@@ -86,19 +87,27 @@ def space_baselines(
 
 
 def space_baselines_that_differ(
-    release: Release, tables: Mapping[str, ScoreTable], protocols: tuple[str, ...], jobs: int = 1
+    release: Release,
+    tables: Mapping[str, ScoreTable],
+    protocols: tuple[str, ...],
+    jobs: int = 1,
+    *,
+    every: bool = False,
 ) -> set[str]:
-    """Score a few randomly drawn views again; return the baselines whose tables have other rows for them.
+    """Score some views again; return the baselines whose tables have other rows for them.
 
     Args:
         release: the release that was predicted.
         tables: {baseline: its table}.
         protocols: camera, aligned or both.
         jobs: number of processes.
+        every: whether all views are scored again; else a few that are randomly drawn.
     """
     rates = base_rates(release, jobs)
     tasks = baseline_tasks(release, tuple(tables), rates, ("test",))
-    pairs = drawn([task.target.name for task in tasks], "".join(table.text() for table in tables.values()))
+    of = "".join(table.facts_sha256() for table in tables.values())
+    names = [task.target.name for task in tasks]
+    pairs = {*names} if every else drawn(names, of)
     chosen = [task for task in tasks if task.target.name in pairs]
     if any(task.target.category not in table.thresholds for task in chosen for table in tables.values()):
         return set(tables)
@@ -106,14 +115,15 @@ def space_baselines_that_differ(
     results = run_tasks(partial(_results, used, tuple(asked_rows(protocols, "metric"))), chosen, jobs)
     wrong = set()
     for name, table in tables.items():
-        kept = {(row.pair, row.heading): row for row in table.rows}
-        again = [
-            row
+        kept = {(row.pair, row.heading): row for row in table.rows if row.pair in pairs}
+        again = {
+            (row.pair, row.heading): row
             for task, of in zip(chosen, results, strict=True)
             if isinstance(one := of[name], ViewResult)
             for row in rows_of_view(task.target, one, table.thresholds[task.target.category])
-        ]
-        if any(any(differing(kept.get((row.pair, row.heading)), row, "", whole=True)) for row in again):
+        }
+        both = kept.keys() | again.keys()
+        if any(any(differing(kept.get(key), again.get(key), "", whole=True)) for key in both):
             wrong.add(name)
     return wrong
 

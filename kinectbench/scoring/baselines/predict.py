@@ -114,7 +114,7 @@ def write_baselines(
 
     Raises:
         SettingsError: no such baseline, one that this release does not allow, no pair to predict, or a folder
-            `out/<name>` that holds anything else than a baseline's predictions.
+            `out/<name>` that is not empty and has no method.json of an earlier call.
         PairError, ReleaseError: a pair cannot be read.
         StorageError: the disk is full or read-only.
     """
@@ -149,14 +149,14 @@ def write_baselines(
 
 
 def _check_ours(folder: Path) -> None:
-    """Refuse a folder of a baseline's name that holds anything else than a baseline's predictions."""
+    """Refuse a folder of a baseline's name that is not empty, unless it has a method.json of `baseline`."""
     if not folder.is_dir() or all(path.name.startswith(".") for path in folder.iterdir()):
         return
     method = MethodFile.read(folder) if (folder / MethodFile.FILE).exists() else None
     by_baseline = method and (method.version or "").startswith(BY) and method.settings is None
     if not method or not by_baseline or method.name != folder.name:
         raise SettingsError(
-            f"{folder}: holds what `baseline` did not write; rename it, or choose another --out",
+            f"{folder}: has no {MethodFile.FILE} of `baseline`; remove or rename it, or choose another --out",
             what="other-content",
         )
 

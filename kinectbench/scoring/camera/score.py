@@ -345,4 +345,5 @@ def settings_in_space(protocols: tuple[str, ...], missing: Missing) -> ScoreSett
         interval_level=LEVEL,
         interval_rule=f"category: Student t over objects; overall: bootstrap over objects, by category "
         f"({RESAMPLES} resamples, seed {SEED}); none with fewer than {MIN_OBJECTS} objects in a category",
+        baseline_version=0,
     )

@@ -24,6 +24,7 @@ from kinectbench.stages.segment.find.picked import PickedPoint, check_picked
 from kinectbench.stages.segment.find.seen_floor import other_floor
 from kinectbench.stages.segment.judge.coverage_report import coverage_report
 from kinectbench.stages.segment.judge.estimate import pose_error_of
+from kinectbench.stages.segment.judge.floor_cut import FloorCut, taken_by_floor_cut
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.judge.obstacles import is_obstructed
 from kinectbench.stages.segment.judge.quality import measure_quality, solid_box, surface_sigma_m
@@ -116,6 +117,7 @@ def segment(
     found = _find(sequence, trajectory, scene, segmentation, fusion, given)
     rules = _rules(found, sequence.camera, trajectory, segmentation, given.underside)
     # Fuse the frames into the grid around the object, and label its voxels.
+    range_is_set = fusion.max_depth_m is not None
     fusion, good = fusion.model_copy(update={"max_depth_m": found.max_depth_m}), trajectory.good_frames
     odd, even = (
         observe(sequence, trajectory, half, found.grid, fusion, progress) for half in (good[0::2], good[1::2])
@@ -127,7 +129,7 @@ def segment(
     sigma_m = surface_sigma_m(odd, even)
     together = enlarged_observation(merge(odd, even), found.scale)
     del odd, even  # of a large object each is a gigabyte
-    whole, frontiers = _solid_of_all(together, found, rules)
+    whole, frontiers, floor_cut = _solid_of_all(together, found, rules)
     progress(SOLIDS, SOLIDS)
     del together
     solids = Solids(whole, bodies[0], bodies[1], sigma_m, len(good))
@@ -136,9 +138,10 @@ def segment(
     surround = observe(sequence, trajectory, some_frames(good), around, fusion)
     labels_around = surround_labels(surround, _support(chosen))
     # Judge the solid.
-    report = coverage_report(sequence, trajectory, scene, chosen, found.grid, found.max_depth_m, rules.limits)
+    seen = (sequence, trajectory, scene, chosen, found.grid, found.max_depth_m, rules.limits)
+    report = coverage_report(*seen, range_is_set=range_is_set)
     box, pose_error = solid_box(whole, chosen.floor), pose_error_of(trajectory)
-    quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules)
+    quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules, floor_cut)
     return ObjectModel(chosen.floor, box, whole, around, labels_around, sigma_m, quality)
 
 
@@ -197,8 +200,8 @@ def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidBody:
 
 def _solid_of_all(
     together: Observation, found: _Found, rules: Rules
-) -> tuple[SolidShape, tuple[Frontier, ...]]:
-    """Make the solid from all frames, and find the openings that no frame saw into.
+) -> tuple[SolidShape, tuple[Frontier, ...], FloorCut]:
+    """Make the solid from all frames; find the openings that no frame saw into, and what the floor cut took.
 
     The solid is made in an enlarged world (see `_Found.scale`) and scaled back.
     """
@@ -212,4 +215,7 @@ def _solid_of_all(
         center_m, look_from = np.array(opening.center_m), np.array(opening.look_from)
         obstructed = is_obstructed(found.chosen, center_m, look_from, rules.limits)
         frontiers.append(replace(opening, obstructed=obstructed))
-    return whole.restored(found.grid, scale), tuple(frontiers)
+    others = found.neighbours if found.beyond_box is None else found.neighbours | found.beyond_box
+    voxel_m = found.grid.voxel_size_m
+    cut = taken_by_floor_cut(evidence, whole.solid, others, rules.layers, voxel_m, floor)
+    return whole.restored(found.grid, scale), tuple(frontiers), cut

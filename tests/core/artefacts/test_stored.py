@@ -11,10 +11,13 @@ from pydantic import ValidationError
 from raising import raises
 from slow import slow
 
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.object import FloorFile
+from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.artefacts.trajectory import FrameHealth, TrajectoryHealth
-from kinectbench.core.errors import StorageError
+from kinectbench.core.errors import PredictionError, StorageError
 
+MOST_TEXT = 1_000_000  # characters
 HEAD = {"source": "tracked", "verdict": "", "grade": "5 mm", "frames": 1, "tracked": 1}
 
 
@@ -143,3 +146,25 @@ def test_the_costliest_texts_take_less_than_500_mb(name: str, tmp_path: Path) ->
     file, text, line = COSTLY[name]
     (tmp_path / file).write_text(text(), encoding="utf-8")
     assert peak_mb(READ, str(tmp_path / file), line) < 450
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"source": "x" * (MOST_TEXT + 1)},
+        {"settings": {"notes": [["é" * 9_000_000]]}},
+        {"x" * (MOST_TEXT + 1): 1},
+        {"training": {"x" * (MOST_TEXT + 1): {}}},
+    ],
+)
+def test_a_long_text_of_any_key_is_refused_in_one_short_line(more: dict[str, object]) -> None:
+    text = json.dumps({"name": "net"} | more)
+    with raises(PredictionError, "prediction.too-large", match=f"at most {MOST_TEXT} are read") as caught:
+        MethodFile.parse(text, "method.json")
+    assert len(str(caught.value)) < 250 and "\n" not in str(caught.value)
+    with raises(StorageError, "storage.too-large", match="method.* has|source.* has|notes.* has|x.* has"):
+        ScoreTable.parse(text.replace('"name"', '"method"'), "scores.json")
+    kept = {"name": "net", "source": "x" * (MOST_TEXT // 2) + '"' * (MOST_TEXT // 2)}
+    assert MethodFile.parse(json.dumps(kept), "method.json").json_value()["source"] == kept["source"]
+    with raises(PredictionError, "prediction.too-large", match=f"'source' has {2 * MOST_TEXT} characters"):
+        MethodFile.parse(json.dumps(kept | {"source": 'x"' * MOST_TEXT}), "method.json")

@@ -169,8 +169,7 @@ def _made_up(folder: Path) -> None:
     from kinectbench.core.artefacts.counted import CountedPair
     from kinectbench.core.storage import canonical_json
     from kinectbench.release.release import open_release
-    from kinectbench.scoring.pair_result import PairJob, count_job
-    from kinectbench.scoring.score import counting_of
+    from kinectbench.scoring.pair_result import PairJob, count_job, counting_of
 
     release = open_release(folder / "release")
     counting = counting_of(release, None, "half-pixel", surface=False)

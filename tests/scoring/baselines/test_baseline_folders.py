@@ -24,6 +24,10 @@ def test_a_folder_that_baseline_did_not_write_is_refused(release: Release, tmp_p
     for method in (None, *others):
         if method:
             (tmp_path / "partial" / "method.json").write_text(method.text(), encoding="utf-8")
-        with raises(SettingsError, "settings.other-content", match="rename it"):
+        with raises(
+            SettingsError,
+            "settings.other-content",
+            match=r"partial: has no method\.json of `baseline`; remove or rename it",
+        ):
             write_baselines(release, tmp_path, ["empty", "partial"])
         assert own.read_bytes() == b"own" and not (tmp_path / "empty").exists()

@@ -83,3 +83,14 @@ def test_one_camera_under_a_name_and_none(tmp_path: Path) -> None:
     ):
         with raises(RecordingError, "recording.no-intrinsics", match=words):
             open_recording(without_intrinsics(tmp_path / name, content))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("colours", 1), ("RGB_images", 1), ("img", 1), ("depth_images", 0), ("rgb", 0)]
+)
+def test_a_folder_that_looks_like_colour_is_named(tmp_path: Path, name: str, said: int) -> None:
+    folder = write_folder(tmp_path / "r", stems=[str(i) for i in range(6)])
+    (folder / "color").rename(folder / name)
+    lines = [line for line in open_recording(folder).warnings if "no colour is read" in line]
+    assert len(lines) == said
+    assert all(f"{name}/0.jpg and 5 more: rename the folder to color/" in line for line in lines)

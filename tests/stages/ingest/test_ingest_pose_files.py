@@ -101,14 +101,17 @@ def test_a_second_file_with_poses_is_named(tmp_path: Path, read: str) -> None:
 
 
 @pytest.mark.parametrize("write", [write_folder, write_tum])
-def test_files_that_look_like_poses_are_named_once(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+@pytest.mark.parametrize("name", ["camera_poses.csv", "ground_truth.txt", "gt.txt", "cam2world.npy"])
+def test_files_that_look_like_poses_are_named_once(
+    tmp_path: Path, write: Callable[[Path], Path], name: str
+) -> None:
     folder = write(tmp_path / "r")
     (folder / "groundtruth.txt").unlink(missing_ok=True)
     assert not any("by name poses" in line for line in opened(folder).warnings)
-    (folder / "camera_poses.csv").touch()
+    (folder / name).touch()
     (line,) = (line for line in opened(folder).warnings if "poses" in line)
-    assert "no trajectory is read; not read, by name poses: camera_poses.csv; write it as" in line
-    said = [found.what for found in inspect(folder)[0].findings if "camera_poses.csv" in found.what]
+    assert f"no trajectory is read; not read, by name poses: {name}; write it as" in line
+    said = [found.what for found in inspect(folder)[0].findings if name in found.what]
     assert said == [line]
 
 

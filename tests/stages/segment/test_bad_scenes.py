@@ -43,11 +43,20 @@ def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do() -> 
     health = health_of(24, grade="not good", verdict=verdict, recommended="refine")
     bad = replace(plain().trajectory, health=health)
     assert replace(plain(), trajectory=bad).coverage_report().warnings == (
-        f"the trajectory is {verdict}; `trajectory: refine` is recommended",
+        f"the trajectory is {verdict}; write `trajectory: refine` below its `id` in benchmark.yaml",
     )
     kept = replace(bad, health=health.model_copy(update={"recommended": "trust"}))
     (told,) = replace(plain(), trajectory=kept).coverage_report().warnings
     assert told.endswith("; if odd and even frames agree better with `trajectory: refine`, take that")
+    # No setting is advised that is already so.
+    for source, recommended, remedy in (
+        ("refine", "refine", "; if odd and even frames agree better with `trajectory: ignore`, take that"),
+        ("tracked", None, "; record again, slowly, with edges and corners in view, and end where it began"),
+    ):
+        figures = health.model_copy(update={"recommended": recommended})
+        done = replace(bad, health=figures, source=source)
+        (told,) = replace(plain(), trajectory=done).coverage_report().warnings
+        assert told.startswith(f"the trajectory is {verdict}{remedy}") and "record again" in told
     good = replace(bad, health=health_of(24, grade="10 mm", recommended="trust"))
     assert replace(plain(), trajectory=good).coverage_report().warnings == ()
 
@@ -264,6 +273,9 @@ def test_depth_of_the_object_that_is_out_of_range() -> None:
     assert whole.beyond_share == 0 and not warned(whole.warnings, "makes no surface")
     assert 0.1 < half.beyond_share < 0.5
     assert warned(half.warnings, f"{half.beyond_share:.0%} of the depth around the object lies beyond 1.4 m")
+    assert warned(half.warnings, "raise `fusion.max_depth_m`, or leave it out")
+    left_out = plain().coverage_report_of(chosen, max_depth_m=1.4, range_is_set=False).warnings
+    assert warned(left_out, "lies beyond 1.4 m") and not warned(left_out, "fusion.max_depth_m")
     quality = plain().model().quality
     assert (quality.max_depth_m, quality.beyond_share, quality.doubts) == (3.0, 0.0, ())
 

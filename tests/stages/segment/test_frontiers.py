@@ -140,6 +140,8 @@ def test_of_an_underside_one_is_told_the_word_that_says_it() -> None:
     (found,) = found_of(plate, mask(np.s_[0:40, 0:40, 0:25]), underside=plate)
     assert found.underside and found.direction == "down" and found.look_from[2] < 0
     assert "underside` is closed or open" in found.advice(0.0) and "looking up" in found.advice(0.0)
+    stated = found.advice(0.0, "open")
+    assert "looking up" in stated and "benchmark.yaml" not in stated
 
 
 def test_of_a_thin_underside_below_which_all_is_unseen() -> None:

@@ -22,6 +22,7 @@ ASIDE = {
     "choice_warnings": "warnings, which say what they found",
     "coverage_report": "warnings and what they rest on, which quality.json has",
     "distance_scale": "how near the cameras were: floor.json has it as `scale`",
+    "floor_cut": "a warning, which says what it found; the estimate's reasons say what it takes off",
     "floor": "the floor, which floor.json has with how well it was measured",
     "floor_choice": "the floor, as above; floor.json has the planes among which it was chosen",
     "gravity": "which planes may be the floor: floor.json has the one that is",

@@ -41,6 +41,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     depth_images,
     lie_beside_each_other,
     other_depth,
+    unread_color,
     unread_depth,
 )
 from kinectbench.stages.ingest.readers.phone_images import ConfidenceRecording, confidence_beside
@@ -193,6 +194,7 @@ class FolderRecording(ConfidenceRecording):
             warnings=(
                 *unread_depth(path, depth),
                 *other_depth(path),
+                *(() if any(file.color for file in files) else unread_color(path)),
                 *paired,
                 *stored.warnings,
                 *said_warnings(path, said, settings),

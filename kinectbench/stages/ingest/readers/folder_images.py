@@ -14,6 +14,11 @@ from kinectbench.stages.ingest.images import DamagedImageError, is_depth_png
 from kinectbench.stages.ingest.recording import read_image_file
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
+# Other names of folders that may contain colour, and as many images as make a recording.
+LIKE_COLOR = re.compile(
+    r"(?!\.|.*(?:depth|mask)).*(?:colou?r|rgb|image|img|photo|picture|jpe?g).*", re.IGNORECASE
+)
+LEAST_IMAGES = 5
 # Names of folders with depth on the pixels of colour, by OpenLORIS, librealsense and ROS.
 OTHER_DEPTH = (
     "aligned_depth",
@@ -117,6 +122,19 @@ def color_images(path: Path) -> NamedImages:
         return beside_each_other(path, COLOR_WORD)
     every = (in_folder(folder, COLOR_SUFFIXES) for folder in folders)
     return next((images for images in every if images.files), NamedImages((), ()))
+
+
+def unread_color(path: Path) -> tuple[str, ...]:
+    """Return a warning on folders of images that look like colour by their names, if no colour is read."""
+    lines = []
+    for folder in sorted(listed_paths(path, wanted=LIKE_COLOR.fullmatch)):
+        files = in_folder(folder, COLOR_SUFFIXES).files if folder.is_dir() and not folder.is_symlink() else ()
+        if len(files) >= LEAST_IMAGES and not is_16_bit(files[0]):
+            name = printable(f"{folder.name}/{files[0].name}")
+            lines.append(
+                f"{path}: no colour is read; {name} and {len(files) - 1} more: rename the folder to color/"
+            )
+    return tuple(lines)
 
 
 def lie_beside_each_other(path: Path) -> bool:

@@ -27,8 +27,8 @@ WITH_ID, KITTI, MATRIX = 9, 12, 16
 TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
 # Names of files that may contain poses in an unsupported layout.
 LIKE_POSES = re.compile(
-    r"(?=.*(?:pose|traj|extrin|transform|odom|groundtruth|cam2world|c2w)).+"
-    r"\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)|.+\.freiburg",
+    r"(?=.*(?:pose|traj|extrin|transform|odom|ground[-_. ]?truth|(?<![a-z])gt(?![a-z])|(?:to_?|2)world|c2w))"
+    r".+\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)|.+\.freiburg",
     re.IGNORECASE,
 )
 # A file with the pose of one frame, as pose/000000.npy.

@@ -21,7 +21,7 @@ from kinectbench.stages.segment.find.floor import Floor, floor_cut_m
 from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.object import Scene, find_object, find_scene
 from kinectbench.stages.segment.find.picked import BESIDE_CELLS
-from kinectbench.stages.segment.find.select import CELL_M, fit_box, label_pieces, standing
+from kinectbench.stages.segment.find.select import CELL_M, FLAT, fit_box, label_pieces, standing
 
 # Edge of cells, and whether cells must share a face: pieces that touch in the first cut may come apart in the
 # next cuts.
@@ -95,7 +95,7 @@ def find_candidates(
         least = f"{MIN_AREA_M2 * scene.scale**2:.2g} m²"
         raise SegmentationError(
             f"no candidates: nothing that stands on the floor has {least} of surface; is it in view? "
-            "A black, glass or mirror-like one gives no depth: make it matt",
+            f"A black, glass or mirror-like one gives no depth: make it matt; {FLAT}",
             what="no-candidates",
         )
     candidates.sort(key=lambda c: (not c.automatic, max(c.box.size_m) > LARGE_M, c.distance_m))

@@ -20,6 +20,7 @@ from kinectbench.stages.segment.find.floor import Floor, find_floor, floor_cut_m
 from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.select import (
     CELL_M,
+    FLAT,
     NOTHING_STANDS,
     fit_box,
     label_pieces,
@@ -111,7 +112,8 @@ def _check_focus(box: OrientedBox, focus_floor: Float64, scale: float = 1.0) -> 
     if beside_m > MAX_BESIDE_FOCUS_M:
         raise SegmentationError(
             f"no object found where the cameras look: what stands nearest is {scale * beside_m:.1f} m beside "
-            f"it (a black, glass or mirror-like object gives no depth); if it is meant, give a box: {LOOK}"
+            f"it (a black, glass or mirror-like object gives no depth, and {FLAT}); if it is meant, give a "
+            f"box: {LOOK}"
         )
 
 

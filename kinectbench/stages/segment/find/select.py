@@ -31,9 +31,10 @@ SMALL_CELLS, SMALL_FOCUS_M, SMALL_NEARER = 6, 0.06, 2.0
 BEYOND_FACE = 0.0005
 # A piece that ends inside a box is meant if it has this share of the largest one's cells.
 ENDING_SHARE = 0.3
+FLAT = "a flat one counts as floor: try `segmentation.floor_cut_m: 0.01` (for all recordings)"
 NOTHING_STANDS = (
     "no object found: nothing stands on the floor; is the object in view? A black, glass or mirror-like one "
-    "gives no depth: make it matt"
+    f"gives no depth: make it matt; {FLAT}"
 )
 
 
@@ -122,7 +123,7 @@ def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float
         if not np.isfinite(distance_m).any():
             raise SegmentationError(
                 "no object found: only specks stand on the floor; a black, glass or mirror-like thing gives "
-                "no depth: make it matt, or record closer"
+                f"no depth: make it matt, or record closer; {FLAT}"
             )
         piece = int(np.argmin(distance_m))
     chosen = np.zeros(len(points_floor), dtype=bool)

@@ -1,5 +1,6 @@
 """Report faults of the recording: unseen sides, few frames, motion in the scene."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,13 @@ MIN_FRAMES = 10
 MAX_FLOOR_NOISE_M = 0.010
 # This share of the depth around the object may be dropped: a corner of the grid (chosen by hand).
 MAX_BEYOND_SHARE = 0.01
+# What to do about poses that are not good, by where they are from, if nothing else is recommended.
+_AGAIN = "record again, slowly, with edges and corners in view, and end where it began"
+REMEDIES: Mapping[str, str] = {
+    "trust": "if odd and even frames agree better with `trajectory: refine`, take that",
+    "refine": f"if odd and even frames agree better with `trajectory: ignore`, take that, or else {_AGAIN}",
+    "tracked": _AGAIN,
+}
 
 
 def moving_frames(
@@ -136,18 +144,18 @@ def unseen_side(T_floor_camera: Float64, center_floor: Float64) -> tuple[float, 
 
 
 def _of_trajectory(trajectory: Trajectory) -> list[str]:
-    """Return a warning if the trajectory is graded "not good": the shape cannot be better than the poses."""
+    """Return a warning if the trajectory is graded "not good": the shape cannot be better than the poses.
+
+    It names a remedy that differs from the settings.
+    """
     health = trajectory.health
     if health is None or health.grade != "not good":
         return []
     better = health.recommended
     if better not in (None, trajectory.source):
-        remedy = f"; `trajectory: {better}` is recommended"
-    elif trajectory.source == "trust":
-        remedy = "; if odd and even frames agree better with `trajectory: refine`, take that"
-    else:
-        remedy = ""
-    return [f"the trajectory is {health.verdict}{remedy}"]
+        line = f"write `trajectory: {better}` below its `id` in benchmark.yaml"
+        return [f"the trajectory is {health.verdict}; {line}"]
+    return [f"the trajectory is {health.verdict}; {REMEDIES[trajectory.source]}"]
 
 
 def _of_floor(floor: Floor) -> list[str]:
@@ -165,6 +173,17 @@ def _of_floor(floor: Floor) -> list[str]:
     ]
 
 
+def _of_range(too_far: float, max_depth_m: float, is_set: bool) -> list[str]:
+    """Return a warning if too large a share of the depth is beyond the range; `is_set`: by the user."""
+    if too_far <= MAX_BEYOND_SHARE:
+        return []
+    remedy = "raise `fusion.max_depth_m`, or leave it out" if is_set else "record from nearer"
+    return [
+        f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no surface: "
+        f"its far side and cavities may be wrong; {remedy}"
+    ]
+
+
 def coverage_report(
     sequence: Sequence,
     trajectory: Trajectory,
@@ -173,6 +192,8 @@ def coverage_report(
     grid: Grid,
     max_depth_m: float,
     limits: SensorLimits = DEFAULT_LIMITS,
+    *,
+    range_is_set: bool = True,
 ) -> CoverageReport:
     """Measure how well a recording shows its object, with a warning for each fault.
 
@@ -187,6 +208,7 @@ def coverage_report(
         grid: the grid around the object.
         max_depth_m: depth up to this is fused.
         limits: of the sensor and of its positions.
+        range_is_set: whether `max_depth_m` is the user's setting.
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
@@ -213,11 +235,7 @@ def coverage_report(
             "poses that are off? record it without, and look at the trajectory"
         )
     too_far = beyond_depth_share(sequence, trajectory, grid, max_depth_m)
-    if too_far > MAX_BEYOND_SHARE:
-        warnings.append(
-            f"{too_far:.0%} of the depth around the object lies beyond {max_depth_m:g} m and makes no "
-            "surface: its far side and cavities may be wrong; raise `fusion.max_depth_m`, or leave it out"
-        )
+    warnings += _of_range(too_far, max_depth_m, range_is_set)
     figures = UnseenSidePart(
         gap_rad=np.radians(round(np.degrees(gap_rad), 1)),
         towards_rad=np.radians(round(np.degrees(towards_rad), 1)),

@@ -10,7 +10,7 @@ from kinectbench.core.artefacts.object import LEAST_UNDERSIDE_SHARE
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.sensor_limits import SensorLimits
-from kinectbench.core.types import Bools, Float64
+from kinectbench.core.types import Bools, Float64, Underside
 from kinectbench.core.voxels.lines_of_sight import count_seen, directions
 from kinectbench.core.voxels.morphology import broad, opened, piece_sizes, values_of_pieces
 from kinectbench.stages.segment.find.select import triple
@@ -82,17 +82,19 @@ class Frontier:
             volume_m3=self.volume_m3 * scale**3,
         )
 
-    def advice(self, first_rad: float) -> str:
+    def advice(self, first_rad: float, underside: Underside = "unseen") -> str:
         """Return a line that names the unseen part and advises where to stand.
 
-        `first_rad` is the direction from the object to the first camera, as in `turn_in_words`.
+        Args:
+            first_rad: direction from the object to the first camera, as in `turn_in_words`.
+            underside: what the user has stated; only "unseen", nothing, is advised to be stated.
         """
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
         where = f"record {where_to_stand(self.look_from, self.center_m[2], first_rad)}"
         where = f"{MOVE_AWAY} {where}" if self.obstructed else where
         if self.underside:
-            say = "or say in benchmark.yaml whether its `underside` is closed or open"
-            return f"nobody saw the underside, {size}: {where}, {say}"
+            say = ", or say in benchmark.yaml whether its `underside` is closed or open"
+            return f"nobody saw the underside, {size}: {where}{say if underside == 'unseen' else ''}"
         at = {"up": "at the top", "side": "at the side", "down": "at the bottom"}[self.direction]
         return f"nobody looked into the opening {at}, {size}: {where}"
 

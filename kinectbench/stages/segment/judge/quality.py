@@ -25,6 +25,7 @@ from kinectbench.stages.segment.judge.estimate import (
     estimate_iou,
     volume_share_per_mm,
 )
+from kinectbench.stages.segment.judge.floor_cut import FloorCut
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.judge.thin_walls import unresolved_share
@@ -44,6 +45,8 @@ BOX_LEFT_OUT = 0.005
 # this share of its outline does. Measured on ten built objects: 0.01 to 0.32 on legs, wheels or a foot,
 # 0.92 to 1 on a rim or a flat base.
 RIM_LAYERS, STANDING_SHARE = 2, 0.5
+# Values of the coverage report that quality.json has by the same names.
+OF_REPORT = ("good_frames", "unseen_side", "moving", "max_depth_m", "beyond_share")
 # Tenths of a millimetre, and less than that at a metre.
 BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
 
@@ -70,6 +73,7 @@ def measure_quality(
     pose_error: PoseError,
     frontiers: tuple[Frontier, ...],
     rules: Rules,
+    floor_cut: FloorCut,
 ) -> QualityFile:
     """Measure repeatability (the IoU of the two halves' solids) and the estimated IoU; gather the warnings.
 
@@ -77,19 +81,21 @@ def measure_quality(
         chosen: floor and object.
         box: `solid_box` of the solid from all frames.
         solids: from all, from the odd and from the even frames.
-        report: the recording's coverage; its warnings come first.
+        report: the recording's coverage.
         pose_error: the median error of the poses.
         frontiers: openings that no frame saw into.
         rules: by which the solids were made.
+        floor_cut: what it took from the object.
     """
     together, odd, even, sigma_m = solids.whole, solids.odd, solids.even, solids.surface_sigma_m
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
-    estimate = _estimate(solids, pose_error, frontiers)
+    estimate = floor_cut.applied(_estimate(solids, pose_error, frontiers))
     unsupported = _unsupported(chosen, together, rules)
-    advice = tuple(f.advice(report.first_rad) for f in frontiers)
+    advice = tuple(f.advice(report.first_rad, rules.underside) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
-    warnings = (*report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
+    cut = floor_cut.warnings()
+    warnings = (*cut, *report.warnings, *advice, *_underside_question(together, rules.underside), *fused)
     return QualityFile(
         format_version=1,
         verdict="look at the warnings" if warnings else "good",
@@ -103,7 +109,7 @@ def measure_quality(
         estimated_known_iou=round(estimate.known, 4),
         estimated_known_iou_low=round(estimate.known_low, 4),
         estimated_known_iou_high=round(estimate.known_high, 4),
-        frontiers=tuple(_frontier_part(frontier, report.first_rad) for frontier in frontiers),
+        frontiers=tuple(_frontier_part(each, line) for each, line in zip(frontiers, advice, strict=True)),
         surface_sigma_m=sigma_m,
         unknown_share=round(unknown, 4),
         unknown_air_share=round(unknown_air, 4),
@@ -115,11 +121,7 @@ def measure_quality(
         box_odd=_box_part(solid_box(odd, chosen.floor, box.yaw_rad)),
         box_even=_box_part(solid_box(even, chosen.floor, box.yaw_rad)),
         selection=chosen.how,
-        good_frames=report.good_frames,
-        unseen_side=report.unseen_side,
-        moving=report.moving,
-        max_depth_m=report.max_depth_m,
-        beyond_share=report.beyond_share,
+        **{key: getattr(report, key) for key in OF_REPORT},
         method=method(rules),
     )
 
@@ -139,11 +141,8 @@ def _unknown_shares(shape: SolidShape) -> tuple[float, float]:
     return int((shape.solid & unknown).sum()) / volume, int((~shape.solid & unknown).sum()) / volume
 
 
-def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
-    """Return a frontier as quality.json writes it: rounded, and with advice where to stand.
-
-    `first_rad` is the direction from the object to the first camera, from x of the floor frame.
-    """
+def _frontier_part(frontier: Frontier, advice: str) -> FrontierPart:
+    """Return a frontier as quality.json writes it: rounded, and with advice where to stand."""
     (length, width), (x, y, z), (u, v, w) = (
         (round(value, 4) for value in vector)
         for vector in (frontier.size_m, frontier.center_m, frontier.look_from)
@@ -154,7 +153,7 @@ def _frontier_part(frontier: Frontier, first_rad: float) -> FrontierPart:
         size_m=(length, width),
         center_m=(x, y, z),
         look_from=(u, v, w),
-        advice=frontier.advice(first_rad),
+        advice=advice,
         volume_m3=round(frontier.volume_m3, 6),
         inside_share=round(frontier.inside_share, 4),
         solid_share=round(frontier.solid_share, 4),

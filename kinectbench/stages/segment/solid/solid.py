@@ -148,7 +148,10 @@ def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rul
     # A void without a 6-connected way out is filled: no camera can have looked into it.
     solid = ~from_beyond(~_without_specks((field < 0) & ~empty)) & ~empty
     if not solid.any():
-        raise ShapeError("no solid shape: no surface of the object was measured; record it from all sides")
+        raise ShapeError(
+            "no solid shape: no surface of the object was measured above what counts as floor; record it "
+            "from all sides, or if it is flat, try `segmentation.floor_cut_m: 0.01` (for all recordings)"
+        )
     mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
     return SolidBody(observation.grid, solid, mesh)
 

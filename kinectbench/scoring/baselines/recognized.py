@@ -1,0 +1,55 @@
+"""Recognize the tables of baselines by their scores, because anyone can name a method like a baseline."""
+
+from collections.abc import Callable
+
+from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
+from kinectbench.release.release import Release
+from kinectbench.scoring.assemble import as_of_baseline
+from kinectbench.scoring.baselines.counted import baselines_that_differ
+from kinectbench.scoring.baselines.in_space import space_baselines_that_differ
+from kinectbench.scoring.baselines.predict import possible_baselines
+from kinectbench.scoring.pair_result import Counting
+
+
+def made_table(
+    release: Release,
+    make: Callable[[ScoreSettings], ScoreTable],
+    settings: ScoreSettings,
+    counting: Counting,
+    jobs: int = 1,
+) -> ScoreTable:
+    """Return the table that `make` makes of settings; if its rows are those of a baseline, it says so.
+
+    Args:
+        release: the release that was predicted.
+        make: makes the table of one method.
+        settings: the settings that the scores depend on, as `describe` returns them.
+        counting: how pairs were counted.
+        jobs: number of processes.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+    """
+    table = make(settings)
+    return make(as_of_baseline(settings)) if is_of_baseline(release, table, counting, jobs) else table
+
+
+def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[str, ...], jobs: int) -> bool:
+    """Return whether a complete table has the rows of the baseline that its method is named after.
+
+    All pairs are predicted by the baseline and counted again: a few other predictions must not pass for it.
+
+    Args:
+        release: the release that was predicted.
+        table: the table; its method may have any name.
+        how: how pairs were counted; or the protocols (camera, aligned) of a table in space.
+        jobs: number of processes.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+    """
+    if not table.complete or table.method not in possible_baselines(release):
+        return False
+    if isinstance(how, Counting):
+        return not baselines_that_differ(release, {table.method: table}, how, jobs, every=True)
+    return not space_baselines_that_differ(release, {table.method: table}, how, jobs, every=True)

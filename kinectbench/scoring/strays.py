@@ -1,0 +1,82 @@
+"""Lines on files in a folder of predictions that match no target: how to rename them."""
+
+import re
+from collections.abc import Collection, Iterable, Sequence
+from difflib import get_close_matches
+from pathlib import PurePosixPath
+
+from kinectbench.core import printable
+from kinectbench.scoring.declared import NAMED
+
+SUFFIXES = (".npy", ".npz", ".ply", ".obj")
+# Mesh formats that are not supported; a file with such a suffix in a prediction's place is reported.
+OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
+NO_TARGET = "answers no target of the benchmark"
+# Maximum number of missing targets that a misspelt name is compared with (chosen by hand).
+MOST_COMPARED = 200
+
+
+def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collection[str] = ()) -> list[str]:
+    """Return a line for each of the first 20 files that match no target, and one with the number of others.
+
+    Files in a folder whose name differs from a recording's only in letter case have one line together.
+
+    Args:
+        stray: names of these files, relative to the method's folder.
+        missing: `<recording>/<view>` of targets without a file. If a stray file's name differs from one of
+            these only in letter case, or in what is around the number of the view, the line says how to
+            rename the file; else, outside the folders of recordings, it has the nearest of these names that
+            has the same numbers, if any is near. No two lines have the same name.
+        recordings: names of all recordings.
+    """
+    names = {_simple(name): name for name in missing}
+    folders = {folder.lower(): folder for name in names.values() for folder in [name.partition("/")[0]]}
+    # Names that no file clearly means, by their numbers.
+    clear = {_simple(_stem(name)) for name in stray}
+    unclear = dict[tuple[int, ...], list[str]]()
+    for simple, name in names.items():
+        if simple not in clear and len(unclear.setdefault(_numbers(name), [])) < MOST_COMPARED:
+            unclear[_numbers(name)].append(name)
+    lines = dict[str, int]()
+    for name in stray:
+        top, suffix = name.partition("/")[0], PurePosixPath(name).suffix
+        if folders.get(top.lower(), top) != top:
+            wanted = folders[top.lower()]
+            line = f"{printable(top)}/: its letter case is not that of the benchmark; rename it to {wanted}/"
+        elif name in folders.values():
+            line = f"{printable(name)}: no folder; put a folder of this name there, with its predictions"
+        else:
+            may_be_meant, stem, advice = (
+                suffix.lower() in (*SUFFIXES, *OTHER_MESHES),
+                _stem(name),
+                "move it away",
+            )
+            if may_be_meant and (meant := names.pop(_simple(stem), None)):
+                advice = f"rename it to {meant}{suffix.lower()}"
+            elif may_be_meant and top not in recordings and len(lines) < NAMED:
+                candidates = unclear.get(_numbers(stem), [])
+                for near in get_close_matches(stem, candidates, 1):
+                    candidates.remove(near)
+                    advice = f"rename it to {near}{suffix.lower()}, the nearest that is missing, or {advice}"
+            line = f"{printable(name)}: {NO_TARGET}; {advice}"
+        if line in lines or len(lines) < NAMED:
+            lines[line] = lines.get(line, 0) + 1
+    more = len(stray) - sum(lines.values())
+    return [*lines, *[f"and {more} more files that answer no target of the benchmark"] * (more > 0)]
+
+
+def _stem(name: str) -> str:
+    """Return a file's name without its suffix."""
+    return name.removesuffix(PurePosixPath(name).suffix)
+
+
+def _numbers(name: str) -> tuple[int, ...]:
+    """Return the numbers in a name."""
+    return tuple(map(int, re.findall(r"[0-9]+", name)))
+
+
+def _simple(name: str) -> str:
+    """Return `<folder>/<file>` in lower case, with the file's number alone if it has just one."""
+    folder, _, file = name.lower().rpartition("/")
+    numbers = re.findall(r"\d+", file)
+    return f"{folder}/{numbers[0].lstrip('0') if len(numbers) == 1 else file}"
