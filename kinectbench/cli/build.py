@@ -110,7 +110,8 @@ def _judged(rows: "list[RecordingSummary]", common: Common | None) -> "list[Reco
         return rows
     pairs = {row.recording: row.pairs or 0 for row in rows if row.error is None}
     why = would_be_left_out(common.settings, common.root / "build", pairs)
-    return [row.model_copy(update={"left_out_of_release": why.get(row.recording)}) for row in rows]
+    found = ({"left_out_of_release": why[row.recording]} if row.recording in why else {} for row in rows)
+    return [row.model_copy(update=update) for row, update in zip(rows, found, strict=True)]
 
 
 def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":

@@ -17,7 +17,6 @@ from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
 from kinectbench.core.artefacts.triage import Decision
-from kinectbench.release.triage.stands_alone import part_that_stands_alone
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 from kinectbench.settings.publishing import GateSettings
 
@@ -189,6 +188,8 @@ def _incomplete(quality: QualityFile) -> Iterator[str]:
 
 def _of_parts(folder: Path) -> Iterator[str]:
     """Yield a reason to review the solid if it may include another object."""
+    from kinectbench.release.triage.stands_alone import part_that_stands_alone  # loads scipy
+
     if (share := part_that_stands_alone(folder)) is not None:
         yield (
             f"a part of it, {share:.0%} of the solid, stands alone, and the rest does without it: does "

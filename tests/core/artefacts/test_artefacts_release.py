@@ -95,6 +95,7 @@ STAMP = {
     "private_sha256": "cd" * 32,
     "removed": [],
     "unanswered": ["consent"],
+    "shortened": False,
 }
 TARGET = Target("chair_01", "red_chair", "000", "chair", "test", "pairs/chair_01/000.npz", "ab" * 32)
 
