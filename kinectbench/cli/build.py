@@ -104,10 +104,10 @@ def run_stage(common: Common, name: str, ids: list[str] | None, executor: "Execu
 
 def _judged(rows: "list[RecordingSummary]", common: Common | None) -> "list[RecordingSummary]":
     """Return summaries that also say why `publish` would leave out recordings of a benchmark here."""
-    from kinectbench.release.publish.gate import would_be_left_out
-
     if common is None or url_of(common.place) is not None:
         return rows
+    from kinectbench.release.publish.gate import would_be_left_out
+
     pairs = {row.recording: row.pairs or 0 for row in rows if row.error is None}
     why = would_be_left_out(common.settings, common.root / "build", pairs)
     found = ({"left_out_of_release": why[row.recording]} if row.recording in why else {} for row in rows)

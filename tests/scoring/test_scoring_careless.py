@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from raising import raises
+from small_grids import small_grids
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Release
@@ -18,10 +18,7 @@ from kinectbench.scoring.score import score
 @pytest.fixture
 def folder(release: Release, tmp_path: Path) -> Path:
     """A full grid for each test pair."""
-    for target in release.split("test"):
-        (tmp_path / "mine" / target.recording).mkdir(parents=True, exist_ok=True)
-        np.save(tmp_path / "mine" / f"{target.name}.npy", np.ones((2, 2, 2), bool))
-    return tmp_path / "mine"
+    return small_grids(release, tmp_path / "mine", value=True)
 
 
 def test_a_planted_warning_is_not_verified(release: Release, folder: Path, tmp_path: Path) -> None:

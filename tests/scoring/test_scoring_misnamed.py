@@ -6,10 +6,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from raising import raises
 from small_benchmark import Run
+from small_grids import small_grids
 
 from kinectbench.core.errors import PredictionError
 from kinectbench.release.release import Release
@@ -21,10 +21,7 @@ from kinectbench.scoring.strays import stray_lines
 @pytest.fixture
 def folder(release: Release, tmp_path: Path) -> Path:
     """An empty grid for each test pair."""
-    for target in release.split("test"):
-        (tmp_path / "mine" / target.recording).mkdir(parents=True, exist_ok=True)
-        np.save(tmp_path / "mine" / f"{target.name}.npy", np.zeros((2, 2, 2), bool))
-    return tmp_path / "mine"
+    return small_grids(release, tmp_path / "mine", value=False)
 
 
 def test_a_misspelt_name_gets_the_nearest_that_is_missing(

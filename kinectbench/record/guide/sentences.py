@@ -46,7 +46,7 @@ STEEP_RAD = np.radians(60.0)
 # the second value is skipped: rays would graze it (chosen by hand).
 LOWEST_M, LOOKS_UP_RAD = 0.2, np.radians(5.0)
 # Voxels that no frame saw, though a camera could, as a share of the solid's volume: with less, it is enough.
-# Twice what two walks around a bottle differ by (`benchmarks/truth/guided_walk.py`).
+# Chosen here: twice a layer of voxels around a bottle, which is unseen by chance (`guided_walk.py`).
 LITTLE_UNKNOWN = 0.02
 # A sentence stays at least this long, and the next must have held for this long before it is shown. While the
 # camera is lost, changes are shown at once: no other sentence helps then.

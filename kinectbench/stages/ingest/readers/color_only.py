@@ -5,10 +5,9 @@ from pathlib import Path
 
 from kinectbench.core import printable, read_head
 from kinectbench.core.encoded_images import PNG_MAGIC
-from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD, HEAD_BYTES, is_16_bit
+from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD, HEAD_BYTES, LEAST_IMAGES, is_16_bit
 from kinectbench.stages.ingest.readers.foreign_depth import (
     CONVERT,
-    LEAST_IMAGES,
     MOVE,
     PICTURES,
     Listed,

@@ -14,10 +14,11 @@ from kinectbench.stages.ingest.images import DamagedImageError, is_depth_png
 from kinectbench.stages.ingest.recording import read_image_file
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
-# Other names of folders that may contain colour, and as many images as make a recording.
+# Other names of folders that may contain colour.
 LIKE_COLOR = re.compile(
     r"(?!\.|.*(?:depth|mask)).*(?:colou?r|rgb|image|img|photo|picture|jpe?g).*", re.IGNORECASE
 )
+# Enough images to be a recording, or a folder of depth, and not a stray picture (chosen here).
 LEAST_IMAGES = 5
 # Names of folders with depth on the pixels of colour, by OpenLORIS, librealsense and ROS.
 OTHER_DEPTH = (

@@ -11,11 +11,9 @@ from pathlib import Path
 from kinectbench.core import printable, read_head, scanned
 from kinectbench.stages.ingest.depth_files import SUFFIXES, depth_size_px
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
-from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_SIDE_PX
+from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_IMAGES, LEAST_SIDE_PX
 from kinectbench.stages.ingest.recording import read_image_file
 
-# Enough images to be a recording, or a folder of depth, and not a stray picture.
-LEAST_IMAGES = 5
 # Limits of the search: entries of a folder, entries in all (two such folders), folders of a level, and levels
 # below the recording's folder.
 LOOKED_AT, MOST_ENTRIES, MOST_FOLDERS, LEVELS = 20_000, 40_000, 200, 3

@@ -31,6 +31,7 @@ SMALL_CELLS, SMALL_FOCUS_M, SMALL_NEARER = 6, 0.06, 2.0
 BEYOND_FACE = 0.0005
 # A piece that ends inside a box is meant if it has this share of the largest one's cells.
 ENDING_SHARE = 0.3
+# By this value boards of 15 to 20 mm are built (docs/evidence/ground-truth.md).
 FLAT = "a flat one counts as floor: try `segmentation.floor_cut_m: 0.01` (for all recordings)"
 NOTHING_STANDS = (
     "no object found: nothing stands on the floor; is the object in view? A black, glass or mirror-like one "
