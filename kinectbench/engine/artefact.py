@@ -45,7 +45,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 16,
     "track": 16,
     "fuse": 7,
-    "segment": 49,
+    "segment": 50,
     "sample-views": 7,
     "pairs": 4,
     "suggest": 7,

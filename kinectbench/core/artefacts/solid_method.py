@@ -17,6 +17,10 @@ class AirMethod(StoredPart):
         description="share of that width that narrower lines have; what only they reach, such as slits, is "
         "unknown"
     )
+    narrowed_voxels: float = Field(
+        0.0,
+        description="by how many voxels the camera is made smaller, as gaps are measured too narrow",
+    )
     near_m: float = Field(description="least distance from a camera to what it sees")
     camera_size_m: float = Field(
         description="diameter of the ball that stands for a camera, and is moved without crossing the object"

@@ -381,7 +381,9 @@ def _check_place(spec: SimulationSpec, out: Path) -> None:
     """Refuse a path that does not fit the format, or that holds anything but a simulated recording."""
     suffix = formats()[spec.format].suffix
     foreign = {".truth", *(one.suffix for one in formats().values())} - {"", suffix}
-    if not out.name or (suffix and out.suffix != suffix) or out.suffix.lower() in foreign:
+    if not out.name.strip("."):
+        raise SettingsError(f"{out}: name a new folder or file, such as `{out / 'chair'}{suffix}`")
+    if (suffix and out.suffix != suffix) or out.suffix.lower() in foreign:
         form = f"of this format is a file that ends in {suffix}" if suffix else "of this format is a folder"
         raise SettingsError(f"{out}: a recording {form}; no other name may end so, and none in .truth")
     truth = truth_folder(out)

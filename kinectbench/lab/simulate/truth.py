@@ -132,8 +132,9 @@ def floor_plane(T_world_object: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def truth_folder(recording: Path) -> Path:
-    """Return the truth's folder beside a recording: `<name without .bag>.truth`."""
-    return recording.with_name(f"{recording.name.removesuffix('.bag')}.truth")
+    """Return the truth's folder beside a recording, which may be `.`: `<name without .bag>.truth`."""
+    named = recording if recording.name.strip(".") else recording.resolve()
+    return named.with_name(f"{named.name.removesuffix('.bag')}.truth")
 
 
 def is_truth(folder: Path) -> bool:

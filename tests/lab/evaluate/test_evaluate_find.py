@@ -6,6 +6,7 @@ import pytest
 
 from kinectbench.core.errors import KinectBenchError
 from kinectbench.lab.evaluate.run import find_built, folder_beside
+from kinectbench.lab.simulate.truth import truth_folder
 
 YAML = "name: b\nrecordings:\n  - {id: chair, path: recordings/chair.bag, category: chair}\n"
 
@@ -53,6 +54,13 @@ def test_an_evaluation_lies_beside_build_from_wherever_it_is_called(
     for here, name in ("", "build/chair"), ("build", "chair"), ("build/chair", "."):
         monkeypatch.chdir(root / here)
         assert folder_beside(Path(name)) == wanted
+
+
+def test_the_recording_may_be_the_folder_one_is_in(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (root / "recordings/other/depth").mkdir(parents=True, exist_ok=True)
+    for here, name in ("other", "."), ("other/depth", ".."):
+        monkeypatch.chdir(root / "recordings" / here)
+        assert truth_folder(Path(name)) == root.resolve() / "recordings/other.truth"
 
 
 @pytest.mark.parametrize(

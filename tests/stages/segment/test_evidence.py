@@ -10,6 +10,7 @@ from observed_boxes import (
     LAYERS,
     SHAPE,
     VOXEL_M,
+    Room,
     bin_seen_to,
     body_with_a_crack,
     box_distance,
@@ -25,6 +26,7 @@ from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Underside
 from kinectbench.core.voxels.line_kernels import FROM_ABOVE, FROM_BELOW
 from kinectbench.core.voxels.observation import Observation
+from kinectbench.core.voxels.seeable import seen_from_outside
 from kinectbench.stages.segment.solid.evidence import (
     LEAST_WEIGHT_SHARE,
     SHELL_M,
@@ -243,3 +245,22 @@ def test_rules_of_a_small_thing_are_for_the_larger_world() -> None:
     rules = Rules(LAYERS, ray_width_m=0.001, limits=SensorLimits(line_width_m=0.02)).enlarged(0.25)
     assert rules.ray_width_m == pytest.approx(0.004) and rules.limits.line_width_m == pytest.approx(0.08)
     assert rules.limits.near_m == pytest.approx(1.6) and rules.layers == LAYERS
+
+
+def test_a_camera_passes_where_the_measured_gap_is_a_little_too_narrow() -> None:
+    # A corridor of 17 cm leads to a room around the corner. Sheets on both sides measure it as 14 cm.
+    room = Room(0.01, (0.9, 0.9, 0.6))
+    corridor = room.box_distance((0.12, -1.0, 0.02), (0.29, 0.78, 0.52))
+    around_corner = room.box_distance((0.31, 0.12, 0.02), (0.78, 0.78, 0.52))
+    doorway = room.box_distance((0.25, 0.58, 0.02), (0.35, 0.78, 0.52))
+    body = room.box_distance((0.1, 0.1, -1.0), (0.8, 0.8, 0.54))
+    hollow = np.minimum.reduce([corridor, around_corner, doorway])
+    seen_there = room.centers()[..., 1] < 0.3
+    observed = room.observation(looked_into(body, corridor, seen_there))
+    evidence = classify_voxels(observed, room.nothing(), Rules(room.layers))
+    # The part of the room that no line from outside reaches.
+    corner = room.within((0.4, 0.16, 0.1), (0.74, 0.4, 0.45))
+    obstacle, heights_m = np.maximum(body, -hollow) < 0, room.centers()[0, 0, :, 2].astype(np.float32)
+    air = seen_from_outside(obstacle, heights_m, room.voxel_m, SensorLimits()) > 0
+    assert air[corner].all()
+    assert not evidence.closed[corner].any()

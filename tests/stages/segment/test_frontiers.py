@@ -66,7 +66,7 @@ def found_of(
     solid = mask(SOLID) if solid is None else solid
     shape = shape_of(solid, np.where(unknown, probability, 0.0), labels, voxel_m=CELL_M)
     walls = ndimage.binary_dilation(unknown, np.ones((3, 3, 3))) & ~unknown & ~free
-    space = line_space(walls if surface is None else surface, None, CELL_M, narrow(LIMITS))
+    space = line_space(walls if surface is None else surface, None, CELL_M, narrow(LIMITS, CELL_M))
     lines = {"space": space, "lower": without_rising(space, free)}
     said = evidence_of(CELLS, unseen=unknown, free=free, **lines, **evidence)
     return find_frontiers(shape, said, LIMITS, T_floor_grid)

@@ -40,6 +40,7 @@ def _air(rules: Rules) -> AirMethod:
         underside=rules.underside,
         directions=evidence.FINE,
         narrower=evidence.NARROWER,
+        narrowed_voxels=evidence.NARROWED_VOXELS,
         sheet_voxels=evidence.SHEET_VOXELS,
     )
 
