@@ -19,6 +19,7 @@ from kinectbench.core.store.address import url_of
 if TYPE_CHECKING:
     from kinectbench.engine.executor import Executor
     from kinectbench.engine.pipeline import Outcome
+    from kinectbench.engine.place import RecordingStatus
     from kinectbench.engine.stages import Job
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
     from kinectbench.release.release import Release
@@ -136,7 +137,7 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
     else:
         if left:
             columns = {"recording": "recording", "state": "status", "next": "next stage", "error": "why"}
-            shown = [row.json_value() for row in left[:SHOWN_RECORDINGS]]
+            shown = [_in_words(row) for row in left[:SHOWN_RECORDINGS]]
             console.out.print(console.text_table(shown, columns, {}))
         if len(left) > SHOWN_RECORDINGS:
             console.say(f"and {len(left) - SHOWN_RECORDINGS} more; --json lists all")
@@ -146,6 +147,16 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
             line = f"{built}, so the exit status is {SOME_FAILED}; `kinectbench build` builds what is left"
             console.lines("note", [line], "cyan")
     return SOME_FAILED if left else 0
+
+
+def _in_words(row: "RecordingStatus") -> dict[str, object]:
+    """Return a row of the table of `build --status`: what has other settings now is not called missing."""
+    from kinectbench.engine.place import OTHER_SETTINGS, is_of_other_settings
+
+    other = (
+        {"state": OTHER_SETTINGS, "error": f"{row.differs} is changed"} if is_of_other_settings(row) else {}
+    )
+    return {**row.json_value(), **other}
 
 
 def show_rows(rows: "list[BuiltRecording]", upto: str, release: Common | None = None) -> None:

@@ -64,13 +64,18 @@ def record_command(
         raise SettingsError("record: --speed and --set are of --from; a camera has its own pace and values")
     if built and common.as_json:
         raise SettingsError("record: give --build or --json, not both; `kinectbench build --json` can follow")
+    if replayed is not None and not replayed.exists():
+        raise CaptureError(
+            f"--from {replayed}: no such file or folder: give the path of a recording, as `path:` in "
+            "benchmark.yaml has it, and not its id"
+        )
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
     camera = device_to_use(device) if replayed is None else Replay(replayed, speed, given)
     check_new(out)
     with _begun(out, common.workers) if built else nullcontext() as begun:
         done = _recorded(camera, out, seconds, port, guided)
         ended_s = time.monotonic()
-        _tell(common, done)
+        _tell(common, done, speed)
         if done.failure:
             return CANNOT_BE_USED
         interrupt_answered()  # it has ended the recording; another one ends the build
@@ -179,13 +184,14 @@ def _list(common: Common) -> None:
     common.tell(rows, lines)
 
 
-def _tell(common: Common, done: "Recorded") -> None:
+def _tell(common: Common, done: "Recorded", speed: float) -> None:
     counts = {"frames": done.frames, "missed": done.missed, "dropped": done.dropped}
     value = {"folder": str(done.folder), "device": done.device, **counts, "seconds": done.seconds}
     value |= {"clock_set_back": done.set_back, "failure": done.failure or None}
     common.tell(value, [f"wrote {done.folder}: {done.frames} frames in {done.seconds:.1f} s"])
+    slower = "; give a lower --speed to have them" if speed > 1 else ""
     warnings = {
-        f"{done.missed} frames never arrived (too late, or damaged)": done.missed,
+        f"{done.missed} frames never arrived (too late, or damaged){slower}": done.missed,
         f"{done.dropped} frames were not written: the disk is too slow": done.dropped,
         f"the device's clock went back {done.set_back} times; stamps go on by this machine's": done.set_back,
     }

@@ -20,8 +20,8 @@ TITLE = "IoU (higher is better) / cross-entropy, nats a voxel (lower is better),
 # Note below tables that have the line `truth unknown`.
 PARTS_NOTE = "of whole shapes; the page and scores.csv have their visible and their occluded parts, too"
 UNKNOWN_NOTE = (
-    "truth unknown: of the true shapes' volume, what is a guess; space that nobody saw and that is taken for "
-    "air is no part of it"
+    "truth unknown: share of the true shapes' volume that nobody saw, a guess; unseen space taken for air is "
+    "not counted"
 )
 
 

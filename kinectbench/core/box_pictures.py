@@ -14,6 +14,8 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64, Rgb
 
 PLAN_CELL_M = 0.04
+# Higher surface is black.
+TALLEST_M = 2.0
 # The picture has fewer pixels a side. Of a scene that one wrong pose extends, cells are larger.
 MOST_PLAN_CELLS = 2000
 # Blue, orange, green, vermilion, purple, sky blue of Okabe and Ito, which colour-blind people distinguish.
@@ -57,6 +59,7 @@ def plan_picture(
     focus_floor: Float64,
     T_floor_world: Float64,
     trajectory: Trajectory,
+    scale: float = 1.0,
 ) -> bytes:
     """Draw the surface's heights, numbered boxes and the camera's path from above; return a PNG file.
 
@@ -66,11 +69,16 @@ def plan_picture(
         focus_floor: (3,) the point that the cameras look at.
         T_floor_world: (4, 4), from the world to the floor frame.
         trajectory: poses of the frames.
+        scale: of the scene, by which its points lie nearer to each other.
     """
     figure = new_figure(7.2, 6.2, "white")
     axes = figure.add_subplot(aspect="equal", xlabel="x of the floor frame, m", ylabel="y, m")
-    heights_m, extent_m = _heights(points_floor)
-    image = axes.imshow(heights_m.T, origin="lower", extent=extent_m, cmap="Greys", vmin=-0.2, vmax=2.0)
+    heights_m, extent_m = _heights(points_floor, PLAN_CELL_M * scale)
+    # Boards are as dark as cupboards are, if nothing higher is to choose from.
+    top_m = min(max(box.corners_floor()[:, 2].max() for box in boxes), TALLEST_M)
+    image = axes.imshow(
+        heights_m.T, origin="lower", extent=extent_m, cmap="Greys", vmin=-top_m / 10, vmax=top_m
+    )
     figure.colorbar(image, label="height, m", shrink=0.8)
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     path = transform_points(T_floor_world, T_world_camera[:, :3, 3])
@@ -193,12 +201,12 @@ def _edges_px(
     return lines
 
 
-def _heights(points_floor: Float64) -> tuple[Float64, tuple[float, float, float, float]]:
+def _heights(points_floor: Float64, least_m: float) -> tuple[Float64, tuple[float, float, float, float]]:
     """Return the largest z per ground cell, (nx, ny), NaN if the cell is empty, and the extent of the cells.
 
-    All are in metres; the extent is (x0, x1, y0, y1).
+    The cells have edges of `least_m` or more. All are in metres; the extent is (x0, x1, y0, y1).
     """
-    cell_m = max(PLAN_CELL_M, float(np.ptp(points_floor[:, :2], axis=0).max()) / MOST_PLAN_CELLS)
+    cell_m = max(least_m, float(np.ptp(points_floor[:, :2], axis=0).max()) / MOST_PLAN_CELLS)
     cells = np.floor(points_floor[:, :2] / cell_m).astype(int)
     first = cells.min(axis=0)
     shape = cells.max(axis=0) - first + 1

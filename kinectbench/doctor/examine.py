@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core import RecordingError, printable
 from kinectbench.core.trajectory.stamps import typical_period_ns
+from kinectbench.doctor.causes import by_cause
 from kinectbench.doctor.clocks import check_clock
 from kinectbench.doctor.codes import EXPLAINED, check_codes
 from kinectbench.doctor.color import check_light
@@ -138,6 +139,7 @@ def inspect(
         hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in findings)
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
             findings += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
+    findings = by_cause(findings)
     if guessed:
         findings = [replace(f, advice=GUESSED) if f.name in BY_INTRINSICS else f for f in findings]
     return Diagnosis(facts, gravest_first(findings)), probe

@@ -9,7 +9,7 @@ SEVERITIES: tuple[Severity, ...] = ("stops", "warning", "note")
 # Suffix of a fact's name → the unit behind its value.
 UNITS = {"_hz": " Hz", "_px": " px", "_mm": " mm", "_deg": "°", "_m": " m", "_s": " s"}
 # Meaning of the value of a fact without a unit.
-NOTES = {"pose_disagreement": " (0: the depth fits the poses, 1: nowhere)"}
+NOTES = {"pose_disagreement": " (0: all depth fits the given poses, 1: none does)"}
 SIZE = ("width", "height")
 # What edges show about the registration of colour, and the text that is printed instead of "yes".
 Registration = Literal["seen", "unclear", "contradicted"]

@@ -42,13 +42,13 @@ COMPARED_FILES = 32
 # First the stages of a build; then candidates of boxes, releases, synthetic models, tables of scores, and the
 # predictions of baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 16,
+    "ingest": 17,
     "track": 16,
     "fuse": 7,
-    "segment": 50,
+    "segment": 51,
     "sample-views": 7,
     "pairs": 4,
-    "suggest": 7,
+    "suggest": 8,
     "publish": 46,
     "synthesize": 3,
     "score": 14,

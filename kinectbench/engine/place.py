@@ -1,9 +1,11 @@
 """Build recordings and report their status, whether the benchmark is in a local folder or in a store."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
@@ -13,13 +15,16 @@ from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import in_parallel
+from kinectbench.engine.artefact import whole_manifest
 from kinectbench.engine.failures import keep_failure, stored_failure
 from kinectbench.engine.locks import locked
 from kinectbench.engine.pipeline import Outcome, build_recording
-from kinectbench.engine.stages import STAGES, Job, current_stages
+from kinectbench.engine.stages import STAGES, Job, Stage, current_stages
 from kinectbench.engine.time_limit import Hung
 
 State = Literal["done", "failed", "missing"]
+# In words, of what is missing because a setting has changed.
+OTHER_SETTINGS = "other settings"
 
 
 def build_at_its_place(
@@ -91,6 +96,9 @@ class RecordingStatus(StoredPart):
     )
     current: tuple[str, ...] = Field(description="stages that are made and current")
     next: str | None = Field(description="the first stage that is not; null: all are, of an earlier run")
+    differs: str | None = Field(
+        default=None, description="the first setting of `next` that is not that of which it was made"
+    )
     error: str | None = Field(description="why the last run failed")
     code: str | None = Field(description="of that error")
 
@@ -105,19 +113,48 @@ def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
 
 def _status(job: Job) -> RecordingStatus:
     current, failed = status_of(job)
-    left = [stage.name for stage in STAGES if stage.name not in current]
+    left = [stage for stage in STAGES if stage.name not in current]
     state: State = "failed" if failed else "missing" if left else "done"
+    local = left and url_of(job.root) is None
     return RecordingStatus(
         recording=job.recording.id,
         state=state,
         current=current,
-        next=left[0] if left else None,
+        next=left[0].name if left else None,
+        differs=_differing_setting(job.build, job, left[0]) if local else None,
         error=failed.error if failed else None,
         code=failed.code if failed else None,
     )
 
 
+def _differing_setting(build: Path, job: Job, stage: Stage) -> str | None:
+    """Return the first setting of a made stage that the job has otherwise, such as views.count; None if none.
+
+    A missing or damaged artefact, and one of another version of the stage, has no such setting.
+    """
+    manifest = whole_manifest(build / stage.folder)
+    if manifest is None or manifest.stage_version != stage.version:
+        return None
+    return next(_differing(manifest.settings, stage.settings(job)), None)
+
+
+def _differing(made: object, wanted: object, key: str = "") -> Iterator[str]:
+    """Yield the dotted keys of values that differ."""
+    if isinstance(made, Mapping) and isinstance(wanted, Mapping):
+        for name in dict.fromkeys((*wanted, *made)):
+            yield from _differing(made.get(name), wanted.get(name), f"{key}.{name}" if key else name)
+    elif made != wanted:
+        yield key
+
+
 def in_words(rows: Sequence[RecordingStatus]) -> str:
-    """Summarise in one line the numbers of recordings that are done, failed or missing."""
-    counts = {state: sum(row.state == state for row in rows) for state in ("done", "failed", "missing")}
-    return f"{counts['done']} of {len(rows)} done, {counts['failed']} failed, {counts['missing']} missing"
+    """Summarise in one line how many recordings are done, failed, missing, or of other settings."""
+    counts = Counter(OTHER_SETTINGS if is_of_other_settings(row) else row.state for row in rows)
+    others = f", {counts[OTHER_SETTINGS]} of {OTHER_SETTINGS}" if counts[OTHER_SETTINGS] else ""
+    failed, missing = counts["failed"], counts["missing"]
+    return f"{counts['done']} of {len(rows)} done, {failed} failed, {missing} missing{others}"
+
+
+def is_of_other_settings(row: RecordingStatus) -> bool:
+    """Whether a recording is built, but a stage has other settings now."""
+    return row.state == "missing" and row.differs is not None

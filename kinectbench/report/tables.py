@@ -30,7 +30,7 @@ PROTOCOL_NOTES = {
     "known": "the primary protocol: voxels where the truth is trusted; mean over objects",
     "paper": "the paper's protocol: all voxels; plain mean over pairs",
     "occluded": "known voxels that the input view does not see; mean over objects",
-    "measured": "known voxels that were measured, for who trusts nothing else; mean over objects",
+    "measured": "known voxels that a camera measured, without what was inferred; mean over objects",
     "known-unsaid": "known voxels but those that are so by a person's word alone; mean over objects",
     "shell": "the shape's surface alone, the extreme of the paper's real truth; plain mean over pairs",
     "camera": "surfaces in the camera frame, as predicted, in metres; mean over objects",

@@ -22,7 +22,10 @@ def complete_ones(tables: Tables) -> dict[str, ScoreTable]:
         SettingsError: fewer than two tables are complete.
     """
     if len(tables) < 2:
-        raise SettingsError("compare: give the scores of at least two methods")
+        raise SettingsError(
+            "compare: give the scores of at least two methods: the scores.json of each, or the folder with a "
+            "folder of each; those of baselines lie in scores/baselines"
+        )
     complete = {name: table for name, table in tables.items() if table.complete}
     if len(complete) < 2:
         lines = "; ".join(left_out_lines(tables))

@@ -1,7 +1,8 @@
 """Lines on files in a folder of predictions that match no target: how to rename them."""
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import PurePosixPath
 
@@ -12,6 +13,8 @@ SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 # Mesh formats that are not supported; a file with such a suffix in a prediction's place is reported.
 OTHER_MESHES = (".glb", ".gltf", ".stl", ".off")
 NO_TARGET = "answers no target of the benchmark"
+# A folder without a recording's name that has more files than this has one line (chosen by hand).
+FEW = 3
 # Maximum number of missing targets that a misspelt name is compared with (chosen by hand).
 MOST_COMPARED = 200
 
@@ -31,6 +34,11 @@ def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collec
     """
     names = {_simple(name): name for name in missing}
     folders = {folder.lower(): folder for name in names.values() for folder in [name.partition("/")[0]]}
+    inside = Counter(name.partition("/")[0] for name in stray if "/" in name)
+    large = [top for top, files in inside.items() if files > FEW and recordings and top not in recordings]
+    misnamed = {
+        top: _misnamed(top, inside[top], folders) for top in large[:NAMED] if top.lower() not in folders
+    }
     # Names that no file clearly means, by their numbers.
     clear = {_simple(_stem(name)) for name in stray}
     unclear = dict[tuple[int, ...], list[str]]()
@@ -43,6 +51,8 @@ def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collec
         if folders.get(top.lower(), top) != top:
             wanted = folders[top.lower()]
             line = f"{printable(top)}/: its letter case is not that of the benchmark; rename it to {wanted}/"
+        elif top in misnamed:
+            line = misnamed[top]
         elif name in folders.values():
             line = f"{printable(name)}: no folder; put a folder of this name there, with its predictions"
         else:
@@ -63,6 +73,21 @@ def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collec
             lines[line] = lines.get(line, 0) + 1
     more = len(stray) - sum(lines.values())
     return [*lines, *[f"and {more} more files that answer no target of the benchmark"] * (more > 0)]
+
+
+def _misnamed(top: str, files: int, folders: Mapping[str, str]) -> str:
+    """Return the line on a folder of several files that has no recording's name.
+
+    Args:
+        top: the folder.
+        files: number of the files in it.
+        folders: {name in lower case: name} of recordings without some file.
+    """
+    near = get_close_matches(top.lower(), list(folders)[:MOST_COMPARED], 1)
+    meant = f"rename it to {folders[near[0]]}/, the nearest of which some are missing, or " if near else ""
+    return (
+        f"{printable(top)}/: no recording of the benchmark has this name ({files} files); {meant}move it away"
+    )
 
 
 def _stem(name: str) -> str:

@@ -36,8 +36,8 @@ MOST_DELAY_S = 4e9
 # solids were chosen with it).
 LEAST_RANGE_M = 3.0
 UNDERSIDE = (
-    "closed: no space behind the underside that is open to the air (aprons make a chair open below); "
-    "open: there is; unseen: nobody looked"
+    "closed: turn it over, and the hand meets one face; open: the hand goes in, as between a chair's aprons; "
+    "unseen: nobody looked"
 )
 
 

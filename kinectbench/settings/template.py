@@ -23,7 +23,7 @@ UNKNOWN_CATEGORY = "unknown"
 ASK_CATEGORY = "fill in what it is, such as chair or table"
 ASK_OBJECT = "fill in the same name wherever the same thing is recorded again"
 # Keys for which each recording gets a line, with a value or a question.
-OF_EACH = ("split", "object", "underside")
+OF_EACH = ("split", "object", "underside", "trajectory")
 
 HEADER = """\
 # What this benchmark is built from, and with which settings.
@@ -145,6 +145,7 @@ def _recording(name: str, path: str, kind: str) -> list[str]:
         _commented("    # object: …", ASK_OBJECT),
         _commented(f"    # underside: {underside.default}", f"say what you know; {underside.description}"),
         _commented(f"    split: {fields['split'].default}", fields["split"].description),
+        _option("trajectory"),
     ]
 
 
@@ -165,14 +166,17 @@ def _picked(recording: Path) -> list[str]:
 def _recording_options() -> list[str]:
     """Return the optional keys of a recording, as comments to put below the first recording."""
     lines = ["    # each recording may also have:"]
-    for key, field in RecordingSettings.model_fields.items():
-        if field.is_required() or key in OF_EACH:
-            continue
-        model = model_of(field.annotation)
-        value = f"{{{', '.join(f'{name}: …' for name in model.model_fields)}}}" if model else "…"
-        words = "; ".join(part for part in (field_range(field), field.description) if part)
-        lines.append(_commented(f"    # {key}: {value}", words))
-    return lines
+    fields = RecordingSettings.model_fields
+    return lines + [_option(key) for key in fields if not (fields[key].is_required() or key in OF_EACH)]
+
+
+def _option(key: str) -> str:
+    """Return an optional key of a recording, as a comment."""
+    field = RecordingSettings.model_fields[key]
+    model = model_of(field.annotation)
+    value = f"{{{', '.join(f'{name}: …' for name in model.model_fields)}}}" if model else "…"
+    words = "; ".join(part for part in (field_range(field), field.description) if part)
+    return _commented(f"    # {key}: {value}", words)
 
 
 def _categories() -> list[str]:

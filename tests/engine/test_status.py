@@ -38,6 +38,10 @@ def test_what_is_missing_failed_or_out_of_date_is_listed(
     assert states(command(root, "build", "--status", "--json"))["table"] == ("missing", "segment")
     changed = command(root, "build", "--status", "--json", "--set", "views.count=2")
     assert changed.status == 3 and states(changed)["chair"] == ("missing", "sample-views")
+    assert [row["differs"] for row in json.loads(changed.out)] == ["views.count", None]
+    told = command(root, "build", "--status", "--set", "views.count=2").out
+    assert "other settings" in told and "views.count is changed" in told
+    assert told.endswith("0 of 2 done, 0 failed, 1 missing, 1 of other settings\n")
     (root / "recordings" / "table").rename(root / "recordings" / "elsewhere")
     assert command(root, "build", "table", "--force", "--jobs", "1").status == 1
     shown = command(root, "build", "--status")

@@ -132,6 +132,13 @@ def test_holm_by_hand() -> None:
     assert holm([0.5, 0.6]) == [1.0, 1.0]
 
 
+def test_a_baseline_is_called_so() -> None:
+    beside = method("hull", 0.1, 8).model_copy(update={"baseline": True})
+    assert compare([method("hull", 0.2, 8), beside]).methods == ("hull", "hull (baseline)")
+    with raises(SettingsError, "settings.wrong-value", match=r"scores\.json of each.*scores/baselines"):
+        compare([beside])
+
+
 def test_a_difference_and_its_ranks() -> None:
     found = compare([method("good", 0.2, 8), method("bad", 0.1, 8), method("also bad", 0.1, 8)])
     assert found.ranks == {"chair": {"good": 1, "bad": 2, "also bad": 2}}

@@ -73,6 +73,17 @@ def test_another_view_is_not_advised_and_none_twice(
     assert {name: re.split("[,;]", to)[0] for name, to in found.items() if to} == advised
 
 
+def test_a_folder_with_another_name_is_told_in_one_line() -> None:
+    stray = [f"chiar_01/{i:03d}.npy" for i in range(50)] + [f"logs/{i}.txt" for i in range(30)]
+    missing = [f"{name}/{i:03d}" for name in ("chair_01", "table_01") for i in range(50)]
+    chair, logs = stray_lines(stray, missing, {"chair_01", "table_01"})
+    assert chair == (
+        "chiar_01/: no recording of the benchmark has this name (50 files); rename it to chair_01/, the "
+        "nearest of which some are missing, or move it away"
+    )
+    assert logs == "logs/: no recording of the benchmark has this name (30 files); move it away"
+
+
 @pytest.mark.parametrize("digits", ["0123456789", "abcdefghij"])
 def test_misspelt_names_are_compared_with_few(digits: str) -> None:
     names = [f"{i:06d}".translate(str.maketrans("0123456789", digits)) for i in range(20000)]

@@ -77,6 +77,7 @@ def test_init_asks_for_the_word_of_each_recording(tmp_path: Path) -> None:
         r"^    # underside: (\w+) +# say what you know; closed: .*; open: ", text, re.MULTILINE
     )
     assert asked == ["unseen", "unseen"]
+    assert len(re.findall(r"^    # trajectory: … +# trust, refine, ignore; ", text, re.MULTILINE)) == 2
     assert re.search(r"^# categories: +# \w.*\n#   chair: \{underside: unseen\}$", text, re.MULTILINE)
     assert set(words(text)) == {"unseen"}
     said = text.replace("    # underside: unseen", "    underside: closed", 1)

@@ -7,20 +7,19 @@ take most of the time. If the method predicts in the camera frame, baselines are
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 
-from kinectbench.core import StorageError
 from kinectbench.core.artefacts.score_figures import any_in_space
-from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreSettings, ScoreTable
+from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreTable
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import as_of_baseline, describe
 from kinectbench.scoring.baselines.counted import baselines_that_differ, counted_baselines
 from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
+from kinectbench.scoring.baselines.kept import kept_tables
 from kinectbench.scoring.baselines.predict import possible_baselines
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.camera.score import settings_in_space
 from kinectbench.scoring.pair_result import Counting
-from kinectbench.scoring.read_table import read_table
 
 
 def baselines_beside(
@@ -68,25 +67,10 @@ def baselines_beside(
         settings, sign = as_of_baseline(settings_in_space(how, "error")), "+camera"
         make, differ = space_baselines, space_baselines_that_differ
     folders = {name: out / BASELINES_FOLDER / f"{name}{sign}" for name in names}
-    kept = {name: _kept(folders[name], name, release, settings) for name in names}
-    tables = {name: table for name, table in kept.items() if table is not None}
-    if tables:
-        for name in differ(release, tables, how, jobs):
-            del tables[name]
+    tables = kept_tables(folders, release, settings, differ, how, jobs, beside=True)
     wanted = tuple(name for name in names if name not in tables)
     if wanted:
         for table in make(release, wanted, how, jobs=jobs, progress=progress):
             tables[table.method] = table.model_copy(update={"baseline": True})
             tables[table.method].write(folders[table.method])
     return [tables[name] for name in names]
-
-
-def _kept(folder: Path, name: str, release: Release, settings: ScoreSettings) -> ScoreTable | None:
-    """Return a baseline's kept table if it is readable, and of this release and these settings; else None."""
-    try:
-        table = read_table(folder / ScoreTable.FILE)
-    except StorageError:  # there is none, or it is damaged or contradicts itself
-        return None
-    made = (table.method, table.baseline, table.benchmark_sha256, table.settings)
-    same = (name, True, release.benchmark_sha256, settings)
-    return table if made == same and (table.complete or table.failures) else None

@@ -1,7 +1,7 @@
 """Score baselines in memory, pair by pair; prediction files of the baselines would give the same tables."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,9 +15,12 @@ from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table, rows_of
-from kinectbench.scoring.baselines.in_space import space_baselines
+from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
+from kinectbench.scoring.baselines.kept import kept_tables
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
+from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.camera.grid_score import space_alone
+from kinectbench.scoring.camera.score import settings_in_space
 from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, drawn, surfaces
 from kinectbench.scoring.read_table import differing, read_table
 from kinectbench.scoring.references import base_rates
@@ -44,8 +47,8 @@ def score_baselines(
 ) -> list[ScoreTable]:
     """Score every baseline that a release allows, write `out/<name>/scores.json`, and return the tables.
 
-    The tables are those that `write_baselines` followed by `score_methods` would give, but without hashes of
-    prediction files, because no such files are written.
+    Tables of an earlier run in `out` are used again (`kept_tables`). They are those that `write_baselines`
+    followed by `score_methods` would give, but without hashes of prediction files: none are written.
 
     Args:
         release: the release that is predicted.
@@ -69,15 +72,23 @@ def score_baselines(
     pairs_to_score(release, validation=thresholds_file is None)
     names = possible_baselines(release)
     _refuse_to_replace([out / name / ScoreTable.FILE for name in names])
-    how: dict[str, Any] = {"thresholds_file": thresholds_file, "jobs": jobs}
-    if space := space_alone(protocols, upsampling):
-        tables = space_baselines(release, names, space, **how, progress=progress)
+    make: Callable[..., list[ScoreTable]] = counted_baselines
+    differ: Callable[..., Iterable[str]] = baselines_that_differ
+    how: Any = space_alone(protocols, upsampling)
+    if how:
+        names = tuple(name for name in names if name not in WITHOUT_SURFACE)
+        settings, make, differ = settings_in_space(how, "error"), space_baselines, space_baselines_that_differ
     else:
-        counting = counting_of(release, protocols, upsampling, surface)
-        tables = counted_baselines(release, names, counting, **how, progress=progress)
-    for table in tables:
+        how = counting_of(release, protocols, upsampling, surface)
+        settings = describe(how, "error")
+    folders = {} if thresholds_file else {name: out / name for name in names}
+    tables = kept_tables(folders, release, as_of_baseline(settings), differ, how, jobs, beside=False)
+    wanted = [name for name in names if name not in tables]
+    options: dict[str, Any] = {"thresholds_file": thresholds_file, "jobs": jobs, "progress": progress}
+    for table in make(release, wanted, how, **options) if wanted else ():
         table.write(out / table.method)
-    return tables
+        tables[table.method] = table
+    return [tables[name] for name in names]
 
 
 def _refuse_to_replace(paths: Sequence[Path]) -> None:

@@ -30,7 +30,8 @@ from kinectbench.stages.ingest.intrinsics import (
 )
 from kinectbench.stages.ingest.intrinsics_words import intrinsics_in_words, intrinsics_in_xml
 from kinectbench.stages.ingest.json_values import read_json_object
-from kinectbench.stages.ingest.recording import first_file, visible
+from kinectbench.stages.ingest.known_names import first_named, in_any_case
+from kinectbench.stages.ingest.recording import visible
 
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
@@ -63,7 +64,7 @@ UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)"), 20
 LEAST_UNITS, MOST_UNITS = 100.0, 100_000.0
 # Names of files that may contain intrinsics in an unsupported layout.
 LIKE_INTRINSICS = re.compile(
-    r"(?=.*(?:intrin|calib|camera|cam_?k|cam.*info|info\.txt|realsense|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
+    r"(?=.*(?:intr|calib|cam|info\.txt|realsense|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
     re.IGNORECASE,
 )
 TEXTS = frozenset({".txt", ".yaml", ".yml", ".xml", ".ini", ".toml"})
@@ -151,15 +152,15 @@ def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[s
 
 def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
     """Do as `find_intrinsics`, but without a unit of depth from a second file."""
-    file = first_file(path / name for name in (*JSON_FILES, *MATRIX_FILES))
+    file = first_named(path, (*JSON_FILES, *MATRIX_FILES))
     if file is not None:
-        by_json = file.name in JSON_FILES
+        by_json = file.suffix.lower() == ".json"
         intrinsics = read_intrinsics_json(file) if by_json else _read_text(file)
         others = passed_over(file, (*JSON_FILES, *MATRIX_FILES, *LOOSE_FILES))
         return replace(intrinsics, notes=(*intrinsics.notes, *others)), file if by_json else None
     if gives_intrinsics(settings):
         return Intrinsics(), None
-    for file in (path / name for name in LOOSE_FILES):
+    for file in (in_any_case(path, name) for name in LOOSE_FILES):
         with suppress(RecordingError):
             if file.is_file():
                 return _read_text(file), None

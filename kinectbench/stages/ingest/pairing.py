@@ -4,12 +4,15 @@ All readers of two streams use this. An image without partner stays alone, and a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from kinectbench.core import RecordingError
+from kinectbench.core import RecordingError, printable
 from kinectbench.core.trajectory.association import associate, pairing_tolerance_ns
 from kinectbench.core.trajectory.stamps import NS_PER_S
 from kinectbench.stages.ingest.image_names import frame_key, frame_numbers, times_of_names
+
+# What a warning says where the names of both streams differ: by these words the doctor knows it.
+NAMES_DIFFER = "colour images have no depth of their name"
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,9 @@ def pair_images(
     """
     depth_ns, color_ns = times_of_names(depth), times_of_names(color)
     if depth_ns is not None and color_ns is not None:
-        return _by_times(depth_ns, color_ns, delay_s, where), tuple(color_ns)
+        partners, lone = _by_times(depth_ns, color_ns, delay_s, where), _unlike(depth, color)
+        warnings = tuple(f"{line}{lone}" for line in partners.warnings)
+        return replace(partners, warnings=warnings), tuple(color_ns)
     return _by_names(depth, color, where), ()
 
 
@@ -94,13 +99,13 @@ def _by_times(depth_ns: Sequence[int], color_ns: Sequence[int], delay_s: float, 
 def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partners:
     by_name = _same([frame_key(stem) for stem in depth], [frame_key(stem) for stem in color])
     if not color or any(partner is not None for partner in by_name):
-        how = f"of their name{_apart(depth, color)}"
+        how = f"of their name{_apart(depth, color)}{_unlike(depth, color)}"
         return Partners(by_name, _lone(by_name, len(color), how, where))
     depth_numbers, color_numbers = frame_numbers(depth), frame_numbers(color)
     if depth_numbers is not None and color_numbers is not None:
         by_number = _same(depth_numbers, color_numbers)
         if any(partner is not None for partner in by_number):
-            how = f"of their number{_apart(depth, color)}"
+            how = f"of their number{_apart(depth, color)}{_unlike(depth, color)}"
             return Partners(by_number, _lone(by_number, len(color), how, where))
     if len(color) != len(depth):
         raise RecordingError(
@@ -122,6 +127,24 @@ def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None,
     """
     index = {key: place for place, key in enumerate(color)}
     return tuple(index.pop(key, None) for key in depth)
+
+
+def _unlike(depth: Sequence[str], color: Sequence[str]) -> str:
+    """Return the part of a warning on names without partner in both streams, if half of depth's agree; or "".
+
+    Streams without one name or number in common are not meant to have any.
+    """
+    keys = [[frame_key(stem) for stem in stems] for stems in (depth, color)]
+    if not set(keys[0]) & set(keys[1]):
+        keys = [[str(number) for number in frame_numbers(stems) or ()] for stems in (depth, color)]
+    lone = [
+        [stem for stem, key in zip(stems, own, strict=False) if key not in others]
+        for stems, own, others in ((depth, keys[0], set(keys[1])), (color, keys[1], set(keys[0])))
+    ]
+    if not (lone[0] and lone[1]) or 2 * len(lone[0]) > len(depth):
+        return ""
+    depth_name, color_name = (printable(stems[0]) for stems in lone)
+    return f"; {len(lone[1])} {NAMES_DIFFER}, such as {color_name} ({depth_name} is depth without colour)"
 
 
 def _apart(depth: Sequence[str], color: Sequence[str]) -> str:

@@ -16,6 +16,7 @@ from typed import present
 from kinectbench.core.errors import KinectBenchError, SegmentationError
 from kinectbench.core.geometry import OrientedBox, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.trajectory.coverage import convergence_point
+from kinectbench.stages.segment.find.choice_warnings import Selection, choice_warnings
 from kinectbench.stages.segment.find.select import CELL_M, select_in_box
 from kinectbench.stages.segment.judge.coverage_report import unseen_side
 
@@ -98,6 +99,24 @@ def test_a_box_that_cuts_the_object() -> None:
     whole, half = OrientedBox((0, 0, 0.3), (1.0, 1.0, 0.6)), OrientedBox((-0.25, 0, 0.3), (0.5, 1.0, 0.6))
     assert plain().coverage_report(whole).warnings == ()
     assert warned(plain().coverage_report(half).warnings, "the box cuts through what it holds")
+
+
+def test_a_flat_thing_a_finger_beside_the_box_s_is_not_cut_off_it() -> None:
+    def sheet(low_m: float, high_m: float) -> np.ndarray:
+        steps = (np.arange(low_m, high_m, 0.005), np.arange(0, 0.27, 0.005), [0.012])
+        return np.array(np.meshgrid(*steps)).reshape(3, -1).T
+
+    def warns(length_m: float) -> bool:
+        """Of a box of this length from the board's left edge, with a margin on the other sides."""
+        box = OrientedBox((length_m / 2 - 0.01, 0.135, 0.01), (length_m + 0.02, 0.31, 0.05))
+        points = np.concatenate([board, card])
+        held = box.contains(points)
+        chosen = Selection(points[held], points[~held], box, given=True, focus=np.zeros(3))
+        return warned(choice_warnings(chosen), "the box cuts through")
+
+    board, card = sheet(0.0, 0.33), sheet(0.353, 0.47)
+    # Without the card, with a strip of it, with all of it; and with half of the board.
+    assert [warns(length_m) for length_m in (0.34, 0.36, 0.5, 0.16)] == [False, False, False, True]
 
 
 def test_a_box_under_a_table_top_holds_what_ends_in_it() -> None:

@@ -1,7 +1,9 @@
 """One pose far from all others that nothing contradicts: no memory is taken for it, and it is named."""
 
+import cv2
 import numpy as np
 from raising import raises
+from typed import present
 
 from kinectbench.core.box_pictures import plan_picture
 from kinectbench.core.errors import SegmentationError
@@ -81,3 +83,17 @@ def test_a_frame_far_from_all_others_is_named() -> None:
     T[8:10, :3, 3] -= AWAY
     (line,) = far_warnings(T)
     assert "3 frames (7 to 9)" in line
+
+
+def test_the_plan_shows_a_board_on_the_floor() -> None:
+    """Floor and board are clearly different greys."""
+    steps = np.arange(-1.0, 1.0, 0.02)
+    points = np.array(np.meshgrid(steps, steps, [0.0])).reshape(3, -1).T
+    points[(np.abs(points[:, :2]) < 0.5).all(axis=1), 2] = 0.015
+    board = OrientedBox((0, 0, 0.01), (1.0, 1.0, 0.05))
+    trajectory = Trajectory(np.arange(30) * 10**8, poses(), "trust")
+    plan = plan_picture([board], points, np.zeros(3), np.eye(4), trajectory)
+    shown = present(cv2.imdecode(np.frombuffer(plan, np.uint8), cv2.IMREAD_GRAYSCALE))
+    greys, pixels = np.unique(shown[shown < 255], return_counts=True)
+    floor_and_board = greys[np.argsort(pixels)[-2:]].astype(int)
+    assert np.ptp(floor_and_board) > 40

@@ -47,6 +47,10 @@ def families() -> Mapping[str, Family]:
     return plugins("kinectbench.families", Family, PAPER_FURNITURE)
 
 
+# Words for a family that are not like its name.
+OTHER_WORDS = {"sofa": "couch", "settee": "couch", "desk": "table", "cup": "mug", "refrigerator": "fridge"}
+
+
 def check_family(family: str) -> str:
     """Return the name of a family unchanged if the family exists.
 
@@ -55,7 +59,8 @@ def check_family(family: str) -> str:
     """
     if family in families():
         return family
-    hint = f"{near_miss(family, list(families()))} choose one of {listed(families())}".lstrip()
+    near = near_miss(OTHER_WORDS.get(family.lower(), family), list(families()))
+    hint = f"{near} choose one of {listed(families())}".lstrip()
     raise SettingsError(f"object family '{family}': unknown; {hint}")
 
 

@@ -23,6 +23,7 @@ from kinectbench.stages.ingest.depth_codes import (
     find_pattern,
 )
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
+from kinectbench.stages.ingest.known_names import misnamed
 from kinectbench.stages.ingest.readers.color_only import without_depth
 from kinectbench.stages.ingest.readers.foreign_files import foreign_file
 from kinectbench.stages.ingest.recording import OF_SOME_FORMATS, FileRecording, Recording, read_image_file
@@ -53,6 +54,8 @@ FORMATS = {
 }
 
 TRUTH = "truth.json"
+# What makes a folder of images a recording.
+COMMON_NAMES = ("depth", "color", "rgb", "depth.txt", "rgb.txt")
 # Limits of native units of 16-bit depth per metre: the range of depth is then from 6.5 cm to kilometres.
 LEAST_DEPTH_SCALE, MOST_DEPTH_SCALE = 1e-3, 1e6
 # Largest number of files and folders to search for recordings, and for a hint beside a path that is no
@@ -272,10 +275,14 @@ def _unknown(path: Path) -> str:
         return f"{path}: is one file of a recording; give its folder, {above}"
     reason = None if inside else without_depth(path, name_suffixes())
     if reason is not None:
-        return reason
+        return "; ".join([reason, *misnamed(path, COMMON_NAMES)])
     if path.is_file() and (reason := foreign_file(path)) is not None:
         return reason
-    hint = f". Did you mean {inside[0][0]}?" if inside else ""
+    hint = (
+        f". Did you mean {inside[0][0]}?"
+        if inside
+        else "".join(f"; {x}" for x in misnamed(path, COMMON_NAMES))
+    )
     return f"{path}: not a recording of a known format; {known}{hint}"
 
 

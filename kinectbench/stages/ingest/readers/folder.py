@@ -34,6 +34,7 @@ from kinectbench.stages.ingest.intrinsics import (
     said_warnings,
 )
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics, passed_over
+from kinectbench.stages.ingest.known_names import in_any_case, misnamed
 from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.folder_images import (
     NamedImages,
@@ -69,6 +70,8 @@ from kinectbench.stages.ingest.recording import (
 )
 
 DEPTH_SCALE = 1000.0
+# What makes the folder a recording of TUM's layout, and folders that are read if they are there.
+ALSO_READ = ("depth.txt", "masks", "confidence")
 # The PrimeSense camera of Redwood's scans, by the data set's documents.
 PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
@@ -147,7 +150,7 @@ class FolderRecording(ConfidenceRecording):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Whether the folder has depth images, in its subfolder depth/ or next to colour images."""
-        depth = path / "depth"
+        depth = in_any_case(path, "depth")
         if depth.is_dir():
             return any(listed_paths(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES))
         return lie_beside_each_other(path)
@@ -197,6 +200,7 @@ class FolderRecording(ConfidenceRecording):
                 *(() if any(file.color for file in files) else unread_color(path)),
                 *paired,
                 *stored.warnings,
+                *(f"{path}: {line}" for line in misnamed(path, ALSO_READ)),
                 *said_warnings(path, said, settings),
                 *warnings,
                 *unmatched_masks(path, files),
@@ -244,9 +248,9 @@ def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]
 def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    ours, beside = path / "trajectory.txt", visible(path, "*.log", "*.freiburg")
+    ours, beside = in_any_case(path, "trajectory.txt"), visible(path, "*.log", "*.freiburg")
     logs = sorted(file for file in beside if file.suffix == ".log" and starts_like_a_log(file))
-    file = path / "trajectory.log"
+    file = in_any_case(path, "trajectory.log")
     if len(logs) == 1 and not file.is_file():
         file = logs[0]
     names = (*(log.name for log in logs), *POSE_FILES)

@@ -11,6 +11,7 @@ from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
 from kinectbench.stages.ingest.depth_files import depth_size_px
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import DamagedImageError, is_depth_png
+from kinectbench.stages.ingest.known_names import in_any_case
 from kinectbench.stages.ingest.recording import read_image_file
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
@@ -68,7 +69,7 @@ def depth_images(path: Path) -> NamedImages:
 
 def _every_depth(path: Path) -> NamedImages:
     """List the depth images of all types; arrays that are too small are left out if there are others."""
-    folder = path / "depth"
+    folder = in_any_case(path, "depth")
     every = in_folder(folder, DEPTH_SUFFIXES) if folder.is_dir() else beside_each_other(path, DEPTH_WORD)
     large = [at for at, file in enumerate(every.files) if not _is_small_array(file)]
     if not large:
@@ -102,7 +103,7 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
 
 def other_depth(path: Path) -> tuple[str, ...]:
     """Return a warning on each folder of depth beside depth/, such as aligned_depth/; () if none exists."""
-    folders = [path / name for name in OTHER_DEPTH] if (path / "depth").is_dir() else []
+    folders = [path / name for name in OTHER_DEPTH] if in_any_case(path, "depth").is_dir() else []
     others = [folder for folder in folders if folder.is_dir() and _first_is_depth(folder)]
     return tuple(
         f"{path}: depth is read from depth/, and not from {f.name}/ beside it: if colour lies on "
@@ -118,8 +119,9 @@ def _first_is_depth(folder: Path) -> bool:
 
 def color_images(path: Path) -> NamedImages:
     """Find the colour images: in the first of `COLOR_FOLDERS` that has any, or beside depth; may be empty."""
-    folders = [path / name for name in COLOR_FOLDERS if (path / name).is_dir()]
-    if not (folders or (path / "depth").is_dir()):
+    named = (in_any_case(path, name) for name in COLOR_FOLDERS)
+    folders = [folder for folder in named if folder.is_dir()]
+    if not (folders or in_any_case(path, "depth").is_dir()):
         return beside_each_other(path, COLOR_WORD)
     every = (in_folder(folder, COLOR_SUFFIXES) for folder in folders)
     return next((images for images in every if images.files), NamedImages((), ()))

@@ -22,6 +22,7 @@ from kinectbench.stages.ingest.images import (
     image_header,
 )
 from kinectbench.stages.ingest.intrinsics import Intrinsics, gives_intrinsics
+from kinectbench.stages.ingest.known_names import in_any_case
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
@@ -116,7 +117,7 @@ def confidence_beside(
     Returns:
         `confidence` and `full_confidence` of `ConfidenceRecording` (no files if none is used), and warnings.
     """
-    folder = path / "confidence"
+    folder = in_any_case(path, "confidence")
     found = tuple(first_file([folder / f"{frame.depth.stem}.png"]) for frame in files)
     named = [file for file in found if file is not None]
     if not named or files[0].depth.parent == path:

@@ -18,7 +18,8 @@ from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, tr
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
-from kinectbench.stages.ingest.recording import FrameFiles, first_file
+from kinectbench.stages.ingest.known_names import first_named, in_any_case
+from kinectbench.stages.ingest.recording import FrameFiles
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
 POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
@@ -63,7 +64,7 @@ def pose_file(path: Path, beside: Sequence[Path]) -> Path | None:
         beside: its visible files, at least those with this suffix.
     """
     others = [file for file in beside if file.suffix == ".freiburg"]
-    return first_file(path / name for name in POSE_FILES) or (others[0] if len(others) == 1 else None)
+    return first_named(path, POSE_FILES) or (others[0] if len(others) == 1 else None)
 
 
 def read_pose_file(
@@ -221,7 +222,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
 
 def pose_folder(path: Path) -> Path | None:
     """Return the recording's folder with one text file per pose; None if there is no such folder."""
-    folders = (path / name for name in POSE_FOLDERS)
+    folders = (in_any_case(path, name) for name in POSE_FOLDERS)
     return next((folder for folder in folders if folder.is_dir() and any(folder.glob("*.txt"))), None)
 
 

@@ -21,6 +21,7 @@ from kinectbench.stages.ingest.gravity import up_at_rest
 from kinectbench.stages.ingest.intrinsics import HELD, read_color_calibration, said_warnings
 from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
 from kinectbench.stages.ingest.json_values import read_json_object
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, misnamed
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.pose_files import unread_poses, with_y_down
@@ -30,7 +31,6 @@ from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
     first_depth_size,
-    first_file,
     mask_beside,
     unmatched_masks,
 )
@@ -38,6 +38,8 @@ from kinectbench.stages.ingest.recording import (
 DEPTH_SCALE = 5000.0
 # Names of the lists, the first that exists is read: OpenLORIS also lists depth on the pixels of colour.
 DEPTH_LISTS, COLOR_LISTS = ("aligned_depth.txt", "depth.txt"), ("rgb.txt", "color.txt")
+# A list that a recording may have, and its folder of masks.
+LISTS = ("rgb.txt", "masks")
 # Value of `accelerometer_axes` in camera.json: accelerometer.txt has the optical axes of the depth camera.
 DEPTH_AXES = "depth"
 
@@ -57,7 +59,7 @@ class TumRecording(FileRecording):
     @classmethod
     def recognises(cls, path: Path) -> bool:
         """Whether the folder has a depth.txt."""
-        return (path / "depth.txt").is_file()
+        return in_any_case(path, "depth.txt").is_file()
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
@@ -123,19 +125,20 @@ class TumRecording(FileRecording):
 
 
 def _lists(path: Path) -> tuple[tuple[Path, Path], list[str]]:
-    """Return the lists of depth and colour, which may not exist, and a warning if depth.txt is not read."""
-    depth, color = (first_file(path / name for name in names) for names in (DEPTH_LISTS, COLOR_LISTS))
+    """Return the lists of depth and colour, which may not exist, and warnings on what is not read."""
+    notes = [f"{path}: {line}" for line in misnamed(path, LISTS)]
+    depth, color = (first_named(path, names) for names in (DEPTH_LISTS, COLOR_LISTS))
     depth, color = depth or path / DEPTH_LISTS[-1], color or path / COLOR_LISTS[0]
-    if depth.name == DEPTH_LISTS[-1]:
-        return (depth, color), []
+    if depth.name.lower() == DEPTH_LISTS[-1]:
+        return (depth, color), notes
     note = (
         f"{depth}: is read, and not {DEPTH_LISTS[-1]}: its depth lies on colour's pixels, so that fx ... cy"
     )
-    return (depth, color), [f"{note} must be those of colour"]
+    return (depth, color), [f"{note} must be those of colour", *notes]
 
 
 def _poses(path: Path, frames: int | None) -> tuple[GivenTrajectory | None, list[str]]:
-    truth = path / "groundtruth.txt"
+    truth = in_any_case(path, "groundtruth.txt")
     return read_trajectory_file(truth, frames) if truth.is_file() else (None, unread_poses(path))
 
 

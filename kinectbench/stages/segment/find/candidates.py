@@ -16,7 +16,7 @@ from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.core.voxels.surface_points import spacing_m
 from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.find.box_anchor import SAME_M, anchor_of
-from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M
+from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M, FINEST_CUT
 from kinectbench.stages.segment.find.floor import Floor, floor_cut_m
 from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.object import Scene, find_object, find_scene
@@ -25,7 +25,7 @@ from kinectbench.stages.segment.find.select import CELL_M, FLAT, fit_box, label_
 
 # Edge of cells, and whether cells must share a face: pieces that touch in the first cut may come apart in the
 # next cuts.
-CUTS = ((0.03, False), (0.02, False), (0.015, True))
+CUTS = ((CELL_M, False), (FINE_CELL_M, False), FINEST_CUT)
 PLAN = "plan.png"
 # Smaller surfaces (22 x 22 cm) are clutter, and nobody looks through more boxes.
 MIN_AREA_M2, MAX_CANDIDATES = 0.05, 9
@@ -170,7 +170,9 @@ def write_candidates(result: Candidates, sequence: Sequence, trajectory: Traject
             )
         )
     boxes = [candidate.box for candidate in result.candidates]
-    plan = plan_picture(boxes, scene.points_floor, scene.focus_floor, floor.T_floor_world, trajectory)
+    plan = plan_picture(
+        boxes, scene.points_floor, scene.focus_floor, floor.T_floor_world, trajectory, scene.scale
+    )
     (folder / PLAN).write_bytes(plan)
     CandidatesFile(
         floor_found=floor.found, T_floor_world=floor.T_floor_world, plan=PLAN, candidates=tuple(rows)

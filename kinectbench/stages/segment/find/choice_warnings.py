@@ -7,6 +7,7 @@ import numpy as np
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Float64, Int32, Int64
 from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.core.voxels.touching_cells import connected
 from kinectbench.stages.segment.find.select import label_pieces, nearest_within, standing
 
 LOOK = "`kinectbench segment --suggest` lists boxes to choose from"
@@ -16,6 +17,9 @@ MAX_EXTENT_M = 2.5
 PART_SHARE = 0.2
 # Things that touch at 30 mm cells come apart at these, where there is a gap of a finger's breadth.
 FINE_CELL_M = 0.02
+# The finest cells, and whether they must share a face: things that come apart at these are boxes of their own
+# in `segment --suggest`.
+FINEST_CUT = (0.015, True)
 # Fewer of these cells are a speck.
 MIN_PART_CELLS = 60
 # A thing that is nearer may be a part of the object.
@@ -38,6 +42,7 @@ class Selection:
         given: whether the user gave the box.
         focus: (3,) where the cameras look.
         cell_m: edge of the cells by which parts are separated: 20 mm, or more if the surface is coarser.
+        spacing_m: of the surface's points: no finer cells connect them.
         scale: of the scene; all lengths above are metres divided by it.
     """
 
@@ -47,6 +52,7 @@ class Selection:
     given: bool
     focus: Float64
     cell_m: float = FINE_CELL_M
+    spacing_m: float = 0.0
     scale: float = 1.0
 
 
@@ -110,9 +116,10 @@ def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 
 
 def box_cut_share(selection: Selection) -> float:
-    """Return the share of the object's cells that have other surface right beside them, outside the box.
+    """Return the share of the object's cells that continue right beside them, outside the box.
 
-    The board that the object stands on does not count.
+    Neither the board that the object stands on counts, nor a thing that comes apart from the largest in the
+    box at the finest cut, such as one beside it that the box just touches.
     """
     from scipy.spatial import cKDTree
 
@@ -124,7 +131,16 @@ def box_cut_share(selection: Selection) -> float:
     if not len(inside) or not len(outside):
         return 0.0
     reach_m = CUT_CELLS * selection.cell_m
-    beside = np.isfinite(cKDTree(outside).query(inside, distance_upper_bound=reach_m)[0])
+    outside = outside[selection.box.grown(reach_m).contains(outside)]
+    finest_m, through_faces = FINEST_CUT
+    label = connected(np.concatenate([inside, outside]), max(finest_m, selection.spacing_m), through_faces)
+    within, beyond = label[: len(inside)], label[len(inside) :]
+    largest = np.argmax(_cells(inside, within))
+    outside = outside[beyond == largest]
+    if not len(outside):
+        return 0.0
+    beside = within == largest
+    beside[beside] = np.isfinite(cKDTree(outside).query(inside[beside], distance_upper_bound=reach_m)[0])
     return float(_cells(inside[beside], None).max(initial=0) / _cells(inside, None).max())
 
 

@@ -313,7 +313,8 @@ def _find_on_floor(
     points_floor, above = scene.points_floor, scene.points_floor[:, 2] > cut_m
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
     left = vertices_floor[:, 2] > cut_m
-    cell_m = max(FINE_CELL_M * scale, spacing_m(mesh))
+    least_m = spacing_m(mesh)
+    cell_m = max(FINE_CELL_M * scale, least_m)
     if given_box is None:
         result = find_object(scene, vertices_floor, settings, cell_m)
     else:
@@ -328,6 +329,7 @@ def _find_on_floor(
         given_box is not None,
         scene.focus_floor / scale,
         cell_m / scale,
+        least_m / scale,
         scale,
     )
     of_floor = scene.floor.warnings if scene.floor.found else (NO_FLOOR,)

@@ -1,0 +1,57 @@
+"""Reuse tables of baselines that an earlier run wrote, if counting again would give the same."""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from kinectbench.core import StorageError
+from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
+from kinectbench.release.release import Release
+from kinectbench.scoring.read_table import read_table
+
+
+def kept_tables(
+    folders: Mapping[str, Path],
+    release: Release,
+    settings: ScoreSettings,
+    differ: Callable[..., Iterable[str]],
+    how: Any,
+    jobs: int,
+    *,
+    beside: bool,
+) -> dict[str, ScoreTable]:
+    """Return {baseline: its table} of those that can be used again.
+
+    The release, the settings, and the versions of counting and of the baselines must be the same, and no
+    threshold file may have been given. As a check, a few rows are computed again; they must agree.
+
+    Args:
+        folders: {baseline: folder of its table}.
+        release: the release that is scored.
+        settings: those that the tables must have.
+        differ: called with (release, tables, how, jobs); it returns the baselines whose rows differ.
+        how: how pairs are counted, for `differ`.
+        jobs: number of processes.
+        beside: whether the tables are kept for comparison beside methods.
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+    """
+    kept = {name: _kept(folder, name, release, settings, beside) for name, folder in folders.items()}
+    tables = {name: table for name, table in kept.items() if table is not None}
+    wrong = set(differ(release, tables, how, jobs)) if tables else set()
+    return {name: table for name, table in tables.items() if name not in wrong}
+
+
+def _kept(
+    folder: Path, name: str, release: Release, settings: ScoreSettings, beside: bool
+) -> ScoreTable | None:
+    """Return a baseline's table if it is readable, and of this release and these settings; else None."""
+    try:
+        table = read_table(folder / ScoreTable.FILE)
+    except StorageError:  # there is none, or it is damaged or contradicts itself
+        return None
+    made = (table.method, table.baseline, table.benchmark_sha256, table.settings)
+    same = made == (name, beside, release.benchmark_sha256, settings)
+    by_file = (table.threshold_source or "").startswith("file:")
+    return table if same and not by_file and (table.complete or table.failures) else None
