@@ -15,6 +15,7 @@ from kinectbench.engine.locks import sweep
 from kinectbench.lab.simulate.color import expose, exposure_gains
 from kinectbench.lab.simulate.kinect import KinectUnit, draw_device, measured_depth
 from kinectbench.lab.simulate.objects import make_object, parse_object
+from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.path import REACH_PEAK, CameraPath, draw_path
 from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
@@ -108,8 +109,6 @@ def _make_subject(spec: SimulationSpec) -> Subject:
     """Make the object of a spec: drawn by its family and seed, or read from a mesh file."""
     if spec.mesh is None:
         return make_object(*parse_object(spec.object))
-    from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
-
     return load_mesh_object(Path(spec.mesh), spec.mesh_up)
 
 

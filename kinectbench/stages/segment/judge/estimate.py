@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh
@@ -193,8 +194,6 @@ def _regions_sigma(shape: SolidShape, expected: _Volumes) -> float:
     A region is a 26-connected piece of unknown voxels whose probability is near neither 0 nor 1. Those of
     the underside are one region.
     """
-    from scipy import ndimage
-
     unknown, p = shape.labels == Label.UNKNOWN, shape.probability
     undecided = unknown & (p > DECIDED) & (p < 1 - DECIDED)
     pieces, count = ndimage.label(undecided & ~shape.underside, np.ones((3, 3, 3)))
