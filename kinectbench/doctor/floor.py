@@ -214,7 +214,7 @@ def _scatters(noise_m: float, depths_m: Points, refined: bool) -> Iterator[str]:
         yield SCATTERS.format(seen_mm=1000 * noise_m, far_m=far_m, expected_mm=1000 * expected_m, modes=modes)
 
 
-def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
+def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> Floor | None:
     """Find the floor in one frame. Return None if no floor is found.
 
     World axes in the returned Floor are the axes of this frame's camera. The search scales all points to a

@@ -73,7 +73,7 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
     return tuple(Section(title, tuple(rows(of)) if of else ()) for title, rows, of in parts)
 
 
-def evaluation_table(evaluation: Evaluation) -> "Table":
+def evaluation_table(evaluation: Evaluation) -> Table:
     """Return the evaluation as a table for the terminal, with columns figure, value and unit."""
     table = Table("figure", title=f"{evaluation.subject}: built against the truth", title_justify="left")
     table.add_column("value", justify="right")

@@ -25,12 +25,12 @@ from kinectbench.stages.segment.judge.estimate import (
     IouEstimate,
     PoseError,
     estimate_iou,
+    unresolved_share,
     volume_share_per_mm,
 )
 from kinectbench.stages.segment.judge.floor_cut import FloorCut
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
-from kinectbench.stages.segment.judge.thin_walls import unresolved_share
 from kinectbench.stages.segment.solid.evidence import Rules
 from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape
 
