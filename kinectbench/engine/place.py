@@ -1,7 +1,7 @@
 """Build recordings and report their status, whether the benchmark is in a local folder or in a store."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -13,6 +13,7 @@ from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import in_parallel
+from kinectbench.core.types import NamedProgress
 from kinectbench.engine.failures import keep_failure, stored_failure
 from kinectbench.engine.locks import locked
 from kinectbench.engine.pipeline import Outcome, build_recording
@@ -26,7 +27,7 @@ def build_at_its_place(
     job: Job,
     upto: str = "pairs",
     force: Sequence[str] = (),
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: NamedProgress | None = None,
     *,
     wait: bool = True,
     limit_s: float | None = None,

@@ -17,8 +17,8 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table, rows_of
 from kinectbench.scoring.baselines.in_space import space_baselines
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
-from kinectbench.scoring.camera.grid_score import space_alone
 from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, drawn, surfaces
+from kinectbench.scoring.protocols import space_alone
 from kinectbench.scoring.read_table import differing, read_table
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import check_words
