@@ -3,6 +3,7 @@
 from collections.abc import Sequence as Listed
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from kinectbench.core.even_choice import evenly
@@ -102,8 +103,6 @@ def box_picture(number: int, shown: ShownBox, sequence: Sequence, trajectory: Tr
 
     The frame is drawn in colour if its colour image is as large as its depth image, otherwise as depth.
     """
-    import cv2
-
     frame = best_frame(shown, sequence, trajectory)
     image = _background(sequence, frame)
     T_camera_floor = invert_rigid(trajectory.T_world_camera[frame]) @ shown.T_world_floor

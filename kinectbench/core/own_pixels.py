@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,8 +31,6 @@ class OwnPixels:
 
     def depth_native(self, index: int) -> NDArray[np.uint16]:
         """Native depth of a frame inside its mask eroded by a pixel: (height, width) uint16, 0 elsewhere."""
-        import cv2
-
         native, mask = self.frames.depth_native(index), self.masks(index)
         if mask is None:
             return np.zeros_like(native)
@@ -56,8 +55,6 @@ def by_own_pixels(sequence: Sequence, masks: Masks) -> Sequence:
 
     def beside_m(index: int) -> Float32:
         """Return depth well outside a frame's mask (height, width), metres; 0 elsewhere or without a mask."""
-        import cv2
-
         mask = masks(index)
         if mask is None:
             return np.zeros((sequence.camera.height, sequence.camera.width), np.float32)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -154,8 +155,6 @@ class SomeWatched(NamedTuple):
 
 def watch_some(sequence: Recorded) -> SomeWatched:
     """Run `watch` on at most 24 frames of a sequence, with depth reduced to about 160 columns."""
-    import cv2
-
     step = max(1, round(sequence.camera.width / COLUMNS))
     chosen = some_of(len(sequence))
     depths_m = list(ahead(lambda index: sequence.depth_m(index)[::step, ::step], chosen))
@@ -191,8 +190,6 @@ def _comes_and_goes(seen: Bools) -> Bools:
 
 def _still_in_gray(grays: Sequence[NDArray[np.uint8] | None], still: Bools) -> float | None:
     """Fraction of the pixels with constant depth whose grey changes little; None with too little colour."""
-    import cv2
-
     recorded = [gray for gray in grays if gray is not None]
     if len(recorded) < MIN_FRAMES or not still.any():
         return None
@@ -207,14 +204,10 @@ def _still_in_gray(grays: Sequence[NDArray[np.uint8] | None], still: Bools) -> f
 
 def _opened(mask: Bools) -> Bools:
     """Morphological opening by three pixels: removes unstable depth along edges."""
-    import cv2
-
     kernel = np.ones((OPENED_PX, OPENED_PX), np.uint8)
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel), dtype=bool)
 
 
 def _near(mask: Bools) -> Bools:
-    import cv2
-
     kernel = np.ones((2 * NEAR_PX + 1,) * 2, np.uint8)
     return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel), dtype=bool)

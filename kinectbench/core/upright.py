@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,8 +52,6 @@ class UprightFrames:
 
         Colour that is registered to depth is corrected, unless the image is damaged.
         """
-        import cv2
-
         encoded, shutter = self.frames.color_encoded(index), self.shutter
         if encoded is None or not self.color_registered:
             return encoded

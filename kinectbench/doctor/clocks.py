@@ -16,6 +16,7 @@ from kinectbench.core.trajectory.stamps import (
 from kinectbench.doctor.finding import Finding, Severity, camera_line
 from kinectbench.doctor.probe import Probe
 from kinectbench.stages.ingest.plausibility import MIN_FRAMES, RECORD_MORE
+from kinectbench.stages.segment.judge.coverage_report import MIN_FRAMES as ENOUGH_FRAMES
 
 # Steps that differ by more than this from whole periods are uneven; steps of several whole periods mean
 # missing frames.
@@ -55,8 +56,6 @@ def check_clock(probe: Probe) -> Iterator[Finding]:
 
 def _few(probe: Probe) -> Iterator[Finding]:
     """Warn if the recording has so few frames that a build would warn, too."""
-    from kinectbench.stages.segment.judge.coverage_report import MIN_FRAMES as ENOUGH_FRAMES
-
     frames = len(probe.recording)
     if frames < ENOUGH_FRAMES:
         what = f"{frames} frames only: too few to show an object from its sides, and to average the noise"

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -115,8 +116,6 @@ def in_no_order(probe: Probe) -> bool:
 
 
 def _thumb(frame: SmallFrame) -> NDArray[np.float32]:
-    import cv2
-
     return np.asarray(cv2.resize(frame.depth_m, THUMB_PX, interpolation=cv2.INTER_NEAREST), np.float32)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -125,8 +126,6 @@ def of_one_shape(bgr: NDArray[np.uint8], depth: NDArray[np.uint16]) -> bool:
 
 def _edges(depth: NDArray[np.uint16], bgr: NDArray[np.uint8]) -> Iterator[_Edges]:
     """Yield the edges across rows, and those across columns."""
-    import cv2
-
     height, width = depth.shape
     size = (COLUMNS, round(height * COLUMNS / width))
     z = np.asarray(cv2.resize(depth.astype(np.float32), size, interpolation=cv2.INTER_NEAREST), np.float64)
@@ -166,8 +165,6 @@ def _at_zoom(parts: Sequence[_Edges], zoom: float) -> Float64:
         parts: edges of both directions of all frames.
         zoom: size of objects in colour, relative to depth.
     """
-    import cv2
-
     height, width = parts[0].color.shape
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
     reduce = np.column_stack([zoom * np.eye(2), (1 - zoom) * middle])

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,8 +45,6 @@ def image_motion(stamps_ns: Sequence[int], images: Iterable[NDArray[np.generic]]
         stamps_ns: (n,) increasing, nanoseconds.
         images: n images (height, width): depth, which may have holes, or grey.
     """
-    import cv2
-
     window = cv2.createHanningWindow(SMALL_PX, cv2.CV_32F)
     shifts, last = [], None
     for image in images:

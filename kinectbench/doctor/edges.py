@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -87,8 +88,6 @@ def fit_edges(probe: Probe) -> EdgeFit | None:
     Frames are left out if they have no colour, if colour has another aspect ratio than depth, or if the image
     has too few rows for the shifts that are tried. The result is None if no frame is left.
     """
-    import cv2
-
     sums: list[NDArray[np.float64]] = []
     factor = 1.0
     for frame in probe.whole:
@@ -163,8 +162,6 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
     A discontinuity is a large relative difference between measured neighbours on both sides of a pixel.
     """
-    import cv2
-
     pixels = depth.astype(np.float32)
     z = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_NEAREST), np.float64)
     jumps = np.zeros(z.shape)
@@ -179,8 +176,6 @@ def depth_jumps(depth: NDArray[np.generic], size: tuple[int, int]) -> NDArray[np
 
 def color_edges(gray: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.float64]:
     """Return a grey image's gradient magnitude at `size` (width, height), relative to its mean, at most 4."""
-    import cv2
-
     small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
     smooth = cv2.GaussianBlur(small.astype(np.float32), (0, 0), 1.0)
     steep = cv2.magnitude(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,9 @@ from kinectbench.doctor.pose_delay import longest_gap_s, on_clock
 from kinectbench.doctor.probe import Probe, SmallFrame
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.recording import Recording
-
-if TYPE_CHECKING:
-    from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.floor import Floor, find_floor
+from kinectbench.stages.segment.find.gravity import hint_of
+from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, floor_of_frames, oriented
 
 # Number of frames that are searched one by one, or together by their poses; limited to save time.
 FRAMES, POSED_FRAMES = 6, 40
@@ -172,9 +171,6 @@ def _heights_together(
         max_depth_m: depth beyond this is not used, metres.
         ground: prior knowledge of the floor.
     """
-    from kinectbench.stages.segment.find.gravity import hint_of
-    from kinectbench.stages.segment.find.seen_floor import floor_of_frames
-
     stamps_ns = np.array([frame.stamp_ns for frame in frames], np.int64)
     hint = replace(
         hint_of(ground.recording, stamps_ns, T_world_camera, ground.plane_world),
@@ -218,17 +214,13 @@ def _scatters(noise_m: float, depths_m: Points, refined: bool) -> Iterator[str]:
         yield SCATTERS.format(seen_mm=1000 * noise_m, far_m=far_m, expected_mm=1000 * expected_m, modes=modes)
 
 
-def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> "Floor | None":
+def _floor_alone(frame: SmallFrame, camera: Camera, recording: Recording) -> Floor | None:
     """Find the floor in one frame. Return None if no floor is found.
 
     World axes in the returned Floor are the axes of this frame's camera. The search scales all points to a
     median depth of 1.5 m, so that a wrong depth unit does not hide the floor. `plane_world` is converted back
     to metres. All other lengths of the returned Floor stay scaled.
     """
-    from kinectbench.stages.segment.find.floor import find_floor
-    from kinectbench.stages.segment.find.gravity import hint_of
-    from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, oriented
-
     if frame.depth_m.shape != (camera.height, camera.width):
         return None
     points, normals = oriented(frame.depth_m, camera)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,8 +65,6 @@ def _edges(frame: WholeFrame, bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
     The image has the aspect ratio of depth.
     """
-    import cv2
-
     height, width = frame.depth.shape
     size = (WIDTH_PX, round(WIDTH_PX * height / width))
     picture = np.array(cv2.resize(bgr, size, interpolation=cv2.INTER_AREA)[..., ::-1], np.uint8)

@@ -5,6 +5,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -208,8 +209,6 @@ def _gray(raw: RawFrame) -> NDArray[np.uint8] | None:
 
     The result is None if the frame has no colour.
     """
-    import cv2
-
     if raw.color is None:
         return None
     data, name = raw.color[1], f"colour of {raw.name}"

@@ -25,6 +25,7 @@ from kinectbench.core import (
 from kinectbench.core.artefacts.manifest import Failed, SourceFile, Sources
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import Store, StoredObject, fetch_all, in_parallel
+from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.artefact import VERSIONS, Artefact, whole_hash
 from kinectbench.engine.pipeline import artefacts_upto
 from kinectbench.engine.scratch import SCRATCH_VARIABLE, scratch_folder
@@ -40,7 +41,6 @@ SOURCES = "sources"
 MOST_FAILED_BYTES = 1 << 20
 # Folder of the store in which the file or folder named by each key of a recording lies.
 LIE_BELOW = {"path": "recordings", "masks": "masks", "reference": "meshes"}
-Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,8 @@ class Checkout:
     failed: bool
 
 
-def nobody(stage: str, done: int, total: int) -> None:
-    """A progress callback that does nothing."""
-
-
 @contextlib.contextmanager
-def checked_out(job: Job, upto: str = "pairs", report: Report = nobody) -> Iterator[Checkout]:
+def checked_out(job: Job, upto: str = "pairs", report: NamedProgress = no_progress) -> Iterator[Checkout]:
     """Check out a recording into a local folder for the time of the block; artefacts are not downloaded yet.
 
     The recording is downloaded only if the hashes of its files are not stored.
@@ -83,7 +79,7 @@ def checked_out(job: Job, upto: str = "pairs", report: Report = nobody) -> Itera
         yield checkout(job, root, upto, report)
 
 
-def checkout(job: Job, root: Path, upto: str = "pairs", report: Report = nobody) -> Checkout:
+def checkout(job: Job, root: Path, upto: str = "pairs", report: NamedProgress = no_progress) -> Checkout:
     """Check out a recording into an existing folder; see `checked_out`."""
     listing, job = _listing(job), replace(job, root=root)
     recording = _of_known_files(listing, job, upto)
@@ -205,7 +201,7 @@ def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
     return () if known is None else known.current, failed
 
 
-def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], report: Report) -> None:
+def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], report: NamedProgress) -> None:
     """Download a recording's files into the job's root, unless its path is absolute."""
     if not Path(job.recording.path).is_absolute():
         fetch_files(store, job.root, listed, lambda done: report("fetch", done, len(listed)))

@@ -19,6 +19,7 @@ from kinectbench.core import (
 )
 from kinectbench.core.artefacts.manifest import Timing
 from kinectbench.core.artefacts.object import BoxPart, CandidatesFile
+from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.artefact import Artefact, whole_manifest
 from kinectbench.engine.failures import failed_before, forget_failure, keep_failure
 from kinectbench.engine.interrupts import check_interrupt
@@ -68,7 +69,7 @@ def build_recording(
     job: Job,
     upto: str = "pairs",
     force: Sequence[str] = (),
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: NamedProgress | None = None,
     *,
     wait: bool = True,
     limit_s: float | None = None,
@@ -88,7 +89,7 @@ def build_recording(
         limit_s: time limit, seconds, without the waiting; None: no limit.
         hung: called with the reason, on another thread, if the build still hangs long after the limit.
     """
-    report = progress or (lambda stage, done, total: None)
+    report = progress or no_progress
     started = time.monotonic()
     made, current, warnings = list[str](), list[str](), tuple[str, ...]()
     error: str | None = None
@@ -251,7 +252,7 @@ def _make(
     stage: Stage,
     sources: Mapping[str, Source],
     artefact: Artefact,
-    report: Callable[[str, int, int], None],
+    report: NamedProgress,
 ) -> None:
     """Run a stage and write its artefact. The stage gets only inputs that are in its fingerprint."""
     from kinectbench.engine.steps import OVERTAKEN, STEPS

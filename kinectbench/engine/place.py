@@ -2,7 +2,7 @@
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import in_parallel
+from kinectbench.core.types import NamedProgress
 from kinectbench.engine.artefact import whole_manifest
 from kinectbench.engine.failures import keep_failure, stored_failure
 from kinectbench.engine.locks import locked
@@ -31,7 +32,7 @@ def build_at_its_place(
     job: Job,
     upto: str = "pairs",
     force: Sequence[str] = (),
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: NamedProgress | None = None,
     *,
     wait: bool = True,
     limit_s: float | None = None,

@@ -38,6 +38,7 @@ from kinectbench.settings.models import (
     ObjectCuts,
     RecordingSettings,
 )
+from kinectbench.stages.ingest.sources import check_there, files_below
 
 # Endings of archives of releases beside benchmark.yaml, whose names begin with the benchmark's.
 ARCHIVES = (".zip", ".zip.sha256")
@@ -180,8 +181,6 @@ def check_masks(job: Job) -> None:
     Raises:
         RecordingError: the folder is missing, or is no folder.
     """
-    from kinectbench.stages.ingest.sources import check_there
-
     if job.masks is None:
         return
     missing = f"no such folder of masks of {job.recording.id}; make it, or correct `masks`"
@@ -220,8 +219,6 @@ def _given_masks(job: Job) -> list[Path]:
     """Return the files of the user's masks; [] if benchmark.yaml names no folder of masks."""
     if job.masks is None:
         return []
-    from kinectbench.stages.ingest.sources import files_below
-
     files = files_below(job.masks, follow_links=job.recording.follow_links)
     # masks.json only permits or refuses masks (`drawn_masks`); it never changes a result.
     return [file for file in files if file.parent == job.masks and file.name != MasksFile.FILE]
@@ -229,8 +226,6 @@ def _given_masks(job: Job) -> list[Path]:
 
 def _reference(job: Job) -> Source:
     assert job.reference is not None
-    from kinectbench.stages.ingest.sources import check_there
-
     check_there(
         job.reference, f"no such reference mesh; add it, or correct `reference` of '{job.recording.id}'"
     )
@@ -244,7 +239,6 @@ def _recording(job: Job) -> Source:
     if not os.path.exists(job.source) and (kept := kept_source(job.build)):  # noqa: PTH110 - of any name
         return Source(job.source, kept)
     from kinectbench.stages.ingest.readers import source_files
-    from kinectbench.stages.ingest.sources import check_there
 
     check_there(job.source, f"no such recording; correct `path` of '{job.recording.id}'")
     files = source_files(job.source, follow_links=job.recording.follow_links)

@@ -19,15 +19,14 @@ from kinectbench.core.artefacts.trajectory import TrajectoryHealth
 from kinectbench.core.artefacts.views import MasksFile, PairsFile, ViewsFile
 from kinectbench.core.store.attempts import StoreGoneError
 from kinectbench.core.store.store import in_parallel
+from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.checkout import (
     Checkout,
-    Report,
     as_there,
     checked_out,
     fetch_recording,
     files_of_recording,
     name_there,
-    nobody,
     store_of,
 )
 from kinectbench.engine.failures import failed_before, forget_failure
@@ -52,7 +51,7 @@ def build_stored(
     job: Job,
     upto: str = "pairs",
     force: Sequence[str] = (),
-    progress: Report | None = None,
+    progress: NamedProgress | None = None,
     *,
     limit_s: float | None = None,
     hung: Hung | None = None,
@@ -72,7 +71,7 @@ def build_stored(
     Raises:
         StoreGoneError: the store has stopped answering.
     """
-    report = progress or nobody
+    report = progress or no_progress
     started = time.monotonic()
 
     def once(force: Sequence[str]) -> Outcome | None:
@@ -95,7 +94,7 @@ def build_stored(
 
 
 def _built(
-    copy: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: Report
+    copy: Checkout, upto: str, force: Sequence[str], build: Callable[[], Outcome], report: NamedProgress
 ) -> Outcome | None:
     """Call `build` if a stage up to `upto` is missing or forced, and upload the stages that it made.
 
@@ -148,7 +147,7 @@ def _nothing_made(copy: Checkout, failed: Failed | None) -> Outcome:
     return replace(outcome, row=summary(copy.job, outcome))
 
 
-def _fetch_needed(copy: Checkout, missing: Sequence[Stage], report: Report) -> None:
+def _fetch_needed(copy: Checkout, missing: Sequence[Stage], report: NamedProgress) -> None:
     """Download the artefacts that are up to date, and the recording if `ingest` has to run."""
     job = copy.job
     if any(stage.name == "ingest" for stage in missing) and not job.source.exists():

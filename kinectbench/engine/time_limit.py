@@ -10,13 +10,13 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from kinectbench.core import KinectBenchError
+from kinectbench.core.types import NamedProgress
 from kinectbench.engine.executor import WorkerLost
 
 # A recording hangs if it gives no sign of life for the limit again plus this time.
 HANG_S = 600.0
 # Seconds for a worker to hand over its result before a hanging process is ended.
 HAND_OVER_S = 10.0
-Report = Callable[[str, int, int], None]
 Hung = Callable[[str], None]
 Result = TypeVar("Result")
 
@@ -28,7 +28,9 @@ class TimeLimitError(KinectBenchError):
 
 
 @contextmanager
-def time_limit(limit_s: float | None, report: Report, hung: Hung | None = None) -> Iterator[Report]:
+def time_limit(
+    limit_s: float | None, report: NamedProgress, hung: Hung | None = None
+) -> Iterator[NamedProgress]:
     """Yield a wrapper of `report` that raises `TimeLimitError` once the block has run too long.
 
     A stage reports after every frame or pair, and is stopped there. A stage that hangs between two reports

@@ -7,9 +7,12 @@ blocks are supported, as TensorFlow writes them, and only little-endian float32 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from kinectbench.core import StorageError, open_plain, printable, read_plain, size_of
 from kinectbench.core.types import Float32
@@ -24,6 +27,10 @@ FLOAT32 = 1
 VALUE_BYTES = 4
 # Wire types of a protocol buffer's fields.
 VARINT, FIXED64, TEXT, FIXED32 = 0, 1, 2, 5
+# Castagnoli's polynomial with its bits reversed (RFC 3720, appendix B.4); and the constant that TensorFlow
+# adds to a rotated checksum (tensorflow/core/lib/hash/crc32c.h).
+POLYNOMIAL = 0x82F63B78
+MASK = 0xA282EAD8
 
 
 @dataclass(frozen=True)
@@ -72,8 +79,6 @@ class TensorBundle:
             StorageError: the data file is missing or too short, or the values are not float32 or have a wrong
                 checksum.
         """
-        from kinectbench.networks.crc32c import masked_crc32c
-
         tensor, path = self.tensors[name], self.data_path(self.tensors[name].shard)
         if tensor.kind != FLOAT32 or tensor.size != VALUE_BYTES * math.prod(tensor.shape):
             raise StorageError(f"{self.index}: '{printable(name)}' is not float32; only that is read")
@@ -162,8 +167,6 @@ class _Reader:
 
     def _plain(self, offset: int, size: int) -> tuple[bytes, int]:
         """Check the checksum of a block; return the block, and the position where its entries end."""
-        from kinectbench.networks.crc32c import masked_crc32c
-
         whole = self._content[offset : offset + size + TRAILER_BYTES]
         if size < 4 or len(whole) != size + TRAILER_BYTES:
             raise ValueError("a block is cut off")
@@ -239,3 +242,31 @@ def _tensor(content: bytes) -> StoredTensor:
         raise ValueError("a tensor of too many axes")
     numbers = (_number(fields, field) for field in (3, 4, 5, 6))
     return StoredTensor(_number(fields, 1), tuple(sizes), *numbers)
+
+
+@cache
+def _table() -> NDArray[np.uint32]:
+    """Return the CRC remainder of each byte value: (256,)."""
+    values = np.arange(256, dtype=np.uint32)
+    for _ in range(8):
+        values = np.where(values & 1, (values >> 1) ^ np.uint32(POLYNOMIAL), values >> 1).astype(np.uint32)
+    return values
+
+
+@njit(cache=True, nogil=True)
+def _remainder(data: NDArray[np.uint8], table: NDArray[np.uint32]) -> np.uint32:
+    """Return the plain CRC of some bytes (n,)."""
+    crc = np.uint32(0xFFFFFFFF)
+    for byte in data:
+        crc = table[(crc ^ byte) & np.uint32(0xFF)] ^ (crc >> np.uint32(8))
+    return crc ^ np.uint32(0xFFFFFFFF)
+
+
+def masked_crc32c(data: bytes | NDArray[np.uint8]) -> int:
+    """Return the CRC-32C as TensorFlow stores it: rotated by 15 bits, plus a constant.
+
+    Source: TensorFlow's lib/hash/crc32c.h.
+    """
+    values = np.frombuffer(data, np.uint8)
+    crc = int(_remainder(values, _table()))
+    return (((crc >> 15) | (crc << 17)) + MASK) & 0xFFFFFFFF

@@ -256,12 +256,9 @@ def _memory_errors_reported() -> Iterator[None]:
     """Turn an out-of-memory error in the block, on the GPU or the CPU, into a StepError of one line."""
     try:
         yield
-    except (torch.OutOfMemoryError, MemoryError) as error:
-        raise StepError(
-            "memory is full; choose a smaller training.batch, or bfloat16", what="no-memory"
-        ) from error
-    except RuntimeError as error:
-        if "allocate memory" not in str(error):  # torch's words on the CPU
+    except (MemoryError, RuntimeError) as error:
+        full = isinstance(error, MemoryError | torch.OutOfMemoryError)
+        if not full and "allocate memory" not in str(error):  # torch's words on the CPU
             raise
         raise StepError(
             "memory is full; choose a smaller training.batch, or bfloat16", what="no-memory"

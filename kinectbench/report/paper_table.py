@@ -173,13 +173,10 @@ def _lines(table: PaperTable) -> list[str]:
     for row in table.rows:
         name = f"*{row.method}; {row.published}: {LABEL}*" if row.published else row.method
         name += " (baseline)" * row.baseline
-        figures = [_figure(of.get(category)) for of in (row.iou, row.ce) for category in table.categories]
+        values = [of.get(category) for of in (row.iou, row.ce) for category in table.categories]
+        figures = [NOT_KNOWN if value is None else f"{value:.3f}" for value in values]
         lines.append(f"| {_text(name)} | {' | '.join(figures)} |")
     return lines
-
-
-def _figure(value: float | None) -> str:
-    return NOT_KNOWN if value is None else f"{value:.3f}"
 
 
 def _text(words: str) -> str:

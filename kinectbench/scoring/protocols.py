@@ -5,9 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from kinectbench.core import SettingsError
+from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_figures import IN_SPACE
 from kinectbench.core.voxels.npz import UNREADABLE
 from kinectbench.core.voxels.pair_file import pair_keys
+from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 
 # Bits of the codes by which voxels are counted (see kernels.py).
@@ -114,3 +116,59 @@ def _keys(release: Release, target: Target) -> tuple[str, ...]:
         return pair_keys(release.pair_content(target))
     except UNREADABLE:
         return ()
+
+
+def space_alone(
+    protocols: Sequence[str] | None, upsampling: str, close: str | None = None
+) -> tuple[str, ...]:
+    """Return those of the requested protocols that are `camera` or `aligned`; () if neither is requested.
+
+    Raises:
+        SettingsError: `camera` or `aligned` is combined with other protocols, or with another upsampling than
+            half-pixel; or `close` is given, which does not apply to predictions in grids.
+    """
+    if close is not None:
+        raise SettingsError(
+            f"--close {close}: only of meshes and points whose method.json has 'frame': 'camera'"
+        )
+    asked = tuple(name for name in IN_SPACE if name in (protocols or ()))
+    if others := [name for name in protocols or () if asked and name not in asked]:
+        raise SettingsError(
+            f"--protocol {', '.join(asked)} and {', '.join(others)}: surfaces in space and cells have tables "
+            "of their own; score twice, each with a folder --out"
+        )
+    if asked and upsampling != HALF_PIXEL:
+        raise SettingsError(f"--upsampling {upsampling}: under {', '.join(asked)} it is {HALF_PIXEL}")
+    return asked
+
+
+def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tuple[str, ...]:
+    """Return the requested protocols for predictions in the camera frame; by default all that apply.
+
+    Raises:
+        SettingsError: the requested protocols do not fit these predictions (`unfit`).
+    """
+    if reason := unfit(asked, declared):
+        raise SettingsError(reason)
+    if declared.scale == "metric":
+        return tuple(name for name in IN_SPACE if name in (asked or IN_SPACE))
+    return ("aligned",)
+
+
+def unfit(asked: Sequence[str] | None, declared: MethodFile) -> str | None:
+    """Return why the requested protocols do not fit a method's predictions in the camera frame; else None.
+
+    They do not fit if one of them is a protocol of the pairs' grid, or if `camera` is requested but the scale
+    of the predictions is unknown.
+    """
+    if other := [name for name in asked or () if name not in IN_SPACE]:
+        return (
+            f"--protocol {', '.join(other)}: {declared.name} predicts in the camera frame, which is scored "
+            f"under {', '.join(IN_SPACE)}"
+        )
+    if declared.scale == "free" and asked and "camera" in asked:
+        return (
+            f"--protocol camera: the predictions of {declared.name} are of free size ('scale' in "
+            f"{MethodFile.FILE}); score them under aligned"
+        )
+    return None

@@ -9,11 +9,9 @@ from kinectbench.core import SettingsError, require_extra
 from kinectbench.core.artefacts.score_figures import CLOSINGS
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.executor import Executor
-from kinectbench.scoring.camera.grid_score import space_alone
-from kinectbench.scoring.camera.score import protocols_in_space
 from kinectbench.scoring.declared import read_in_camera, read_method
 from kinectbench.scoring.predictions import check_folder, declared_folders
-from kinectbench.scoring.protocols import check_protocols
+from kinectbench.scoring.protocols import check_protocols, protocols_in_space, space_alone
 from kinectbench.scoring.rounds import Missing
 from kinectbench.scoring.thresholds import read_thresholds
 

@@ -17,8 +17,8 @@ from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table
 from kinectbench.scoring.baselines.recognized import is_of_baseline, made_table
-from kinectbench.scoring.camera.grid_score import score_grid_in_space, space_alone
-from kinectbench.scoring.camera.score import left_out_table, protocols_in_space, score_in_camera, unfit
+from kinectbench.scoring.camera.grid_score import score_grid_in_space
+from kinectbench.scoring.camera.score import left_out_table, score_in_camera
 from kinectbench.scoring.declared import (
     changed_files,
     changed_line,
@@ -33,6 +33,7 @@ from kinectbench.scoring.predictions import (
     split_methods,
     strays_of,
 )
+from kinectbench.scoring.protocols import protocols_in_space, space_alone, unfit
 from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import Request, check_declared, check_request
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan

@@ -57,7 +57,7 @@ def table_entries(content: bytes, source: str, allowance: yaml_nodes.Allowance) 
         cells = {key: cell for key, cell in zip(fields, row, strict=False) if cell.strip()}
         if cells:
             allowance.take(1 + 2 * len(cells), source, line)
-            entries.append(_entry(cells, _mark(source, line)))
+            entries.append(_entry(cells, yaml.Mark(source, 0, line - 1, 0, None, 0)))
     return entries
 
 
@@ -187,10 +187,6 @@ def _check_header(header: Sequence[str], source: str) -> None:
         else:
             hint = suggestion(name, list(known))
         raise SettingsError(f"{source}:1: '{printable(name)}' is no column of recordings; {hint}")
-
-
-def _mark(source: str, line: int) -> yaml.Mark:
-    return yaml.Mark(source, 0, line - 1, 0, None, 0)
 
 
 def _entry(cells: Mapping[tuple[str, ...], str], mark: yaml.Mark) -> yaml.Node:

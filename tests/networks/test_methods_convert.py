@@ -195,7 +195,7 @@ def test_another_network_is_told(tmp_path: Path) -> None:
 
 def test_the_checksum_is_that_of_the_standard() -> None:
     """Of RFC 3720, appendix B.4, and as both programs compute it."""
-    from kinectbench.networks.crc32c import masked_crc32c
+    from kinectbench.networks.tensor_bundle import masked_crc32c
 
     assert crc32c(bytes(32)) == 0x8A9136AA and crc32c(b"123456789") == 0xE3069283
     for text in (b"", bytes(32), b"123456789", block({b"a": b"b"})):

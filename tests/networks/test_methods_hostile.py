@@ -19,10 +19,9 @@ from tensor_bundle_writer import MAGIC, block, crc32c, entry, field, masked, tab
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.networks import tensor_bundle
 from kinectbench.networks.config import NetworkSettings, read_config
-from kinectbench.networks.crc32c import masked_crc32c
 from kinectbench.networks.registry import NETWORKS, make_network
 from kinectbench.networks.run_folder import CHECKPOINT, CONFIG
-from kinectbench.networks.tensor_bundle import open_bundle
+from kinectbench.networks.tensor_bundle import masked_crc32c, open_bundle
 from kinectbench.networks.train import train
 from kinectbench.networks.trained import open_trained
 from kinectbench.networks.weights import read_weights, shapes_of_network, write_weights

@@ -129,7 +129,7 @@ def test_mean_offsets_are_those_of_a_search() -> None:
 def test_a_step_is_a_similarity_about_its_middle() -> None:
     from scipy.spatial.transform import Rotation
 
-    from kinectbench.scoring.camera.steps import similarity_about
+    from kinectbench.scoring.camera.align import similarity_about
 
     rng = np.random.default_rng(7)
     for size in (0.0, 1e-9, 1e-4, 0.3, 3.0):

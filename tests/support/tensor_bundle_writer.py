@@ -79,7 +79,7 @@ def table(entries: Mapping[bytes, bytes], kind: int = 0) -> bytes:
 
 def write_bundle(folder: Path, tensors: Mapping[str, Float32], name: str = "model.cptk") -> Path:
     """Write `<name>.index` and its data file; returns the index."""
-    from kinectbench.networks.crc32c import masked_crc32c
+    from kinectbench.networks.tensor_bundle import masked_crc32c
 
     folder.mkdir(parents=True, exist_ok=True)
     entries = {b"": field(1, 1) + field(3, field(1, 1))}

@@ -1,7 +1,7 @@
 """Rigid transforms, cameras, planes, boxes, grids, depth and meshes: functions and values without state."""
 
 from kinectbench.core.geometry.boxes import BoxAnchor, Grid, OrientedBox, Pose, yaw_rotation
-from kinectbench.core.geometry.camera import Camera, DepthRenderer
+from kinectbench.core.geometry.camera import Camera, DepthRenderer, image_normals
 from kinectbench.core.geometry.closed import is_closed, joined_vertices, outwards, three_corners, why_open
 from kinectbench.core.geometry.decimate import decimated, surface_distances_m
 from kinectbench.core.geometry.depth import (
@@ -19,7 +19,6 @@ from kinectbench.core.geometry.depth import (
     legendre_terms,
     too_far_for_mm,
 )
-from kinectbench.core.geometry.image_normals import image_normals
 from kinectbench.core.geometry.mesh import (
     Tensors,
     TriangleMesh,

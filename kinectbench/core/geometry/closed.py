@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kinectbench.core.types import Bools, Float64, Int32
+from kinectbench.core.types import Bools, Float64, Int32, Int64
 
 # Vertices closer than this differ by rounding alone; trimesh joins them at the same distance.
 SAME_PLACE_M = 1e-8
@@ -35,11 +35,9 @@ def is_closed(faces: Int32) -> bool:
 
     A mesh without faces is not closed.
     """
-    from kinectbench.core.geometry.pieces import sorted_edges
-
     if not len(faces):
         return False
-    edges = sorted_edges(faces)
+    edges = _sorted_edges(faces)
     forwards, backwards = edges[:-1:2], edges[1::2]
     paired = len(edges) % 2 == 0 and (forwards % 2 == 0).all() and (backwards == forwards + 1).all()
     return bool(paired and (np.diff(edges) > 0).all())
@@ -47,11 +45,9 @@ def is_closed(faces: Int32) -> bool:
 
 def why_open(faces: Int32) -> str:
     """Return why a mesh is not closed, in words; "" if it `is_closed`."""
-    from kinectbench.core.geometry.pieces import sorted_edges
-
     if not len(faces):
         return "no face has an area"
-    edges, counts = np.unique(sorted_edges(faces) >> 1, return_counts=True)
+    edges, counts = np.unique(_sorted_edges(faces) >> 1, return_counts=True)
     one, more = int((counts == 1).sum()), int((counts > 2).sum())
     found = [f"{one} of {len(edges)} edges with one face: holes"] if one else []
     if more:
@@ -59,6 +55,16 @@ def why_open(faces: Int32) -> str:
     if not found and not is_closed(faces):
         found.append("neighbouring faces that run in opposite senses: not consistently oriented")
     return ", ".join(found)
+
+
+def _sorted_edges(faces: Int32) -> Int64:
+    """Return the edges of faces (m, 3) as sorted numbers: (3 m,).
+
+    A number is `lower vertex << 32 | higher vertex << 1`, plus 1 if the edge starts at the higher vertex.
+    """
+    begin, end = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
+    edges = np.minimum(begin, end) << 32 | np.maximum(begin, end) << 1 | (begin > end)
+    return np.sort(edges, axis=None)
 
 
 def outwards(vertices: Float64, faces: Int32) -> Int32:

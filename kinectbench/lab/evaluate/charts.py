@@ -2,7 +2,11 @@
 
 from collections.abc import Callable
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import TriangleMesh
@@ -123,10 +127,6 @@ def mesh_picture(built_object: TriangleMesh, true_object: TriangleMesh) -> bytes
         built_object: closed mesh, frame `object`.
         true_object: closed mesh, frame `object`.
     """
-    import matplotlib as mpl
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
-
     figure = new_figure(10.2, 6.9)
     points = np.concatenate([built_object.vertices, true_object.vertices])
     looks = viewpoints_around(points, LOOKS_DEG)
@@ -170,8 +170,6 @@ def slice_picture(solids: EvaluatedSolids) -> bytes:
     Args:
         solids: grids on the canonical cube, whose axes are those of frame `object`.
     """
-    from matplotlib.patches import Patch
-
     figure = new_figure(10.2, 3.9)
     middle = np.rint(np.argwhere(solids.true).mean(axis=0)).astype(int)
     titles = ("from the side, x", "from the front, y", "from above, z")

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import Grid, transform_points
@@ -141,8 +143,6 @@ def seeable_distance_m(cells: TrueCells, exact_m: Float32, voxel_m: float) -> Fl
             mm.
         voxel_m: edge of a cell, metres.
     """
-    from scipy import ndimage
-
     by_definition = cells.solid & ~cells.exact
     if not by_definition.any():
         return exact_m
@@ -161,8 +161,6 @@ def cells_around(grid: Grid, points_world: Float64, reach_m: float) -> Bools:
 
     Every cell whose centre is within `reach_m` of a point is marked. Cells slightly farther away may be, too.
     """
-    from scipy import ndimage
-
     cells = np.floor(transform_points(grid.T_grid_world, points_world) / grid.voxel_size_m).astype(np.int64)
     # Points outside the grid may still be near one of its cells.
     reach = int(np.ceil(reach_m / grid.voxel_size_m)) + 1
@@ -222,8 +220,6 @@ def unknown_near_measured(voxels: Voxels, surface: MeasuredSurface) -> NearUnkno
     A voxel is near measured surface if it is within 10 mm of the true mesh, and the surface sample nearest to
     it was measured.
     """
-    from scipy.spatial import cKDTree
-
     near = (voxels.exact_distance_m <= NEAR_M) & voxels.judged
     _, nearest = cKDTree(surface.points_world).query(centres(voxels.grid, near), workers=-1)
     measured = surface.measured[nearest]

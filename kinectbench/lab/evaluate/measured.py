@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.types import Bools, Float32, Float64, Int64
@@ -159,8 +161,6 @@ def face_bias(mesh_world: TriangleMesh, truth: Truth, surface: MeasuredSurface) 
 
 def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
     """Mark the samples (m,) that were measured and lie at least 15 mm from sharp edges of the true mesh."""
-    from scipy.spatial import cKDTree
-
     chosen = surface.measured.copy()
     edges = edge_points(truth.mesh_world)
     if len(edges):
@@ -171,8 +171,6 @@ def on_faces(truth: Truth, surface: MeasuredSurface) -> Bools:
 
 def edge_points(mesh: TriangleMesh) -> NDArray[np.float64]:
     """Return points (n, 3), at most 4 mm apart, along edges where face normals differ by over 30 degrees."""
-    import trimesh
-
     shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     shell.merge_vertices()
     ends = shell.face_adjacency_edges[shell.face_adjacency_angles > EDGE_RAD]

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, raycaster, transform_points
 from kinectbench.core.types import Bools, Float64
@@ -142,8 +143,6 @@ def surface_errors(
         judged: function that maps points (n, 3) to the mask (n,) of those to evaluate; None: all are
             evaluated.
     """
-    from scipy.spatial import cKDTree
-
     points, _ = sample_surface(mesh.vertices, mesh.faces, samples, np.random.default_rng(SEED))
     true_points, seen = truth.surface.points_world, truth.surface.frames_seen > 0
     nearest = cKDTree(true_points).query

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from rich.table import Table
+from rich.text import Text
 
 from kinectbench.core.artefacts.object import with_interval
 from kinectbench.lab.evaluate.evaluation import (
@@ -18,9 +20,6 @@ from kinectbench.lab.evaluate.pairs import MaskFigures, PairFigures
 from kinectbench.lab.evaluate.refined import RefinedFigures
 from kinectbench.lab.evaluate.solid import SolidFigures
 from kinectbench.lab.evaluate.surface import SurfaceComparison, SurfaceFigures
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 NOT_BUILT = "not built"
 NONE = "–"
@@ -74,11 +73,8 @@ def sections(evaluation: Evaluation) -> tuple[Section, ...]:
     return tuple(Section(title, tuple(rows(of)) if of else ()) for title, rows, of in parts)
 
 
-def evaluation_table(evaluation: Evaluation) -> "Table":
+def evaluation_table(evaluation: Evaluation) -> Table:
     """Return the evaluation as a table for the terminal, with columns figure, value and unit."""
-    from rich.table import Table
-    from rich.text import Text
-
     table = Table("figure", title=f"{evaluation.subject}: built against the truth", title_justify="left")
     table.add_column("value", justify="right")
     table.add_column("unit")

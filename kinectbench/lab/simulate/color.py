@@ -1,5 +1,6 @@
 """Simulate a colour camera on a rendered frame: motion blur, exposure, softness and grain."""
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +54,6 @@ def expose(
         gain: factor on brightness; values above 255 saturate.
         rng: draws the grain.
     """
-    import cv2
-
     start, middle, end = T_room_cameras
     soft = cv2.GaussianBlur(rendering.color_rgb, (3, 3), SOFTNESS_PX)
     homographies = np.stack([_pixels_to(camera, invert_rigid(T) @ middle) for T in (start, end)])

@@ -12,6 +12,7 @@ Sources:
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numba
 import numpy as np
 
@@ -313,8 +314,6 @@ def measured_depth(
         device: the Kinect.
         rng: draws all noise of this frame.
     """
-    import cv2
-
     noise = device.noise
     height, width = rendering.depth_m.shape
     white = rng.standard_normal((height, width), dtype=np.float32)
@@ -338,8 +337,6 @@ def measured_depth(
 
 def smooth_normal(shape: tuple[int, int], blur_px: float, rng: np.random.Generator) -> Float32:
     """Draw normal variates of standard deviation 1, correlated between pixels by a Gaussian blur: float32."""
-    import cv2
-
     reach = int(np.ceil(3 * blur_px))
     kernel = cv2.getGaussianKernel(2 * reach + 1, blur_px)
     # A weighted sum of independent variates has the weights' norm as its standard deviation.

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from kinectbench.core import SettingsError, replaced_file, replaced_folder, sha256_file
 from kinectbench.core.geometry import OrientedBox, invert_rigid, rigid, rotation_from_quaternion_xyzw
-from kinectbench.core.types import Float32, Float64, Progress
+from kinectbench.core.types import Float32, Float64, Progress, no_progress
 from kinectbench.core.voxels.surface_points import sample_surface
 from kinectbench.engine.locks import sweep
 from kinectbench.lab.simulate.color import expose, exposure_gains
 from kinectbench.lab.simulate.kinect import KinectUnit, draw_device, measured_depth
 from kinectbench.lab.simulate.objects import make_object, parse_object
+from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.lab.simulate.path import REACH_PEAK, CameraPath, draw_path
 from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
@@ -108,8 +109,6 @@ def _make_subject(spec: SimulationSpec) -> Subject:
     """Make the object of a spec: drawn by its family and seed, or read from a mesh file."""
     if spec.mesh is None:
         return make_object(*parse_object(spec.object))
-    from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
-
     return load_mesh_object(Path(spec.mesh), spec.mesh_up)
 
 
@@ -284,7 +283,7 @@ def _world(spec: SimulationSpec, T_room_first: Float64) -> Float64:
     return np.eye(4)
 
 
-def simulate(spec: SimulationSpec, out: Path, progress: Progress = lambda done, total: None) -> Path:
+def simulate(spec: SimulationSpec, out: Path, progress: Progress = no_progress) -> Path:
     """Write a simulated recording to `out`, and its truth beside it; return the folder of the truth.
 
     This folder has the files of `write_truth`, `masks/<frame>.png` (noise-free silhouettes in depth pixels,

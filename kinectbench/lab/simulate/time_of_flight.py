@@ -20,6 +20,7 @@ image corners, ambiguity of the phase.
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import cv2
 import numba
 import numpy as np
 
@@ -189,8 +190,6 @@ def measure_time_of_flight(
         device: the sensor.
         rng: draws all noise of this frame.
     """
-    import cv2
-
     sensor, exact_m = device.sensor, rendering.depth_m
     shape = (exact_m.shape[0], exact_m.shape[1])
     white = rng.standard_normal(shape, dtype=np.float32) * np.float32(np.sqrt(1 - sensor.smooth_share))

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,10 +16,12 @@ from kinectbench.core import RESULTS, KinectBenchError, RecordingError, pretty_j
 from kinectbench.core.geometry import Camera, Grid, TriangleMesh, read_own_ply, write_ply
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory
+from kinectbench.core.trajectory.trajectory_file import trajectory_text
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.npz import UNREADABLE, load_arrays, npz_bytes
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
+from kinectbench.core.voxels.solid import voxelize_solid
 
 FORMAT_VERSION = 2
 # Scale of noise-free depth as uint16: 0.2 mm a unit, up to 13.1 m.
@@ -200,8 +203,6 @@ def write_truth(truth: Truth, spec: dict[str, object], recording: Path | None = 
     is a folder, truth.json also has the names of all files and folders below it, with # for numbers, and the
     count of each name.
     """
-    from kinectbench.core.trajectory.trajectory_file import trajectory_text
-
     known = np.isfinite(truth.T_world_camera).all(axis=(1, 2))
     record = {
         "format_version": FORMAT_VERSION,
@@ -277,14 +278,10 @@ def mesh_occupancy(mesh_world: TriangleMesh, grid: Grid) -> NDArray[np.bool_]:
 
     The mesh is in the world. The number of cells along the grid's last axis must be a multiple of 8.
     """
-    from kinectbench.core.voxels.solid import voxelize_solid
-
     return unpack(voxelize_solid(mesh_world.vertices, mesh_world.faces, grid))
 
 
 def _image(path: Path) -> NDArray[np.uint16] | NDArray[np.uint8]:
-    import cv2
-
     try:
         image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
     except (OSError, cv2.error) as error:

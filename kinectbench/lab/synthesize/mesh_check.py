@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from kinectbench.core import ShapeError, printable
 from kinectbench.core.geometry import TriangleMesh, rigid, three_corners
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.voxels.seeable import SeeableSolid, seeable_solid
+from kinectbench.lab.simulate.objects import make_object
 from kinectbench.lab.synthesize.models import Model
 
 # Files keep vertices in float32. Steps of more than this share of the longest side (three tenths of a cell)
@@ -47,8 +49,6 @@ def load_model(model: Model, max_faces: int) -> CheckedMesh:
         ShapeError: the model cannot be used; the message says why, without the model's name.
     """
     if not model.path:
-        from kinectbench.lab.simulate.objects import make_object
-
         return check_mesh(make_object(model.category, model.seed).mesh, max_faces)
     path = Path(model.path)
     notes = missing_materials(path) if path.suffix.lower() == ".obj" else ()
@@ -153,8 +153,6 @@ def _named(path: Path, keyword: str) -> list[Path]:
 
 def _load(path: Path) -> TriangleMesh:
     """Load all triangles of a mesh file, with the transforms of its scene graph applied."""
-    import trimesh
-
     try:
         loaded = trimesh.load(path, force="mesh", process=False, skip_materials=True)
         vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)

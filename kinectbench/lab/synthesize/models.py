@@ -11,6 +11,7 @@ from pydantic import Field, JsonValue
 
 from kinectbench.core import Category, Name, SettingsError, category_problem, name_problem
 from kinectbench.core.types import Framing, Split
+from kinectbench.lab.simulate.objects import PAPER_FURNITURE, check_family
 from kinectbench.release.exchange.layouts import SYNSETS
 from kinectbench.settings.base import Settings
 
@@ -113,8 +114,6 @@ def family_models(categories: Sequence[str], count: int) -> tuple[Model, ...]:
     Raises:
         SettingsError: unknown family.
     """
-    from kinectbench.lab.simulate.objects import PAPER_FURNITURE, check_family
-
     names = sorted(check_family(name) for name in categories or PAPER_FURNITURE)
     return tuple(Model(name, f"{name}-{seed:05d}", seed=seed) for name in names for seed in range(count))
 

@@ -6,8 +6,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from kinectbench.core.geometry import Camera, TriangleMesh, raycaster, rigid
+from kinectbench.lab.simulate.kinect import draw_device, measured_depth
+from kinectbench.lab.simulate.render import Rendering
 
 FIELD_OF_VIEW_RAD = float(np.radians(49.124))
 # Rotation from the upright frame (x right, y away, z up) to an optical camera that looks along +y.
@@ -87,8 +90,6 @@ def camera_pose(
 
 def hull_corners(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the vertices (k, 3) on the convex hull of points (n, 3); all points if they span no volume."""
-    from scipy.spatial import ConvexHull, QhullError
-
     try:
         return np.asarray(vertices[ConvexHull(vertices).vertices])
     except (QhullError, ValueError):  # flat, or hardly any vertices
@@ -136,9 +137,6 @@ class DepthCamera:
             T_world_camera: (4, 4) pose of the camera.
             rng: draws the Kinect's distortion and its noise.
         """
-        from kinectbench.lab.simulate.kinect import draw_device, measured_depth
-        from kinectbench.lab.simulate.render import Rendering
-
         depth_m, cosine = self._seen(T_world_camera)
         mask, albedo = depth_m > 0, np.full_like(depth_m, ALBEDO)
         exact = Rendering(depth_m, np.zeros((*depth_m.shape, 3), np.uint8), mask, cosine, albedo)

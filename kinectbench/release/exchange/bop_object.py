@@ -3,7 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.distance import cdist
 
 from kinectbench.core import ReleaseError, StorageError
 from kinectbench.core.artefacts.object import FloorFile
@@ -73,8 +76,6 @@ def read_bop_model(release: Release, recording: str) -> BopModel:
 
 def model_ply(mesh: TriangleMesh) -> bytes:
     """Return a binary PLY file with vertex normals, in types that the BOP toolkit reads (float, int)."""
-    import trimesh
-
     shell = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     return bytes(trimesh.exchange.ply.export_ply(shell, vertex_normal=True))
 
@@ -89,9 +90,6 @@ def model_info(mesh: TriangleMesh) -> dict[str, float]:
 
 def _diameter(vertices: Float64) -> float:
     """Return the largest distance between any two vertices (n, 3), by comparing the convex hull's corners."""
-    from scipy.spatial import ConvexHull, QhullError
-    from scipy.spatial.distance import cdist
-
     corners = vertices
     try:
         corners = vertices[ConvexHull(vertices).vertices]

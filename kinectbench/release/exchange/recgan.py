@@ -214,7 +214,7 @@ def import_recgan(folder: Path, out: Path, progress: Progress = no_progress, vie
             progress(done, len(pairs))
         first = pairs[0].values
         head = Head(
-            content.name or _name(folder, views),
+            content.name or (followed(folder).name or "imported") + ("" if views is None else f"-{views}"),
             content.license,
             first.get("framing", "object"),
             first.get("partial_rule", "any"),
@@ -223,11 +223,6 @@ def import_recgan(folder: Path, out: Path, progress: Progress = no_progress, vie
         )
         write_small_files(head, temporary, tuple(sorted(targets)), _infos(targets), [])
     return len(targets)
-
-
-def _name(folder: Path, views: int | None) -> str:
-    """Return the name of the imported release: the folder's name, then `-<views>` if views are chosen."""
-    return (followed(folder).name or "imported") + (f"-{views}" if views is not None else "")
 
 
 def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> list[FoundPair]:

@@ -89,11 +89,6 @@ def _reference_words(info: RecordingInfo) -> dict[str, str]:
     return {label: f"{value:.3f}" for label, value in figures.items() if value is not None}
 
 
-def _visible_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: text} on the mean share of the true surface that a view sees; empty if not known."""
-    return {} if info.visible_share is None else {VISIBLE: f"{info.visible_share:.1%}"}
-
-
 def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
     """Return a line on how many recordings have an underside that the user stated as closed, or as open.
 
@@ -294,10 +289,11 @@ def _words(figures: Sequence[float | None]) -> tuple[str, str, str]:
 
 def card_figures(info: ReleaseInfo) -> str:
     """Return a Markdown table of recordings (pairs, refused views, quality), followed by `underside_line`."""
-    words = {
-        name: quality_words(recording.quality) | _reference_words(recording) | _visible_words(recording)
-        for name, recording in info.recordings.items()
-    }
+    words = {}
+    for name, recording in info.recordings.items():
+        words[name] = quality_words(recording.quality) | _reference_words(recording)
+        if recording.visible_share is not None:
+            words[name][VISIBLE] = f"{recording.visible_share:.1%}"
     every = [*(label for label, _, _ in QUALITY.values()), VISIBLE, *REFERENCE.values(), UNDERSIDE, KIND]
     labels = [label for label in every if any(label in row for row in words.values())]
     rows = [

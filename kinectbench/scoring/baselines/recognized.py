@@ -5,8 +5,6 @@ from collections.abc import Callable
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import as_of_baseline
-from kinectbench.scoring.baselines.counted import baselines_that_differ
-from kinectbench.scoring.baselines.in_space import space_baselines_that_differ
 from kinectbench.scoring.baselines.predict import possible_baselines
 from kinectbench.scoring.pair_result import Counting
 
@@ -50,6 +48,10 @@ def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[st
     """
     if not table.complete or table.method not in possible_baselines(release):
         return False
+    # Late: what counts is slow to load, and few methods have the name of a baseline.
+    from kinectbench.scoring.baselines.counted import baselines_that_differ
+    from kinectbench.scoring.baselines.in_space import space_baselines_that_differ
+
     if isinstance(how, Counting):
         return not baselines_that_differ(release, {table.method: table}, how, jobs, every=True)
     return not space_baselines_that_differ(release, {table.method: table}, how, jobs, every=True)

@@ -1,4 +1,4 @@
-"""The best one-to-one assignment between two point sets. Import late: numba is slow to load.
+"""The best one-to-one assignment between two point sets.
 
 Source: the auction algorithm with decreasing eps of D. P. Bertsekas, "The auction algorithm: a distributed
 relaxation method for the assignment problem" (1988). The points of one set bid for those of the other, the

@@ -6,6 +6,7 @@ import numpy as np
 
 from kinectbench.core.artefacts.score_figures import AsPapers, Ceiling
 from kinectbench.core.types import MM_PER_M, Float64
+from kinectbench.scoring.camera.assignment import assigned_mean_m
 from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera.surface import Surface
 
@@ -60,8 +61,6 @@ def as_papers(
     one, other = points_by_area(ours), points_by_area(theirs)
     emd_m = None
     if emd:
-        from kinectbench.scoring.camera.assignment import assigned_mean_m
-
         emd_m = assigned_mean_m(one, other)
     ways = [_to_points(one, other), _to_points(other, one)]
     l1_m, l2_m2 = sum(way.mean() for way in ways), sum((way**2).mean() for way in ways)

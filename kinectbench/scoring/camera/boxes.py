@@ -1,4 +1,4 @@
-"""Search for the two nearest samples of points in a tree of boxes. Import late: numba is slow to load.
+"""Search for the two nearest samples of points in a tree of boxes.
 
 SciPy's tree gives the same result, but takes two to four times as long to build (measured with 80,000 and
 190,000 samples), and examines one sample and one box at a time. Here, samples are sorted along a Z curve. All

@@ -1,13 +1,8 @@
 """Score a method under the protocols camera and aligned, if it predicts in the grids of the pairs."""
 
-from collections.abc import Sequence
-
-from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.counted import PairResult
-from kinectbench.core.artefacts.score_figures import IN_SPACE
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.types import Progress, no_progress
-from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.camera.grid import GridJob, score_grid
 from kinectbench.scoring.camera.score import refuse_many_rows, settings_in_space, table_in_space
@@ -19,30 +14,6 @@ from kinectbench.scoring.workers import run_tasks
 
 # Thresholds are searched by the IoU over all cells, so surface metrics are not needed.
 SEARCHING = Counting(("paper",), surface=False)
-
-
-def space_alone(
-    protocols: Sequence[str] | None, upsampling: str, close: str | None = None
-) -> tuple[str, ...]:
-    """Return those of the requested protocols that are `camera` or `aligned`; () if neither is requested.
-
-    Raises:
-        SettingsError: `camera` or `aligned` is combined with other protocols, or with another upsampling than
-            half-pixel; or `close` is given, which does not apply to predictions in grids.
-    """
-    if close is not None:
-        raise SettingsError(
-            f"--close {close}: only of meshes and points whose method.json has 'frame': 'camera'"
-        )
-    asked = tuple(name for name in IN_SPACE if name in (protocols or ()))
-    if others := [name for name in protocols or () if asked and name not in asked]:
-        raise SettingsError(
-            f"--protocol {', '.join(asked)} and {', '.join(others)}: surfaces in space and cells have tables "
-            "of their own; score twice, each with a folder --out"
-        )
-    if asked and upsampling != HALF_PIXEL:
-        raise SettingsError(f"--upsampling {upsampling}: under {', '.join(asked)} it is {HALF_PIXEL}")
-    return asked
 
 
 def score_grid_in_space(

@@ -1,4 +1,4 @@
-"""Loops over cells and surface patches. Import late: numba is slow to load."""
+"""Loops over cells and surface patches."""
 
 import numpy as np
 from numba import njit

@@ -8,6 +8,13 @@ result is still exact.
 import numpy as np
 
 from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.scoring.camera.boxes import (
+    boxes_of,
+    mean_offsets,
+    near_together,
+    nearest_of_moving,
+    two_nearest,
+)
 
 
 class Samples:
@@ -20,16 +27,12 @@ class Samples:
     """
 
     def __init__(self, points_m: Float64) -> None:
-        from kinectbench.scoring.camera.boxes import boxes_of, near_together
-
         order = near_together(points_m)
         self.points_m, self.boxes = points_m, (order, *boxes_of(points_m, order))
         self._places: dict[int, Int64] = {}
 
     def nearest(self, points: Float64) -> tuple[Float64, Int64]:
         """Return each point's distance to its nearest sample, and that sample's index: (n,) each."""
-        from kinectbench.scoring.camera.boxes import near_together, two_nearest
-
         order, *boxes = self.boxes
         # If there are as many points as in an earlier call, they are mostly the same ones, moved a little: so
         # the search starts at the samples found then.
@@ -46,8 +49,6 @@ class Samples:
             normals: (n, 3) unit normals of the points.
             radius_m: the radius; a point without a sample within it gets 0.
         """
-        from kinectbench.scoring.camera.boxes import mean_offsets
-
         return np.asarray(mean_offsets(points, normals, radius_m, *self.boxes[1:]))
 
 
@@ -75,8 +76,6 @@ class NearestOfMoving:
         Returns:
             Distances (m,) and indices (m,) of the nearest samples, for the m selected points in order.
         """
-        from kinectbench.scoring.camera.boxes import nearest_of_moving
-
         of = self._samples
         found: tuple[Float64, Int64] = nearest_of_moving(points, asked, *self._state, of.points_m, *of.boxes)
         return found

@@ -10,7 +10,7 @@ from kinectbench._version import __version__
 from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_columns import MOST_ROWS_IN_SPACE
-from kinectbench.core.artefacts.score_figures import IN_SPACE, ScoreRow, ShapePart
+from kinectbench.core.artefacts.score_figures import ScoreRow, ShapePart
 from kinectbench.core.artefacts.score_marks import ValidationUse
 from kinectbench.core.artefacts.scores import Failure, Hashes, ScoreSettings, ScoreTable
 from kinectbench.core.artefacts.targets import check_names
@@ -116,38 +116,6 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
             f"{MOST_ROWS_IN_SPACE // of_view} views",
             what="too-large",
         )
-
-
-def protocols_in_space(asked: Sequence[str] | None, declared: MethodFile) -> tuple[str, ...]:
-    """Return the requested protocols for predictions in the camera frame; by default all that apply.
-
-    Raises:
-        SettingsError: the requested protocols do not fit these predictions (`unfit`).
-    """
-    if reason := unfit(asked, declared):
-        raise SettingsError(reason)
-    if declared.scale == "metric":
-        return tuple(name for name in IN_SPACE if name in (asked or IN_SPACE))
-    return ("aligned",)
-
-
-def unfit(asked: Sequence[str] | None, declared: MethodFile) -> str | None:
-    """Return why the requested protocols do not fit a method's predictions in the camera frame; else None.
-
-    They do not fit if one of them is a protocol of the pairs' grid, or if `camera` is requested but the scale
-    of the predictions is unknown.
-    """
-    if other := [name for name in asked or () if name not in IN_SPACE]:
-        return (
-            f"--protocol {', '.join(other)}: {declared.name} predicts in the camera frame, which is scored "
-            f"under {', '.join(IN_SPACE)}"
-        )
-    if declared.scale == "free" and asked and "camera" in asked:
-        return (
-            f"--protocol camera: the predictions of {declared.name} are of free size ('scale' in "
-            f"{MethodFile.FILE}); score them under aligned"
-        )
-    return None
 
 
 def left_out_table(

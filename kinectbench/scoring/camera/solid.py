@@ -8,8 +8,11 @@ from kinectbench.core import PredictionError
 from kinectbench.core.geometry import Grid, poisson_surface, similarity_scale, transform_points
 from kinectbench.core.types import Float64, Int32
 from kinectbench.core.voxels.pair_file import FULL_CELLS, Packed, pack
+from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.scoring.camera.kernels import inside_cells, inside_distances, mapped
 from kinectbench.scoring.camera.surface import Surface
 from kinectbench.scoring.camera.truth import SpaceTruth
+from kinectbench.scoring.camera.winding import inside_winding
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import ClosedMesh, in_cells, refuse_mesh
 from kinectbench.scoring.mesh_outside import outside_share
@@ -79,8 +82,6 @@ def solid_in(
     if shape.form == "mesh" and (mesh is not None or close is not None):
         if mesh is not None:
             return _of_mesh(truth, mesh, T_grid_prediction)
-        from kinectbench.scoring.camera.kernels import mapped
-
         return _by_winding(truth, mapped(shape.points_m, T_grid_prediction[:3]), shape.faces.astype(np.int32))
     if shape.cells is None or shape.T_camera_grid is None or shape.voxel_size_m is None:
         return None
@@ -94,17 +95,12 @@ def solid_in(
     is_same_place = np.abs(T_cells - np.eye(4)).max() < 1e-6
     if shape.form == "voxels" and shape.cells.shape == (FULL_CELLS,) * 3 and is_same_place:
         return Solid(pack(shape.cells.astype(bool)), 0.0)
-    from kinectbench.scoring.camera.kernels import inside_cells, inside_distances
-
     inside = inside_cells if shape.form == "voxels" else inside_distances
     found = inside(shape.cells, np.ascontiguousarray(T_cells[:3]), FULL_CELLS)
     return Solid(pack(found), _cells_outside(truth, shape, T))
 
 
 def _of_mesh(truth: SpaceTruth, mesh: ClosedMesh, T_grid_mesh: Float64) -> Solid:
-    from kinectbench.core.voxels.solid import voxelize_solid
-    from kinectbench.scoring.camera.kernels import mapped
-
     vertices_m, faces = mapped(mesh.vertices_m, T_grid_mesh[:3]), mesh.faces
     refuse_mesh(vertices_m, faces, truth.voxel_size_m)
     grid = Grid((FULL_CELLS,) * 3, truth.voxel_size_m, np.eye(4))
@@ -118,8 +114,6 @@ def _of_mesh(truth: SpaceTruth, mesh: ClosedMesh, T_grid_mesh: Float64) -> Solid
 
 
 def _by_winding(truth: SpaceTruth, vertices_m: Float64, faces: Int32) -> Solid:
-    from kinectbench.scoring.camera.winding import inside_winding
-
     found = inside_winding(in_cells(truth.voxel_size_m, vertices_m), faces, FULL_CELLS)
     if found is None:
         raise PredictionError(f"{len(faces)} faces across each other; simplify the mesh", what="too-large")

@@ -9,11 +9,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from kinectbench.core import PredictionError
 from kinectbench.core.geometry import invert_similarity, similarity_scale
 from kinectbench.core.types import Bools, Float32, Float64, Int64
 from kinectbench.core.voxels.pair_file import pack
+from kinectbench.scoring.camera.kernels import faces_of_cells, mapped, outward, to_patches, zero_crossings
 from kinectbench.scoring.camera.nearest import Samples
 from kinectbench.scoring.camera_shape import CameraShape
 
@@ -111,8 +113,6 @@ class Surface:
 
     def transformed(self, T: Float64) -> "Surface":
         """Return the surface mapped by a similarity (4, 4)."""
-        from kinectbench.scoring.camera.kernels import mapped
-
         before, T_before = self.placed or (self, np.eye(4))
         scale = similarity_scale(T)
         return replace(
@@ -128,8 +128,6 @@ class Surface:
 
         The distance is measured to the patch that the nearest sample lies on; for a cloud, to the sample.
         """
-        from kinectbench.scoring.camera.kernels import mapped, to_patches
-
         before, T = self.placed or (self, np.eye(4))
         asked = mapped(points_m, invert_similarity(T)[:3]) if self.placed else np.ascontiguousarray(points_m)
         distances, found = before.samples.nearest(asked)
@@ -183,8 +181,6 @@ def mesh_surface(vertices_m: Float64, faces: Int64) -> Surface:
         vertices_m: (v, 3) metres.
         faces: (m, 3) indices of the vertices.
     """
-    from kinectbench.scoring.camera.patches import in_triangles
-
     corner, ahead, behind = (vertices_m[faces[:, n]] for n in range(3))
     first, second = ahead - corner, behind - corner
     across = np.cross(first, second)
@@ -218,9 +214,6 @@ def cell_surface(cells: Bools, voxel_size_m: float) -> tuple[Surface, Int64]:
     Returns:
         The surface, and the indices (n, 3) of each face's occupied cell.
     """
-    from kinectbench.scoring.camera.kernels import faces_of_cells, outward
-    from kinectbench.scoring.camera.patches import squares_of_cells
-
     low, high = _box(cells)
     part = cells[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
     packed = pack(np.pad(part, 1))
@@ -236,8 +229,6 @@ def _distance_surface(cells: Float32, voxel_size_m: float) -> Surface:
 
     Space outside the grid is free, so a solid that extends beyond the grid is closed at the border.
     """
-    from kinectbench.scoring.camera.kernels import zero_crossings
-
     padded = np.pad(cells, 1, constant_values=np.float32(np.abs(cells).max()))
     found = [zero_crossings(padded, axis) for axis in range(3)]
     points, normals = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -286,3 +277,58 @@ def _box(cells: Bools) -> tuple[Int64, Int64]:
         np.flatnonzero(here) for here in (columns.any(axis=1), columns.any(axis=0), cells.any(axis=(0, 1)))
     ]
     return np.array([one[0] for one in found]), np.array([one[-1] + 1 for one in found])
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def squares_of_cells(inside, axes, signs, low, size: float):  # type: ignore[no-untyped-def]
+    """Return faces of cells as squares; coordinates are in the unit of `size`.
+
+    Args:
+        inside: (n, 3) index of the occupied cell of each face, relative to the cell `low`.
+        axes: (n,) the axis normal to each face.
+        signs: (n,) 1 if the free cell has the larger index along that axis, else -1.
+        low: (3,) index of the first cell.
+        size: edge of a cell.
+
+    Returns:
+        Four arrays (n, 3) float64: centres; one corner of each square; the two edges from that corner.
+    """
+    centers, corner = np.empty(inside.shape), np.empty(inside.shape)
+    first, second = np.zeros(inside.shape), np.zeros(inside.shape)
+    for n in range(len(inside)):
+        across, along, beside = axes[n], (axes[n] + 1) % 3, (axes[n] + 2) % 3
+        for axis in range(3):
+            at = inside[n, axis] + low[axis] + 0.5 + (0.5 * signs[n] if axis == across else 0.0)
+            centers[n, axis] = at * size
+            corner[n, axis] = (at - (0.0 if axis == across else 0.5)) * size
+        first[n, along] = second[n, beside] = size
+    return centers, corner, first, second
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def in_triangles(counts, corner, first, second, steps):  # type: ignore[no-untyped-def]
+    """Place samples in triangles: one at the centroid, or several by a low-discrepancy sequence.
+
+    Args:
+        counts: (m,) number of samples in each triangle.
+        corner: (m, 3) one corner of each triangle.
+        first: (m, 3) an edge from that corner.
+        second: (m, 3) the other edge from that corner.
+        steps: the increments (2,) of the sequence, along the two edges.
+
+    Returns:
+        (n, 3) float64, the samples; (n,) int64, the index of each sample's triangle.
+    """
+    points, owner, n = np.empty((counts.sum(), 3)), np.empty(counts.sum(), np.int64), 0
+    for f in range(len(counts)):
+        for number in range(counts[f]):
+            u, v = (0.5 + number * steps[0]) % 1, (0.5 + number * steps[1]) % 1
+            if u + v > 1:
+                u, v = 1 - u, 1 - v
+            if counts[f] == 1:
+                u = v = 1 / 3
+            for axis in range(3):
+                points[n, axis] = corner[f, axis] + u * first[f, axis] + v * second[f, axis]
+            owner[n] = f
+            n += 1
+    return points, owner

@@ -16,6 +16,7 @@ from kinectbench.release import view_images
 from kinectbench.release.contents import surface_name
 from kinectbench.release.published import published_bytes
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.camera.kernels import known_and_seen
 from kinectbench.scoring.camera.surface import Surface, cell_surface, mesh_surface
 from kinectbench.scoring.surface import size_cells
 from kinectbench.scoring.truth import read_parts
@@ -109,8 +110,6 @@ class SpaceTruth:
 
     def at(self, points_m: Float64) -> tuple[Bools, Bools]:
         """Return which points (n, 3) lie in known space, and which in space seen by the view: bool (n,)."""
-        from kinectbench.scoring.camera.kernels import known_and_seen
-
         found: tuple[Bools, Bools] = known_and_seen(points_m, self.voxel_size_m, self.known, self.seen)
         return found
 
@@ -208,8 +207,6 @@ def space_truth(
     Raises:
         PredictionError: it has more than `MOST_SAMPLES` cell faces at its surface.
     """
-    from kinectbench.scoring.camera.kernels import known_and_seen
-
     surface, cells = cell_surface(unpack(full), voxel_size_m)
     is_known, is_seen = known_and_seen(cells + 0.5, 1.0, known, seen)
     size_m = size_cells(full) * voxel_size_m

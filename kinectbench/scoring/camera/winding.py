@@ -1,4 +1,4 @@
-"""Convert open meshes to solids by generalised winding numbers. Import late: numba is slow to load.
+"""Convert open meshes to solids by generalised winding numbers.
 
 Source: A. Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers" (2013); far
 triangles are approximated together after G. Barill et al., "Fast winding numbers for soups and clouds"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -122,8 +123,6 @@ def recorded_mask(
 
 def inner_silhouette(rendered_m: Float32) -> Bools:
     """Erode the rendered silhouette by 2 pixels, so that depth inside it should belong to the object."""
-    import cv2
-
     silhouette = (rendered_m > 0).astype(np.uint8)
     kernel = np.ones((2 * ERODE_PX + 1,) * 2, np.uint8)
     return np.asarray(cv2.erode(silhouette, kernel), dtype=np.bool_)

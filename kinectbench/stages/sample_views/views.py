@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from kinectbench.core import IMAGE_BYTES, SegmentationError, StorageError, listed_paths, read_plain
@@ -314,8 +315,6 @@ def picture_digest(pictures: Mapping[str, bytes]) -> str:
     Raises:
         StorageError: the depth image is damaged.
     """
-    import cv2
-
     try:
         image_head(pictures["depth.png"])
         depth = decoded_image(pictures["depth.png"], cv2.IMREAD_UNCHANGED)
@@ -360,8 +359,6 @@ def _jpeg(suffix: str, data: bytes) -> bytes:
     Raises:
         StorageError: the image is damaged.
     """
-    import cv2
-
     try:
         if suffix in (".jpg", ".jpeg"):
             image_head(data)

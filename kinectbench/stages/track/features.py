@@ -12,6 +12,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -76,8 +77,6 @@ class FeatureCache(OrderedDict[int, Features]):
 
 def find_features(maps: FrameMaps) -> Features:
     """Find ORB features that have depth, in the intensity image or, without one, in the shaded depth."""
-    import cv2
-
     level = maps[0]
     image = level.intensity if maps.has_intensity else shading(level.normals)
     orb = cv2.ORB.create(
@@ -106,8 +105,6 @@ def match(source: Features, target: Features) -> NDArray[np.int64]:
 
     A match is mutual, and passes the ratio test: its distance is below 0.85 of the second best one.
     """
-    import cv2
-
     if len(source.descriptors) < 2 or len(target.descriptors) < 2:
         return np.zeros((0, 2), np.int64)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
@@ -133,8 +130,6 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
         target: features whose points are the known 3-D points.
         camera: intrinsics of the source, at working resolution.
     """
-    import cv2
-
     pairs = match(source, target)
     if len(pairs) < MIN_MATCHES:
         return None
@@ -156,8 +151,6 @@ def pose_from_features(source: Features, target: Features, camera: Camera) -> tu
 
 def similarity(features: Sequence[Features]) -> NDArray[np.float64]:
     """Cosine similarity (k, k) of k frames' tf-idf weighted counts of ORB words; the diagonal is 0."""
-    import cv2
-
     k = len(features)
     descriptors = np.concatenate([f.descriptors for f in features]) if k else np.zeros((0, 32), np.uint8)
     if len(descriptors) < 2:

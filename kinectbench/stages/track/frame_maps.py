@@ -11,6 +11,7 @@ into those frames and averaged where they see the same surface.
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -191,8 +192,6 @@ class MapCache:
     def _made(
         self, index: int, shutter: RollingShutter | None, averaged: NDArray[np.uint16] | None
     ) -> FrameMaps:
-        import cv2
-
         frame = self._read.get(index) or self._reduced(index)
         camera = reduced_camera(self.sequence.camera, _reduction(self.sequence.camera))
         depth, gray = frame.depth, frame.gray
@@ -250,8 +249,6 @@ class MapCache:
 
 def reduced_gray(sequence: Sequence, index: int) -> NDArray[np.uint8] | None:
     """Read colour as grey, working resolution; None if missing, damaged or of another size than depth."""
-    import cv2
-
     gray, camera = gray_frame(sequence, index, cv2.IMREAD_GRAYSCALE), sequence.camera
     if gray is None or gray.shape != (camera.height, camera.width):
         return None
@@ -267,8 +264,6 @@ def _reduction(camera: Camera) -> int:
 
 
 def _halved_inputs(camera: Camera, depth_m: Float32, intensity: Float32) -> tuple[Camera, Float32, Float32]:
-    import cv2
-
     half = halved(depth_m)
     if intensity.size:
         even = intensity[: half.shape[0] * 2, : half.shape[1] * 2]

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -208,8 +209,6 @@ def sharpness(sequence: Sequence, known: Mapping[int, float]) -> Float64:
 
 def _frame_sharpness(sequence: Sequence, index: int) -> float:
     """Sharpness of a frame's colour: at working resolution if registered to depth, else at half its size."""
-    import cv2
-
     if sequence.color_registered:
         gray = reduced_gray(sequence, index)
     else:

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from kinectbench.core.artefacts.trajectory import TrajectoryHealth
@@ -15,10 +15,6 @@ from kinectbench.core.trajectory.compare import TrajectoryError
 from kinectbench.core.trajectory.coverage import convergence_point, from_above
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # File of the picture by `track --compare`, in `build/<recording>/`.
 COMPARISON = "compare.png"
@@ -214,7 +210,7 @@ def comparison_picture(
     return figure_png(figure)
 
 
-def _draw_gaps(axes: "Axes", places: Float64, good: NDArray[np.int64], health: TrajectoryHealth) -> None:
+def _draw_gaps(axes: Axes, places: Float64, good: NDArray[np.int64], health: TrajectoryHealth) -> None:
     """Draw dotted lines over lost stretches, and crosses at the interpolated places of rejected frames."""
     label = "lost"
     for row in health.lost_stretches:
@@ -228,7 +224,7 @@ def _draw_gaps(axes: "Axes", places: Float64, good: NDArray[np.int64], health: T
         axes.plot(*between, "x", color=RED, markersize=5, label="left out", zorder=4)
 
 
-def _draw_loops(axes: "Axes", places: Float64, health: TrajectoryHealth) -> None:
+def _draw_loops(axes: Axes, places: Float64, health: TrajectoryHealth) -> None:
     for wanted, color, style, label in ((True, BLUE, "-", "loops"), (False, ORANGE, "--", "uncertain loops")):
         rows = [row for row in health.loops if row.believed is wanted]
         every = -(-len(rows) // MAX_LOOPS_DRAWN) or 1
@@ -238,7 +234,7 @@ def _draw_loops(axes: "Axes", places: Float64, health: TrajectoryHealth) -> None
             label = "_"
 
 
-def _mark_states(axes: "Axes", moments: Float64, states: Sequence[str]) -> None:
+def _mark_states(axes: Axes, moments: Float64, states: Sequence[str]) -> None:
     """Shade frames without a pose, up to half-way to their neighbours; mark relocalisations."""
     edges = np.concatenate([moments[:1], (moments[:-1] + moments[1:]) / 2, moments[-1:]])
     for state, color, label in (("lost", RED, "lost"), ("rejected", ORANGE, "left out")):
@@ -258,7 +254,7 @@ def _runs(states: Sequence[str], state: str) -> list[tuple[int, int]]:
     return [(int(run[0]), int(run[-1])) for run in runs if len(run)]
 
 
-def _fit(axes: "Axes", points_m: Float64) -> None:
+def _fit(axes: Axes, points_m: Float64) -> None:
     """Set axis limits that show all points (n, 2), metres, with a margin; at least half a metre wide."""
     low_m, high_m = points_m.min(axis=0), points_m.max(axis=0)
     reach_m = np.maximum(0.56 * (high_m - low_m), MIN_REACH_M)
@@ -269,10 +265,10 @@ def _fit(axes: "Axes", points_m: Float64) -> None:
     axes.set_ylim(bottom, top, auto=True)
 
 
-def _say(axes: "Axes", text: str) -> None:
+def _say(axes: Axes, text: str) -> None:
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=SOFT)
     axes.set(xticks=[], yticks=[])
 
 
-def _legend(axes: "Axes") -> None:
+def _legend(axes: Axes) -> None:
     axes.legend(loc="best", frameon=True, framealpha=0.85, edgecolor="none", facecolor=PLOT_PAPER, fontsize=8)

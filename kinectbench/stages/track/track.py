@@ -13,7 +13,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import Float64, Progress, no_progress
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.track.check_given import (
     CAUSES,
@@ -74,7 +74,7 @@ def track(
     n = len(sequence)
     # Progress: the tracker counts every frame twice.
     rounds = 3 if mode == "refine" else 1
-    report = progress or (lambda done, total: None)
+    report = progress or no_progress
     checked = check_given(sequence, T_given, settings, lambda done, total: report(done, rounds * total))
     warnings = warnings_of(sequence, checked)
     if mode != "refine":

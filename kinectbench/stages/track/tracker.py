@@ -18,7 +18,7 @@ from kinectbench.core.geometry import invert_rigid, on_so3
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.compare import has_pose
-from kinectbench.core.types import Float64, Progress
+from kinectbench.core.types import Float64, Progress, no_progress
 from kinectbench.stages.track.covisibility import keyframe_thumbnail, shared_view
 from kinectbench.stages.track.features import FeatureCache
 from kinectbench.stages.track.frame_maps import MapCache
@@ -62,7 +62,7 @@ def track_frames(
         progress: called with (done, total); each frame counts twice.
     """
     n = len(sequence)
-    report = progress or (lambda done, total: None)
+    report = progress or no_progress
     follower = None if T_given is not None else partial_odometry_of(sequence)
     if follower is None:
         maps = MapCache(sequence)

@@ -188,7 +188,7 @@ def _bundle(entries: bytes, handles: int = 1) -> bytes:
 
 
 def _block(entries: bytes) -> bytes:
-    from kinectbench.networks.crc32c import masked_crc32c
+    from kinectbench.networks.tensor_bundle import masked_crc32c
 
     content = entries + bytes(4) + (1).to_bytes(4, "little") + b"\0"
     return content + masked_crc32c(content).to_bytes(4, "little")

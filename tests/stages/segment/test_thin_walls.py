@@ -10,8 +10,7 @@ from evidence_by_hand import shape_of
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Bools
-from kinectbench.stages.segment.judge.estimate import PoseError, estimate_iou
-from kinectbench.stages.segment.judge.thin_walls import EDGE_SHARE, unresolved_share
+from kinectbench.stages.segment.judge.estimate import EDGE_SHARE, PoseError, estimate_iou, unresolved_share
 from kinectbench.stages.segment.solid.solid import SolidShape
 
 SIDE, VOXEL_M = 40, 0.005

@@ -5,9 +5,9 @@ Every base stands on z = 0 and reaches up to `head_m`, which lies inside the sea
 """
 
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
+from manifold3d import Manifold
 
 from kinectbench.lab.simulate.objects import looks
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
@@ -24,9 +24,6 @@ from kinectbench.lab.simulate.objects.shapes import (
     turned,
     union,
 )
-
-if TYPE_CHECKING:
-    from manifold3d import Manifold
 
 # (height, radius) of a turned leg, as shares of its height and of its largest radius.
 TURNED_LEG = (
@@ -89,7 +86,7 @@ def wooden_legs(
         yield from stretchers(draw, (half_m[0] + out, half_m[1] + out), z, look)
 
 
-def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> "Manifold":
+def turned_leg(at_m: Vector2, head_m: float, thick_m: float) -> Manifold:
     """Make a leg turned on a lathe at (x, y) `at_m`, `head_m` high, with a square block at its top."""
     rings = [(share * thick_m / 2, height * head_m) for height, share in TURNED_LEG]
     column = turned([(0.0, 0.0), *rings, (0.0, rings[-1][1])]).translate((*at_m, 0.0))
@@ -247,8 +244,6 @@ def star(
         look: material, except of castors.
         wheels: whether the feet stand on castors.
     """
-    from manifold3d import Manifold
-
     lift, high = (0.05, 0.035) if wheels else (0.0, draw.between(0.04, 0.07))
     top = lift + high
     yield Part("column", rod((0.0, 0.0, lift), (0.0, 0.0, head_m), thick_m / 2), look)

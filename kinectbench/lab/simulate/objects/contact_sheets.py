@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,8 +57,6 @@ def contact_sheet(family: str, seeds: Sequence[int], size_px: int) -> NDArray[np
     Raises:
         SettingsError: unknown family.
     """
-    import cv2
-
     rows = -(-len(seeds) // COLUMNS)
     step_px = size_px + LABEL_PX
     sheet = np.empty((rows * step_px, COLUMNS * size_px, 3), np.uint8)

@@ -2,18 +2,15 @@
 
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import TYPE_CHECKING
 
 import numpy as np
+from manifold3d import Manifold
 
 from kinectbench.lab.simulate.objects import bases, looks
 from kinectbench.lab.simulate.objects.backs import Back
 from kinectbench.lab.simulate.objects.joinery import CORNERS, SIDES, Draw, Part, Parts
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import box, cushion, leaned, leg, plate, rectangle, rod, union
-
-if TYPE_CHECKING:
-    from manifold3d import Manifold
 
 
 @dataclass(frozen=True)
@@ -314,7 +311,5 @@ def _tub(draw: Draw, size: _Size) -> Parts:
     yield from _feet(draw, replace(size, seats=1), (0.8 * x + 0.02, 0.8 * y + 0.02))
 
 
-def _ball(at: tuple[float, float, float], radius: float) -> "Manifold":
-    from manifold3d import Manifold
-
+def _ball(at: tuple[float, float, float], radius: float) -> Manifold:
     return Manifold.sphere(radius, 24).translate(at)

@@ -3,16 +3,14 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
+from manifold3d import Manifold
 
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.lab.simulate.objects.looks import Look
 from kinectbench.lab.simulate.objects.shapes import Piece, Subject, standing_shift, surface, union
-
-if TYPE_CHECKING:
-    from manifold3d import Manifold
 
 Choice = TypeVar("Choice")
 
@@ -26,7 +24,7 @@ class Part:
     """A closed part of an object, of one material; frame `object`, metres."""
 
     name: str
-    shape: "Manifold"
+    shape: Manifold
     look: Look
 
 

@@ -2,19 +2,19 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from kinectbench.core import RecordingError
 from kinectbench.core.geometry import Grid, TriangleMesh, isosurface, join, raycaster, rigid
 from kinectbench.core.types import Float64, Int64
+from kinectbench.core.voxels.open_mesh import voxelize_open
 from kinectbench.lab.simulate.objects.mesh_repair import closed_bodies, merged_vertices, open_edges, united
 from kinectbench.lab.simulate.objects.shapes import Piece, Subject, Vector3, solid, standing_shift, surface
-
-if TYPE_CHECKING:
-    import trimesh
 
 DEFAULT_RGB: Vector3 = (0.66, 0.60, 0.52)
 ALBEDO = 0.6
@@ -89,10 +89,6 @@ def _closed_by_voxels(path: Path, whole: TriangleMesh) -> tuple[TriangleMesh, st
 
     The second value is one line on how it was closed.
     """
-    from scipy import ndimage
-
-    from kinectbench.core.voxels.open_mesh import voxelize_open
-
     low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
     voxel_m = max(float((high - low).max()) / VOXELS_ACROSS, SMALLEST_VOXEL_M)
     nx, ny, nz = (np.ceil((high - low) / voxel_m).astype(int) + 2 * MARGIN_CELLS).tolist()
@@ -160,8 +156,6 @@ def _check(path: Path, whole: TriangleMesh) -> None:
 
 def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
     """Return the triangles of a mesh file in its own frame, as one (mesh, RGB in [0, 1]) for each colour."""
-    import trimesh
-
     if not path.is_file():
         raise RecordingError(
             f"{path}: no such file; give a mesh file (obj, ply, stl, glb or off)", what="bad-mesh"
@@ -192,7 +186,7 @@ def _colored_parts(path: Path) -> list[tuple[TriangleMesh, Vector3]]:
     return [(join(meshes), color) for color, meshes in parts.items()]
 
 
-def _face_colors(mesh: "trimesh.Trimesh") -> NDArray[np.uint8]:
+def _face_colors(mesh: trimesh.Trimesh) -> NDArray[np.uint8]:
     """Return RGB colours (m, 3) of a mesh's faces; more than 64 colours are reduced to at most 64."""
     visual = mesh.visual
     default = np.round(np.array(DEFAULT_RGB) * 255).astype(np.uint8)

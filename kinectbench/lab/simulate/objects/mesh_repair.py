@@ -1,16 +1,15 @@
 """Repair a mesh into closed bodies: merge vertices, make windings consistent, fill small holes."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import trimesh
+from manifold3d import Manifold, triangulate
+from open3d import geometry, utility
 
 from kinectbench.core.geometry import TriangleMesh, three_corners
 from kinectbench.core.types import Float64, Int32, Int64
 from kinectbench.lab.simulate.objects.shapes import solid, surface, union
-
-if TYPE_CHECKING:
-    from manifold3d import Manifold
 
 MERGE_M = 1e-7
 # A hole is small if its area is at most this share of the body's area around it (chosen here).
@@ -29,7 +28,7 @@ class Body:
         holes: number of filled holes.
     """
 
-    shape: "Manifold"
+    shape: Manifold
     reversed: bool
     holes: int
 
@@ -55,8 +54,6 @@ def closed_bodies(mesh: TriangleMesh) -> list[Body] | None:
     Otherwise each connected part gets a consistent winding, and its holes are filled with planar patches. A
     part with a hole larger than a third of its area cannot be repaired.
     """
-    import trimesh
-
     if (whole := _outward(mesh.vertices, mesh.faces)) is not None:
         # A mesh that is entirely inside out was turned over.
         closed = [_body(surface(shape), 0) for shape in whole[0].decompose()]
@@ -69,7 +66,7 @@ def closed_bodies(mesh: TriangleMesh) -> list[Body] | None:
     return bodies if len(bodies) == len(closed) else None
 
 
-def _outward(vertices: Float64, faces: Int32) -> "tuple[Manifold, bool] | None":
+def _outward(vertices: Float64, faces: Int32) -> tuple[Manifold, bool] | None:
     """Return a closed mesh as a solid of positive volume, and whether faces were flipped; None if open."""
     for inside_out in (False, True):
         shape = solid(vertices, faces[:, ::-1] if inside_out else faces)
@@ -101,7 +98,7 @@ def _repaired(part: TriangleMesh) -> Body | None:
     return _body(TriangleMesh(part.vertices, np.concatenate([faces, *filled])), len(loops))
 
 
-def united(parts: list[Body]) -> "Manifold":
+def united(parts: list[Body]) -> Manifold:
     """Return the union of bodies; a reversed body inside the others is subtracted as a cavity."""
     outer = [part.shape for part in parts if not part.reversed]
     turned = [part.shape for part in parts if part.reversed]
@@ -123,8 +120,6 @@ def _one_winding(part: TriangleMesh) -> Int32 | None:
 
     The result is None if the part is not orientable, or an edge has more than two faces.
     """
-    from open3d import geometry, utility
-
     corners = utility.Vector3iVector(part.faces)
     shell = geometry.TriangleMesh(utility.Vector3dVector(part.vertices), corners)
     if not shell.is_edge_manifold() or not shell.orient_triangles():
@@ -160,8 +155,6 @@ def _patch(vertices: Float64, loop: Int64, most_m2: float) -> Int32 | None:
 
     The loop is triangulated in its mean plane.
     """
-    from manifold3d import triangulate
-
     points = vertices[loop] - vertices[loop].mean(axis=0)
     # Newell's normal has twice the loop's area as its length.
     normal = np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)

@@ -6,16 +6,12 @@ x is to the right, y to the front, z up. Curved surfaces are inscribed polyhedra
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from manifold3d import CrossSection, Error, FillRule, Manifold, Mesh64, OpType
 from numpy.typing import NDArray
 
 from kinectbench.core.geometry import TriangleMesh
-
-if TYPE_CHECKING:
-    from manifold3d import Manifold
-
 
 Vector3 = tuple[float, float, float]
 Vector2 = tuple[float, float]
@@ -63,10 +59,8 @@ class Subject:
     origin: str
 
 
-def box(low_m: Vector3, high_m: Vector3) -> "Manifold":
+def box(low_m: Vector3, high_m: Vector3) -> Manifold:
     """Make the axis-aligned box from its lowest to its highest corner."""
-    from manifold3d import Manifold
-
     low, high = np.array(low_m, np.float64), np.array(high_m, np.float64)
     return Manifold.cube(tuple(high - low)).translate(tuple(low))
 
@@ -90,7 +84,7 @@ def ellipse(size_m: Vector2) -> Outline:
     return np.column_stack([np.cos(angle) * size_m[0], np.sin(angle) * size_m[1]]) / 2
 
 
-def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) -> "Manifold":
+def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) -> Manifold:
     """Make a horizontal plate with a convex outline (n, 2) around the origin, between two heights.
 
     Args:
@@ -99,8 +93,6 @@ def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) ->
         high_m: height of the upper face.
         edge_m: radius of the rounded edges, at most half the thickness.
     """
-    from manifold3d import Manifold
-
     half = np.ptp(outline, axis=0) / 2
     turns = np.linspace(-np.pi / 2, np.pi / 2, 9) if edge_m > 0 else np.array([-np.pi / 2, np.pi / 2])
     rings = []
@@ -112,13 +104,11 @@ def plate(outline: Outline, low_m: float, high_m: float, edge_m: float = 0.0) ->
     return Manifold.hull_points(np.concatenate(rings))
 
 
-def cushion(low_m: Vector3, high_m: Vector3, radius_m: float, crown_m: float = 0.0) -> "Manifold":
+def cushion(low_m: Vector3, high_m: Vector3, radius_m: float, crown_m: float = 0.0) -> Manifold:
     """Make a box with rounded edges and corners, whose upper face bulges by `crown_m` in the middle.
 
     `low_m` and `high_m` are opposite corners of the box, `radius_m` is the radius of the edges.
     """
-    from manifold3d import Manifold
-
     low, high = np.array(low_m, np.float64), np.array(high_m, np.float64)
     radius_m = min(radius_m, float((high - low).min()) / 2 * 0.999)
     ball = Manifold.sphere(radius_m, 16)
@@ -140,7 +130,7 @@ def cushion(low_m: Vector3, high_m: Vector3, radius_m: float, crown_m: float = 0
 
 def leg(
     foot_m: Vector3, head_m: Vector3, foot_size_m: Size, head_size_m: Size, *, is_round: bool = False
-) -> "Manifold":
+) -> Manifold:
     """Make a prism between two horizontal ends, perhaps leaning and tapered.
 
     Args:
@@ -150,8 +140,6 @@ def leg(
         head_size_m: size of the upper end.
         is_round: whether the ends are ellipses instead of rectangles.
     """
-    from manifold3d import Manifold
-
     ends = []
     for center, size in ((foot_m, foot_size_m), (head_m, head_size_m)):
         size_m = size if isinstance(size, tuple) else (size, size)
@@ -160,19 +148,15 @@ def leg(
     return Manifold.hull_points(np.concatenate(ends))
 
 
-def rod(a_m: Vector3, b_m: Vector3, radius_m: float) -> "Manifold":
+def rod(a_m: Vector3, b_m: Vector3, radius_m: float) -> Manifold:
     """Make a round bar between two points, with flat ends."""
-    from manifold3d import Manifold
-
     a, b = np.array(a_m, np.float64), np.array(b_m, np.float64)
     bar = Manifold.cylinder(float(np.linalg.norm(b - a)), radius_m, radius_m, SEGMENTS)
     return bar.transform(_frame(a, b))
 
 
-def bar_between(a_m: Vector3, b_m: Vector3, width_m: float, height_m: float) -> "Manifold":
+def bar_between(a_m: Vector3, b_m: Vector3, width_m: float, height_m: float) -> Manifold:
     """Make a rectangular bar between two points; its width is horizontal, its ends are cut square."""
-    from manifold3d import Manifold
-
     a, b = np.array(a_m, np.float64), np.array(b_m, np.float64)
     block = Manifold.cube((width_m, height_m, float(np.linalg.norm(b - a))))
     return block.translate((-width_m / 2, -height_m / 2, 0.0)).transform(_frame(a, b))
@@ -187,13 +171,11 @@ def _frame(a: Points, b: Points) -> NDArray[np.float64]:
     return np.column_stack([side, np.cross(forward, side), forward, a])
 
 
-def tube(path_m: Sequence[Vector3] | Points, radius_m: float) -> "Manifold":
+def tube(path_m: Sequence[Vector3] | Points, radius_m: float) -> Manifold:
     """Make a round tube along a polyline (n, 3), mitred at its corners.
 
     Its ends are flat. A planar path that ends where it begins gives a closed ring.
     """
-    from manifold3d import Manifold, Mesh64
-
     path = np.array(path_m, np.float64)
     closed = bool(np.allclose(path[0], path[-1]))
     steps = np.diff(path, axis=0)
@@ -229,10 +211,8 @@ def _tube_faces(rings: int, closed: bool) -> NDArray[np.uint64]:
     return np.concatenate(faces).astype(np.uint64)
 
 
-def ribbon(path_yz_m: Sequence[Vector2] | Points, x_m: Vector2, thick_m: float) -> "Manifold":
+def ribbon(path_yz_m: Sequence[Vector2] | Points, x_m: Vector2, thick_m: float) -> Manifold:
     """Make a strip of constant thickness and round ends along a path (n, 2) in y and z, over a range of x."""
-    from manifold3d import CrossSection, Manifold, OpType
-
     disc = CrossSection.circle(thick_m / 2, 16)
     at = [disc.translate((float(y), float(z))) for y, z in path_yz_m]
     links = [CrossSection.batch_hull([at[k], at[k + 1]]) for k in range(len(at) - 1)]
@@ -256,20 +236,18 @@ def rounded_path(path_m: Sequence[Sequence[float]], radius_m: float) -> Points:
     return np.concatenate([*points, path[-1:]])
 
 
-def turned(profile_rz_m: Sequence[Vector2]) -> "Manifold":
+def turned(profile_rz_m: Sequence[Vector2]) -> Manifold:
     """Make a solid of revolution about the z axis from a closed polygon of (radius, height), metres."""
-    from manifold3d import CrossSection, FillRule, Manifold
-
     outline = np.array(profile_rz_m, np.float64)
     return Manifold.revolve(CrossSection([outline], FillRule.NonZero), 2 * SEGMENTS)
 
 
-def bent(shape: "Manifold", move: Callable[[Points], Points], edge_m: float = BEND_EDGE_M) -> "Manifold":
+def bent(shape: Manifold, move: Callable[[Points], Points], edge_m: float = BEND_EDGE_M) -> Manifold:
     """Deform a shape: subdivide its edges to at most `edge_m`, then map its vertices (n, 3) by `move`."""
     return shape.refine_to_length(edge_m).warp_batch(move)
 
 
-def bowed(low_m: Vector3, high_m: Vector3, bow_m: float) -> "Manifold":
+def bowed(low_m: Vector3, high_m: Vector3, bow_m: float) -> Manifold:
     """Make an upright board between two opposite corners, its middle bent backwards (-y) by `bow_m`."""
     middle, half = (low_m[0] + high_m[0]) / 2, (high_m[0] - low_m[0]) / 2
 
@@ -280,27 +258,23 @@ def bowed(low_m: Vector3, high_m: Vector3, bow_m: float) -> "Manifold":
     return bent(box(low_m, high_m), move) if bow_m else box(low_m, high_m)
 
 
-def leaned(shape: "Manifold", from_m: float, slope: float) -> "Manifold":
+def leaned(shape: Manifold, from_m: float, slope: float) -> Manifold:
     """Shear a shape backwards (-y) by `slope` metres for each metre above the height `from_m`."""
     return shape.transform([[1, 0, 0, 0], [0, 1, -slope, slope * from_m], [0, 0, 1, 0]])
 
 
-def union(shapes: Sequence["Manifold"]) -> "Manifold":
+def union(shapes: Sequence[Manifold]) -> Manifold:
     """Return the union of shapes, without inner faces."""
-    from manifold3d import Manifold, OpType
-
     return Manifold.batch_boolean(list(shapes), OpType.Add)
 
 
-def solid(vertices: Points, faces: NDArray[np.integer]) -> "Manifold | None":
+def solid(vertices: Points, faces: NDArray[np.integer]) -> Manifold | None:
     """Return the solid inside a mesh, with negative volume if its faces point inwards; None if it is open."""
-    from manifold3d import Error, Manifold, Mesh64
-
     shape = Manifold(Mesh64(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.uint64)))
     return None if shape.status() != Error.NoError or shape.is_empty() else shape
 
 
-def surface(shape: "Manifold") -> TriangleMesh:
+def surface(shape: Manifold) -> TriangleMesh:
     """Return the surface of a shape as triangles."""
     mesh = shape.to_mesh64()
     # Copied, because the library's own arrays are read-only.

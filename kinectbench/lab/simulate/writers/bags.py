@@ -7,21 +7,21 @@ import shutil
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from kinectbench.core.geometry import Camera, quaternion_xyzw_from_rotation
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig, png_bytes
 from kinectbench.stages.ingest.bags.message_decoding import Message
 from kinectbench.stages.ingest.bags.rvl import encode_rvl
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import Writer as Writer2
-    from rosbags.typesys.store import Typestore
 
 DepthCode = Literal["raw", "png", "rvl"]
 
@@ -155,7 +155,7 @@ Messages = Iterator[tuple[str, str, int, Message]]
 
 
 def log_messages(
-    writer: "Writer1 | Writer2", store: "Typestore", messages: Messages, *, ros2: bool = False
+    writer: Writer1 | Writer2, store: Typestore, messages: Messages, *, ros2: bool = False
 ) -> None:
     """Write (topic, type, stamp in ns, message) to an open bag; open each topic at its first message."""
     serialize = store.serialize_cdr if ros2 else store.serialize_ros1
@@ -177,14 +177,11 @@ def write_rosbag1(path: Path, rig: Rig, frames: Iterable[RecordedFrame], *, dept
         frames: the recorded frames.
         depth_code: encoding of depth; raw 16UC1 is written in bz2 chunks, others in uncompressed chunks.
     """
-    from rosbags.rosbag1 import Writer
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg(_TF_DEFINITION, TF))  # the library's own lack it
-    writer = Writer(path)
+    writer = Writer1(path)
     if depth_code == "raw":  # PNG and JPEG would not shrink
-        writer.set_compression(Writer.CompressionFormat.BZ2)
+        writer.set_compression(Writer1.CompressionFormat.BZ2)
     maker = MessageMaker(store.types, rig, depth_code, ros2=False)
 
     def messages() -> Messages:
@@ -213,9 +210,6 @@ def write_rosbag2(
         depth_code: encoding of depth.
         mcap: whether the file is MCAP instead of SQLite.
     """
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
     store = get_typestore(Stores.ROS2_HUMBLE)
     plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
     maker = MessageMaker(store.types, rig, depth_code, ros2=True)
@@ -229,7 +223,7 @@ def write_rosbag2(
                 logged_ns = logged.sec * 10**9 + logged.nanosec if logged else frame.stamp_ns
                 yield topic, kind, logged_ns, message
 
-    with Writer(folder / NAME, version=8, storage_plugin=plugin) as writer:
+    with Writer2(folder / NAME, version=8, storage_plugin=plugin) as writer:
         log_messages(writer, store, messages(), ros2=True)
     # The library makes its own subfolder; its files are moved to the given folder.
     for file in (folder / NAME).iterdir():

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.types import Float64, Int32, Int64
@@ -121,8 +122,6 @@ def box_cut_share(selection: Selection) -> float:
     Neither the board that the object stands on counts, nor a thing that comes apart from the largest in the
     box at the finest cut, such as one beside it that the box just touches.
     """
-    from scipy.spatial import cKDTree
-
     inside, outside = selection.object_points, selection.other_points
     outside = outside[~selection.box.contains(outside)]
     if stands_on_a_board(selection):
@@ -171,8 +170,6 @@ def large_neighbours(selection: Selection) -> Float64:
 
 def _gap_within_m(points: Float64, others: Float64, most_m: float) -> float:
     """Return the smallest distance between points (n, k) and (m, k); inf if it exceeds `most_m`."""
-    from scipy.spatial import cKDTree
-
     return nearest_within(cKDTree(points), others, most_m)[0] if len(points) else np.inf
 
 

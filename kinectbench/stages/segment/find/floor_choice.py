@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import ransac_plane, refine, transform_points
 from kinectbench.core.trajectory.coverage import from_above
@@ -229,8 +230,6 @@ def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
 
     It grows with the square of the distance from the nearest camera.
     """
-    from scipy.spatial import cKDTree
-
     cameras = T_world_camera[:: max(1, len(T_world_camera) // SOME_CAMERAS), :3, 3]
     median_m = float(np.median(np.linalg.norm(cameras - surface.focus_world, axis=1)))
     far_m, _ = cKDTree(cameras).query(surface.points_world)

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from kinectbench.core import SegmentationError
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, invert_rigid, transform_points
@@ -361,8 +362,6 @@ def _object_in_box(scene: Scene, above: Bools, box: OrientedBox) -> ObjectOnFloo
 
 def _dilated(cells: Int64, first: Int64, shape: Int64) -> Bools:
     """Mark cells (n, 3) and their 26 neighbours in a dense bool grid of `shape` that starts at `first`."""
-    from scipy import ndimage
-
     local = cells - first
     inside = np.all((local >= 0) & (local < shape), axis=1)
     dense = np.zeros(shape, dtype=bool)

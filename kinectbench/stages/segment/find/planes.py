@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.types import Float64, Int64
@@ -60,8 +61,6 @@ class SceneSurface:
     @cached_property
     def spacing_m(self) -> float:
         """The distance within which 90 % of the points have a neighbour, metres."""
-        from scipy.spatial import cKDTree
-
         points = self.points_world
         return float(np.quantile(cKDTree(points).query(points, k=2)[0][:, 1], SPACING_QUANTILE))
 

@@ -1,16 +1,13 @@
 """The connected pieces of the fused surface above the floor, and which of them is the object."""
 
-from typing import TYPE_CHECKING
-
+import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from kinectbench.core import SegmentationError
 from kinectbench.core.geometry import OrientedBox, yaw_rotation
 from kinectbench.core.types import Bools, Float64, Int32, Int64
 from kinectbench.core.voxels.touching_cells import connected, pieces_of_cells, touching_cells
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 # A piece whose lowest point is higher is in the air, and something not too far away holds it.
 GROUNDED_M = 0.12
@@ -66,8 +63,6 @@ def standing(label: Int32, points_floor: Float64) -> Bools:
 
 def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
     """Labels (n,) with floating pieces merged into their nearest standing piece."""
-    from scipy.spatial import cKDTree
-
     stands = standing(label, points_floor)
     sizes = np.bincount(label)
     if not stands[label].any():
@@ -183,8 +178,6 @@ def fit_box(
     pi/4), which makes it unique. On each side and at the top, the share `left_out` of the points is left
     outside, so that specks do not enlarge the box; they may still turn it.
     """
-    import cv2
-
     if yaw_rad is None:
         (_, _, angle_deg) = cv2.minAreaRect(points_floor[:, :2].astype(np.float32))
         yaw_rad = float(np.radians((angle_deg + 45.0) % 90.0 - 45.0))

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from kinectbench.core import SegmentationError
@@ -151,8 +152,6 @@ def find_turntable(sequence: Sequence) -> Turntable:
 
 def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
     """Return the cylinder around the moving points (n, 3), on the floor or on a plate."""
-    import cv2
-
     floor = _floor(watched, camera, moving)
     if floor is None:
         raise SegmentationError(

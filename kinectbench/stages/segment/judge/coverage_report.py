@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from kinectbench.core.artefacts.object import MovingPart, UnseenSidePart
@@ -57,8 +58,6 @@ def moving_frames(
     at least three sampled pixels wide. A moving object leaves no surface in the fused scene, because other
     frames saw through it.
     """
-    import cv2
-
     good = trajectory.good_frames
     judged = some_frames(good)
     step_px = max(1, round(sequence.camera.width / COLUMNS))

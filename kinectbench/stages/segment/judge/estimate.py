@@ -1,8 +1,12 @@
-"""Estimate the IoU of the solid with the unknown truth, with an interval and the causes of its width."""
+"""Estimate the IoU of the solid with the unknown truth, with an interval and the causes of its width.
+
+One of them are parts of the solid that are too thin for their thickness to be measured.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh
@@ -33,6 +37,9 @@ MAX_VOLUME_SHARE_PER_MM = 0.1
 EXPECTED_OF_THIN, MAX_UNRESOLVED_SHARE = 0.5, 0.1
 # Poses are a reason if their median error moves more of the volume than this (chosen by hand).
 MAX_SHIFTED_SHARE = 0.03
+# An opening takes this share from the edges of thick objects, too: of 22 families of parts of 10 mm and more,
+# in voxels of 5 mm, at most .116 (docs/evidence/ground-truth.md, The estimate).
+EDGE_SHARE = 0.12
 
 
 @dataclass(frozen=True)
@@ -193,8 +200,6 @@ def _regions_sigma(shape: SolidShape, expected: _Volumes) -> float:
     A region is a 26-connected piece of unknown voxels whose probability is near neither 0 nor 1. Those of
     the underside are one region.
     """
-    from scipy import ndimage
-
     unknown, p = shape.labels == Label.UNKNOWN, shape.probability
     undecided = unknown & (p > DECIDED) & (p < 1 - DECIDED)
     pieces, count = ndimage.label(undecided & ~shape.underside, np.ones((3, 3, 3)))
@@ -236,3 +241,15 @@ def _reasons(
         ),
     )
     return tuple(line for holds, line in reasons if holds)
+
+
+def unresolved_share(shape: SolidShape) -> float:
+    """Return the share of the known solid, in [0, 1], in parts whose thickness the voxels do not resolve.
+
+    These are what an opening by a voxel and its six neighbours removes: walls of one or two voxels, and rods
+    of up to about three. `EDGE_SHARE` of the known solid counts as edges.
+    """
+    known = shape.solid & (shape.labels != Label.UNKNOWN)
+    removed = known & ~ndimage.binary_opening(shape.solid)
+    share = int(removed.sum()) / max(1, int(known.sum()))
+    return max(0.0, (share - EDGE_SHARE) / (1 - EDGE_SHARE))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import ndimage
 
 from kinectbench.core.artefacts.object import FLOOR_CUT
 from kinectbench.core.types import Bools
@@ -100,8 +101,6 @@ def taken_by_floor_cut(
         voxel_m: edge of a voxel, metres.
         floor: the floor.
     """
-    from scipy import ndimage
-
     if layers.contact < 2:
         return FloorCut(0.0, True, layers.contact * voxel_m, None, floor.noise_m)
     skipped = layers.contact // 2

@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from kinectbench.core.artefacts.object import LEAST_UNDERSIDE_SHARE
 from kinectbench.core.artefacts.object_grids import Label
@@ -169,8 +170,6 @@ def _frontiers_of(
 
     The pieces `aside` could be seen from the side or from above; the pieces `below` are undersides.
     """
-    from scipy import ndimage
-
     voxel_m = shape.grid.voxel_size_m
     if not aside[1] + below[1]:
         return ()
@@ -227,8 +226,6 @@ def _large_pieces(
 
 def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], int]:
     """Find the 26-connected pieces of at least `least_voxels` voxels; return the same as `_large_pieces`."""
-    from scipy import ndimage
-
     pieces, count = ndimage.label(region, np.ones((3, 3, 3)))
     large = piece_sizes(pieces, count) >= max(1, least_voxels)
     large[0] = False

@@ -19,7 +19,7 @@ from kinectbench.core.voxels.observation import (
     USUAL_FREE_SHARE_PER_VOXEL,
     VOXELS_PER_FREE_SHARE,
 )
-from kinectbench.stages.segment.judge import estimate, frontiers, thin_walls
+from kinectbench.stages.segment.judge import estimate, frontiers
 from kinectbench.stages.segment.solid import evidence, grids, guess, labels, solid
 from kinectbench.stages.segment.solid.evidence import Rules
 
@@ -57,7 +57,7 @@ def _estimate() -> EstimateMethod:
         missed_least=estimate.MISSED_LEAST,
         coin_sigmas=estimate.COIN_SIGMAS,
         decided=estimate.DECIDED,
-        edge_share=thin_walls.EDGE_SHARE,
+        edge_share=estimate.EDGE_SHARE,
         expected_of_thin=estimate.EXPECTED_OF_THIN,
         max_unresolved_share=estimate.MAX_UNRESOLVED_SHARE,
         max_volume_share_per_mm=estimate.MAX_VOLUME_SHARE_PER_MM,

@@ -1,6 +1,8 @@
 """Judge the solid by the recording itself: repeatability, estimated IoU, boxes and warnings."""
 
 import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from kinectbench.core.artefacts.object import (
     LEAST_UNDERSIDE_SHARE,
@@ -23,12 +25,12 @@ from kinectbench.stages.segment.judge.estimate import (
     IouEstimate,
     PoseError,
     estimate_iou,
+    unresolved_share,
     volume_share_per_mm,
 )
 from kinectbench.stages.segment.judge.floor_cut import FloorCut
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
-from kinectbench.stages.segment.judge.thin_walls import unresolved_share
 from kinectbench.stages.segment.solid.evidence import Rules
 from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape
 
@@ -249,8 +251,6 @@ def _warnings(
 
 def _unsupported(chosen: Segmentation, shape: SolidShape, rules: Rules) -> list[str]:
     """Warnings if the solid or pieces of it are in the air, or if `underside: open` has no effect."""
-    from scipy import ndimage
-
     warnings = [*_stands_on_its_rim(shape, rules)]
     gap_m = float(transform_points(chosen.floor.T_floor_world, shape.mesh.vertices)[:, 2].min())
     if chosen.floor.found and gap_m > MAX_GAP_M:
@@ -280,9 +280,6 @@ def detached_pieces(labels: Int32, small: Int64, sizes: Int64, voxel_size_m: flo
         sizes: voxels of each piece, from label 1 on.
         voxel_size_m: edge of a voxel, metres.
     """
-    from scipy import ndimage
-    from scipy.spatial import cKDTree
-
     large = (labels > 0) & ~np.isin(labels, small)
     if not len(small) or not large.any():
         return []

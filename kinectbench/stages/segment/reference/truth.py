@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy import ndimage
 
 from kinectbench.core import SegmentationError, ShapeError
 from kinectbench.core.artefacts.object import BoxPart, LabelCounts, QualityFile, ReferenceTruth
@@ -84,8 +85,6 @@ def _solid(mesh: TriangleMesh, floor: Floor, yaw_rad: float, voxel_size_m: float
     Voxels in the mesh are SURFACE down to the depth at which a fused surface counts as measured, and INTERIOR
     below that. Voxels outside are OTHER. `path` is for messages.
     """
-    from scipy import ndimage
-
     vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
     box = fit_box(vertices_floor, yaw_rad, 0.0)
     # What is held, or registered low, reaches below the floor.
