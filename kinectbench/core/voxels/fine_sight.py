@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core.even_choice import evenly
-from kinectbench.core.types import Bools, Float64
+from kinectbench.core.types import Float64
 from kinectbench.core.voxels.line_kernels import (
     BLOCKED,
     FROM_ABOVE,
@@ -102,9 +102,7 @@ def _some_see(state, cells, ways, heights_m, voxel_m, near_m, least_m):  # type:
     return seeing
 
 
-def seen_around_corners(
-    space: Space, seen: NDArray[np.uint8], to_camera: Float64, wanted: Bools | None = None
-) -> NDArray[np.uint8]:
+def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
     """Find more visible voxels along additional directions, outwards from the edge of the visible region.
 
     Few directions pass through a narrow gap. If a voxel is seen, so are all points between it and the camera;
@@ -114,7 +112,6 @@ def seen_around_corners(
         space: the voxels.
         seen: result of `seen_along`.
         to_camera: (n, 3) unit vectors, from a point to a camera: the additional directions.
-        wanted: (nx, ny, nz) bool, the voxels to search for; None: all.
 
     Returns:
         `seen` with more bits set.
@@ -127,28 +124,24 @@ def seen_around_corners(
         (FROM_ABOVE, FROM_ABOVE, to_camera[up]),
         (FROM_BELOW, FROM_ABOVE | FROM_BELOW, to_camera[~up]),
     ):
-        if not len(ways):
-            continue
         # Each is asked once at most.
-        asked = (state == BLOCKED) | (more & enough != 0)
-        if wanted is not None:
-            asked |= ~wanted
-        stack = np.empty(np.count_nonzero(~asked), np.int64)
+        stack = np.empty(np.count_nonzero((state != BLOCKED) & (more & enough == 0)), np.int64)
         bits = np.uint8(bit), np.uint8(enough)
-        _grow(more, asked, state, bits, np.ascontiguousarray(ways), stack, space.heights_m, *space.lengths_m)
+        _grow(more, state, bits, np.ascontiguousarray(ways), stack, space.heights_m, *space.lengths_m)
     return more
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _grow(seen, asked, state, bits, ways, stack, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+def _grow(seen, state, bits, ways, stack, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
     nx, ny, nz = state.shape
     bit, enough = bits
+    asked = np.zeros(state.shape, np.bool_)
     count = 0
     for i in range(nx):
         for j in range(ny):
             for k in range(nz):
                 if seen[i, j, k] & enough:
-                    count = _push_around(asked, stack, count, i, j, k)
+                    count = _push_around(seen, state, asked, enough, stack, count, i, j, k)
     last = 0
     while count > 0:
         count -= 1
@@ -160,17 +153,18 @@ def _grow(seen, asked, state, bits, ways, stack, heights_m, voxel_m, near_m, lea
             if _sees(state, i, j, k, ways[way], heights_m, voxel_m, near_m, least_m):
                 last = way
                 seen[i, j, k] |= bit
-                count = _push_around(asked, stack, count, i, j, k)
+                count = _push_around(seen, state, asked, enough, stack, count, i, j, k)
                 break
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _push_around(asked, stack, count, i, j, k):  # type: ignore[no-untyped-def]
-    """Push those of the 6 neighbours of (i, j, k) that are not `asked` onto the stack; return its new length.
+def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ignore[no-untyped-def]
+    """Push the 6 neighbours of (i, j, k) that must be tested onto the stack; return its new length.
 
-    They are marked in `asked`. `count` is the stack's length before.
+    These are not BLOCKED (`state`), have none of the bits `enough` in `seen`, and are not marked in `asked`.
+    `count` is the stack's length before.
     """
-    nx, ny, nz = asked.shape
+    nx, ny, nz = state.shape
     for side in range(6):
         step = 1 if side % 2 else -1
         a = i + step if side // 2 == 0 else i
@@ -178,7 +172,7 @@ def _push_around(asked, stack, count, i, j, k):  # type: ignore[no-untyped-def]
         c = k + step if side // 2 == 2 else k
         if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
             continue
-        if not asked[a, b, c]:
+        if state[a, b, c] != BLOCKED and not seen[a, b, c] & enough and not asked[a, b, c]:
             asked[a, b, c] = True
             stack[count] = (a * ny + b) * nz + c
             count += 1

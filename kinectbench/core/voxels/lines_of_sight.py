@@ -27,6 +27,7 @@ from kinectbench.core.voxels.line_kernels import (
     sweep_slices,
     walk_back,
 )
+from kinectbench.core.voxels.morphology import dilated
 
 # One thread marks the voxels of this many directions: to join the marks then takes no 1 % of the time.
 AT_ONCE = 32
@@ -37,6 +38,8 @@ IN_CACHE = 8
 VOXELS_A_WALK = 75
 # First, every 16th direction is swept along.
 FEWER = 16
+# Behind a gap, lines are tried from voxels this near to those seen before.
+BESIDE = 2
 
 
 @dataclass(frozen=True)
@@ -82,9 +85,34 @@ def directions(count: int) -> Float64:
     return np.concatenate([ball, ring, [[0, 0, 1], [0, 0, -1]]])
 
 
-def seen_along(space: Space, to_camera: Float64, wanted: Bools | None = None) -> NDArray[np.uint8]:
+def seen_along(space: Space, to_camera: Float64) -> NDArray[np.uint8]:
     """Return the marks of `ways_along` without the number of directions: FROM_ABOVE, FROM_BELOW, both, 0."""
-    return ways_along(space, to_camera, ONE_WAY, wanted) & np.uint8(SEEN)
+    return ways_along(space, to_camera, ONE_WAY) & np.uint8(SEEN)
+
+
+def seen_outwards(space: Space, to_camera: Float64, wanted: Bools | None) -> NDArray[np.uint8]:
+    """Return the marks of `seen_along`, but search only beside voxels that were found before.
+
+    First every 16th direction is followed everywhere. Behind a gap, voxels that other directions see are next
+    to these; far from them, all directions would be tried in vain. Single voxels may be missed.
+
+    Args:
+        space: the voxels.
+        to_camera: (n, 3) unit vectors, from a point to a camera; all level or up, or all down.
+        wanted: (nx, ny, nz) bool, voxels to search for; None: all.
+    """
+    marks = _swept_along(space, to_camera[::FEWER])
+    left = (space.state != BLOCKED) & (marks == 0)
+    if wanted is not None:
+        left &= wanted
+    others = np.delete(to_camera, np.s_[::FEWER], 0)
+    while True:
+        beside = left & dilated(marks > 0, (BESIDE,) * 3)
+        cells = np.flatnonzero(beside)
+        if not len(cells):
+            return marks & np.uint8(SEEN)
+        _walk_back(space, marks, cells, others, ONE_WAY)
+        left &= ~beside
 
 
 def ways_along(

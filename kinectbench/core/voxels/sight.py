@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.distance import distance_within_m
-from kinectbench.core.voxels.fine_sight import further_directions, seen_around_corners
+from kinectbench.core.voxels.fine_sight import further_directions
 from kinectbench.core.voxels.line_kernels import BLOCKED, LEVEL, MOST_WAYS, ONE_WAY, PASSABLE, PLACE, SEEN
-from kinectbench.core.voxels.lines_of_sight import FEWER, Space, directions, seen_along, ways_along
+from kinectbench.core.voxels.lines_of_sight import Space, directions, seen_outwards, ways_along
 from kinectbench.core.voxels.morphology import dilated, from_beyond, reached_from_beyond
 
 # Distances from voxel to voxel are exact except for rounding.
@@ -72,6 +72,7 @@ def swept_from_outside(
     """
     to_camera = directions(count)
     level_or_up = to_camera[:, 2] >= -LEVEL
+    up, down = to_camera[level_or_up], to_camera[~level_or_up]
     space = line_space(obstacle, heights_m, voxel_size_m, limits)
     wide = None
     if closer is not None:
@@ -79,16 +80,13 @@ def swept_from_outside(
         wide = _blocked(gap_m, space.heights_m, closer)
     lines = _Lines(obstacle, limits, closer, wide, float(np.sqrt(4 * np.pi / count)))
     lower, nothing = without_rising(space, empty), np.zeros_like(space.state)
-    of_lower, ways = nothing, lines.marks(lower, to_camera[level_or_up], nothing)
-    if lower is not space:
-        of_lower, ways = ways, lines.marks(space, to_camera[level_or_up], nothing, ways)
-    from_above = lines.seen(space, to_camera[level_or_up], ways, nothing)
-    if lower is space:
-        of_lower = from_above
-    else:  # what all camera positions do not see, fewer do not see either
-        of_lower = lines.seen(lower, to_camera[level_or_up], of_lower, (from_above == 0).astype(np.uint8))
-    ways = lines.marks(space, to_camera[~level_or_up], from_above)
-    any_way = from_above | lines.seen(space, to_camera[~level_or_up], ways, from_above)
+    in_lower = lines.marks(lower, up, nothing)
+    ways = in_lower if lower is space else lines.marks(space, up, nothing, in_lower)
+    of_lower = from_above = lines.seen(space, up, ways, nothing)
+    if lower is not space:  # what cameras in no position see, they do not see in fewer positions either
+        of_lower = lines.seen(lower, up, in_lower, (from_above == 0).astype(np.uint8))
+    ways = lines.marks(space, down, from_above)
+    any_way = from_above | lines.seen(space, down, ways, from_above)
     return Sight(any_way, of_lower > 0, space, lower)
 
 
@@ -143,7 +141,7 @@ class _Lines:
             return found
         wide = replace(space, state=np.where(self.wide, np.uint8(BLOCKED), space.state))
         wanted = self._around_unseen(found | already, space.voxel_size_m, self.closer)
-        further = seen_around_corners(wide, seen_along(wide, finer[::FEWER]), finer, wanted)
+        further = seen_outwards(wide, finer, wanted)
         return found | grown(further, self.obstacle, space.voxel_size_m, self.closer)
 
     def _around_unseen(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench._version import __version__
-from kinectbench.core import RESULTS, KinectBenchError, RecordingError, pretty_json
+from kinectbench.core import RESULTS, KinectBenchError, RecordingError, SettingsError, pretty_json
 from kinectbench.core.geometry import Camera, Grid, TriangleMesh, read_own_ply, write_ply
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.sequence import GivenTrajectory
@@ -137,6 +137,8 @@ def floor_plane(T_world_object: NDArray[np.float64]) -> NDArray[np.float64]:
 def truth_folder(recording: Path) -> Path:
     """Return the truth's folder beside a recording, which may be `.`: `<name without .bag>.truth`."""
     named = recording if recording.name.strip(".") else recording.resolve()
+    if not named.name:
+        raise SettingsError(f"{recording}: is no recording; name its folder or file")
     return named.with_name(f"{named.name.removesuffix('.bag')}.truth")
 
 

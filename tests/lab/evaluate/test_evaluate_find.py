@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from kinectbench.core.errors import KinectBenchError
+from kinectbench.core.errors import KinectBenchError, SettingsError
 from kinectbench.lab.evaluate.run import find_built, folder_beside
 from kinectbench.lab.simulate.truth import truth_folder
 
@@ -61,6 +61,8 @@ def test_the_recording_may_be_the_folder_one_is_in(root: Path, monkeypatch: pyte
     for here, name in ("other", "."), ("other/depth", ".."):
         monkeypatch.chdir(root / "recordings" / here)
         assert truth_folder(Path(name)) == root.resolve() / "recordings/other.truth"
+    with pytest.raises(SettingsError):
+        truth_folder(Path("/"))
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ FINE: Final = 1600
 COARSE: Final = 400  # a quarter of the time
 # Lines of this share of the width reach slits that whole lines do not reach. The voxels there are unknown,
 # not air: a gap that was measured too narrow, by up to half a line, stays a gap.
-NARROWER = 0.5
+NARROWER = 0.5  # and the least share of a camera's size
 # A gap is measured narrower than it is by this many voxels: by the sheet (1.2) and rounding (.5) on both
 # sides, and by noise at edges. A gap of 173 mm between two doors was measured as 148 mm (voxels of 5 mm).
 NARROWED_VOXELS = 5
@@ -264,10 +264,11 @@ def narrow(limits: SensorLimits, voxel_m: float) -> SensorLimits:
     These also pass gaps that were measured too narrow. `voxel_m` is the edge of a voxel, metres.
     """
     line_m = NARROWER * limits.line_width_m
-    camera_m = max(line_m, limits.camera_size_m - NARROWED_VOXELS * voxel_m)
+    camera_m = limits.camera_size_m - NARROWED_VOXELS * voxel_m
+    camera_m = max(line_m, NARROWER * limits.camera_size_m, camera_m)
     return replace(limits, line_width_m=line_m, camera_size_m=camera_m)
 
 
 def rim_voxels(limits: SensorLimits, voxel_m: float) -> int:
     """Return half the width of a `narrow` line of sight, in voxels, at least one."""
-    return max(1, round(narrow(limits, voxel_m).line_width_m / 2 / voxel_m))
+    return max(1, round(NARROWER * limits.line_width_m / 2 / voxel_m))
