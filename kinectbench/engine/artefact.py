@@ -45,7 +45,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 17,
     "track": 16,
     "fuse": 7,
-    "segment": 51,
+    "segment": 52,
     "sample-views": 7,
     "pairs": 4,
     "suggest": 8,
