@@ -27,6 +27,7 @@ from kinectbench.core.types import Underside
 from kinectbench.core.voxels.line_kernels import FROM_ABOVE, FROM_BELOW
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.core.voxels.seeable import seen_from_outside
+from kinectbench.stages.segment.judge.frontiers import find_frontiers
 from kinectbench.stages.segment.solid.evidence import (
     LEAST_WEIGHT_SHARE,
     SHELL_M,
@@ -264,3 +265,6 @@ def test_a_camera_passes_where_the_measured_gap_is_a_little_too_narrow() -> None
     air = seen_from_outside(obstacle, heights_m, room.voxel_m, SensorLimits()) > 0
     assert air[corner].all()
     assert not evidence.closed[corner].any()
+    shape = make_solid(observed, evidence, Rules(room.layers))
+    first, *_ = find_frontiers(shape, evidence, SensorLimits(), np.eye(4))
+    assert first.from_inside and "hold the camera inside, and record" in first.advice(0.0)

@@ -78,6 +78,7 @@ PIT, ABOVE_PIT = np.s_[10:30, 12:24, 5:15], np.s_[10:30, 12:24, 15:40]
 def test_of_a_pit_by_hand() -> None:
     (found,) = found_of(mask(PIT), mask(ABOVE_PIT))
     assert found.direction == "up" and found.look_from[2] > 0.7 and not found.underside
+    assert not found.from_inside
     assert found.area_m2 == pytest.approx(0.2 * 0.12)
     assert found.size_m == pytest.approx((0.2, 0.12))
     # On the boundary between the two, in the middle.

@@ -12,7 +12,8 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float64, Underside
-from kinectbench.core.voxels.lines_of_sight import count_seen, directions
+from kinectbench.core.voxels.line_kernels import PASSABLE, PLACE
+from kinectbench.core.voxels.lines_of_sight import Space, count_seen, directions
 from kinectbench.core.voxels.morphology import broad, opened, piece_sizes, values_of_pieces
 from kinectbench.stages.segment.find.select import triple
 from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY
@@ -59,6 +60,7 @@ class Frontier:
         solid_share: share of that volume that the solid fills, 0 to 1.
         underside: whether a camera could see the region only from below.
         obstructed: whether something that is not the object stands where the camera would be.
+        from_inside: whether much of the region is only seen by a camera within the object's bounding box.
     """
 
     direction: Direction
@@ -71,6 +73,7 @@ class Frontier:
     solid_share: float
     underside: bool = False
     obstructed: bool = False
+    from_inside: bool = False
 
     def restored(self, scale: float) -> "Frontier":
         """Return the same frontier in a world that is `scale` times as large."""
@@ -92,6 +95,7 @@ class Frontier:
         """
         size = " x ".join(f"{100 * length_m:.0f}" for length_m in self.size_m) + " cm"
         where = f"record {where_to_stand(self.look_from, self.center_m[2], first_rad)}"
+        where = f"hold the camera inside, and {where}" if self.from_inside else where
         where = f"{MOVE_AWAY} {where}" if self.obstructed else where
         if self.underside:
             say = ", or say in benchmark.yaml whether its `underside` is closed or open"
@@ -176,8 +180,9 @@ def _frontiers_of(
     ways = directions(VIEW_DIRECTIONS)
     # A camera that would rise through an underside is no advice.
     shown_aside = count_seen(evidence.space, ways, aside[0])
+    shown_outside = count_seen(_without_inside(evidence.space, shape.solid), ways, aside[0])
     shown_below = count_seen(evidence.lower, ways, below[0])
-    shown = np.concatenate([shown_aside, shown_below[:, 1:]], axis=1)
+    shown, outside = (np.concatenate([each, shown_below[:, 1:]], 1) for each in (shown_aside, shown_outside))
     pieces = np.where(below[0] > 0, below[0] + np.int32(aside[1]), aside[0])
     # Below an underside all may be unseen down to the floor: a camera looks through that.
     open_to = (evidence.free, evidence.free | (evidence.unknown & ~evidence.underside))
@@ -197,10 +202,12 @@ def _frontiers_of(
             float(shape.solid[window][inner].mean()),
         )
         # An underside that none of the directions shows is seen straight from below.
-        look = _best_direction(ways, shown[:, piece]) if shown[:, piece].any() or not underside else ways[-1]
+        look, inside = _viewpoint(ways, shown[:, piece], outside[:, piece])
+        if underside and not shown[:, piece].any():
+            look = ways[-1]
         frontier = _frontier(part, look, T_floor_grid, behind, underside)
         if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
-            frontiers.append(frontier)
+            frontiers.append(replace(frontier, from_inside=inside))
     return tuple(sorted(frontiers, key=lambda frontier: -frontier.volume_m3))
 
 
@@ -233,15 +240,34 @@ def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], i
     return values_of_pieces(pieces, numbers), int(large.sum())
 
 
-def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> Float64:
-    """Return the direction closest to a hand-held camera's elevation, of those that show much of a piece.
+def _without_inside(space: Space, solid: Bools) -> Space:
+    """Return the space without the camera positions in the bounding box of `solid`."""
+    state, (window,) = space.state.copy(), ndimage.find_objects(solid.astype(np.uint8))
+    state[window] = np.where(state[window] == PLACE, np.uint8(PASSABLE), state[window])
+    return replace(space, state=state)
 
-    `ways` (n, 3) are unit vectors to cameras, and `shown` (n,) is how many of the piece's voxels each one
+
+def _viewpoint(ways: Float64, shown: NDArray[np.int64], outside: NDArray[np.int64]) -> tuple[Float64, bool]:
+    """Return the direction to look from, (3,), and whether a camera must be in the object's bounding box.
+
+    `ways` (n, 3) are unit vectors to cameras. `shown` and `outside` (n,) are how many voxels of a piece each
+    one shows: to all cameras, and to those outside the box.
+    """
+    best = _best_direction(ways, shown)
+    if outside[best] < ENOUGH * shown[best] and outside.max() >= ENOUGH * shown.max():
+        best = _best_direction(ways, outside)
+    return ways[best], bool(outside[best] < ENOUGH * shown[best])
+
+
+def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> int:
+    """Return the index of the direction closest to a hand-held camera's elevation, of those that show much.
+
+    `ways` (n, 3) are unit vectors to cameras, and `shown` (n,) is how many of a piece's voxels each one
     shows.
     """
     enough = np.flatnonzero(shown >= ENOUGH * shown.max())
     off_rad = np.abs(np.arcsin(np.clip(ways[enough, 2], -1, 1)) - CAMERA_ELEVATION_RAD)
-    return np.asarray(ways[enough[np.argmin(off_rad)]])
+    return int(enough[np.argmin(off_rad)])
 
 
 @dataclass(frozen=True)
