@@ -15,6 +15,7 @@ from kinectbench.stages.ingest.intrinsics_files import LIKE_INTRINSICS
 from kinectbench.stages.ingest.known_names import first_named, in_any_case
 from kinectbench.stages.ingest.readers import find_recordings, open_recording
 from kinectbench.stages.ingest.readers.folder_images import color_images
+from kinectbench.stages.ingest.recording import FrameFiles, with_masks
 
 
 @pytest.mark.parametrize(
@@ -79,6 +80,26 @@ def test_gravity_and_unit_are_read_of_files_in_another_case(tmp_path: Path) -> N
     recording = open_recording(folder)
     assert recording.up_cameras
     assert recording.depth_scale == 1000
+
+
+def test_an_unread_file_of_intrinsics_in_another_case_is_told(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "Camera.JSON").write_bytes((folder / "camera_intrinsic.json").read_bytes())
+    assert [line for line in open_recording(folder).warnings if "and not Camera.JSON beside it" in line]
+
+
+def test_masks_are_looked_up_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder, looked = write_folder(tmp_path / "r"), list[Path]()
+    files = [FrameFiles(0, file, None) for file in sorted((folder / "depth").iterdir())]
+    (folder / "Masks").mkdir()
+
+    def counted(parent: Path, name: str) -> Path:
+        looked.append(parent)
+        return in_any_case(parent, name)
+
+    monkeypatch.setattr("kinectbench.stages.ingest.recording.in_any_case", counted)
+    assert len(with_masks(files, folder)) == 4
+    assert looked == [folder]
 
 
 @pytest.mark.parametrize("write", [write_tum, write_folder])
