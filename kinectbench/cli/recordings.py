@@ -133,7 +133,8 @@ def _without_recording(folder: Path, recordings: Sequence[Path], suffixes: Seque
         parent = waiting.pop(0)
         ours = parent == folder or (parent / "benchmark.yaml").is_file()
         for child in _children(parent):
-            if child in known or child.name.startswith(".") or (ours and child.name in {*RESULTS, "masks"}):
+            skipped = ours and (child.name in RESULTS or child.name.lower() == "masks")
+            if child in known or child.name.startswith(".") or skipped:
                 continue
             if child.relative_to(folder) in holding:
                 waiting.append(child)

@@ -285,6 +285,7 @@ def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
     named |= {file for file in drawn if file.name == MasksFile.FILE}
     if not drawn:
         return named
+    from kinectbench.stages.ingest.known_names import in_any_case
     from kinectbench.stages.ingest.readers import open_recording
     from kinectbench.stages.ingest.recording import MASKS_FOLDER, FileRecording
     from kinectbench.stages.sample_views.masks import mask_name
@@ -294,7 +295,7 @@ def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
     except KinectBenchError:  # ingest reports it
         return named
     read = recording.folders if isinstance(recording, FileRecording) else set()
-    if masks in {_whole(folder) for folder in (job.source / MASKS_FOLDER, *read)}:
+    if masks in {_whole(folder) for folder in (in_any_case(job.source, MASKS_FOLDER), *read)}:
         return named
     return named | {file for file in drawn if mask_name(file.name, plain_of_frame=True)}
 

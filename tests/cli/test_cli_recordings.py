@@ -149,6 +149,11 @@ def test_init_without_any_recording_says_where_to_look(command: Callable[..., Ru
     assert "`kinectbench inspect FOLDER` says" in line and "`kinectbench formats`" in line
 
 
+def test_masks_in_any_case_are_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "Masks").mkdir()
+    assert _without_recording(tmp_path, [tmp_path / "recording"], []) == []
+
+
 def test_folders_are_looked_up_among_the_recordings_once(tmp_path: Path) -> None:
     for n in range(4000):
         (tmp_path / f"{n:04d}").mkdir()

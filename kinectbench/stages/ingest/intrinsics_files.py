@@ -30,7 +30,7 @@ from kinectbench.stages.ingest.intrinsics import (
 )
 from kinectbench.stages.ingest.intrinsics_words import intrinsics_in_words, intrinsics_in_xml
 from kinectbench.stages.ingest.json_values import read_json_object
-from kinectbench.stages.ingest.known_names import first_named, in_any_case
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order
 from kinectbench.stages.ingest.recording import visible
 
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
@@ -59,12 +59,13 @@ YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
 # Characters that may stand between the numbers of a value.
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
 # Files that may state a unit, and how many to read at most: some programs write one for each image.
-UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)"), 20
+UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)", re.IGNORECASE), 20
 # Units per metre of 16-bit depth, 10 to 0.01 mm, that are believed of a file without intrinsics.
 LEAST_UNITS, MOST_UNITS = 100.0, 100_000.0
 # Names of files that may contain intrinsics in an unsupported layout.
 LIKE_INTRINSICS = re.compile(
-    r"(?=.*(?:intr|calib|cam|info\.txt|realsense|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
+    r"(?=.*(?:intrin|intr[._-]|calib|camera|cam[._-]?k|cam.*info|(?<![a-z])cam[._-]?\d*\.|info\.txt|realsense"
+    r"|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
     re.IGNORECASE,
 )
 TEXTS = frozenset({".txt", ".yaml", ".yml", ".xml", ".ini", ".toml"})
@@ -131,7 +132,7 @@ def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[s
     for file in sorted(listed_paths(path, wanted=UNIT_NAMES.fullmatch))[:MOST_UNIT_FILES]:
         scale = None
         with suppress(RecordingError, OSError):
-            if file.suffix == ".json":
+            if file.suffix.lower() == ".json":
                 stated = read_json_object(file, HELD, YAML_BYTES)
                 scale, _ = scale_of_keys(stated, file, of_bop="cam_K" in stated)
             elif file.name != "benchmark.yaml":
@@ -160,7 +161,7 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
         return replace(intrinsics, notes=(*intrinsics.notes, *others)), file if by_json else None
     if gives_intrinsics(settings):
         return Intrinsics(), None
-    for file in (in_any_case(path, name) for name in LOOSE_FILES):
+    for file in in_order(path, LOOSE_FILES):
         with suppress(RecordingError):
             if file.is_file():
                 return _read_text(file), None
@@ -252,7 +253,8 @@ def _files_like(path: Path, wanted: Callable[[str], object], *, by_folder: bool 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:
     """Return a warning that files with these `names` beside `read` were not read; () without such files."""
-    others = [name for name in names if name != read.name and (read.parent / name).is_file()]
+    files = (in_any_case(read.parent, name) for name in names)
+    others = [file.name for file in files if file != read and file.is_file()]
     if not others:
         return ()
     return (f"{read}: is read, and not {printable(', '.join(others))} beside it; remove the wrong ones",)

@@ -4,7 +4,7 @@ import errno
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
@@ -28,6 +28,7 @@ from kinectbench.stages.ingest.images import (
     image_header,
     quantised,
 )
+from kinectbench.stages.ingest.known_names import in_any_case
 
 # Largest number of damaged images or messages to try until an undamaged one: five minutes at 30 frames a
 # second. An index may start long before the images that were kept.
@@ -316,29 +317,28 @@ def read_image_file(path: Path) -> bytes:
         raise RecordingError(f"{line}; check the file and the disk", what="unreadable") from error
 
 
-def mask_beside(depth: Path, recording: Path) -> Path | None:
-    """Return the user's mask for a depth image: NAME.png in masks/ beside the image's folder.
+def with_masks(files: Sequence[FrameFiles], recording: Path) -> tuple[FrameFiles, ...]:
+    """Return the frames with the user's masks: NAME.png in masks/ beside the folder of depth's NAME.png."""
+    # Beside the recording's own folder there is none of its masks.
+    folders = {frame.depth.parent for frame in files} - {recording}
+    masks = {folder: in_any_case(folder.parent, MASKS_FOLDER) for folder in folders}
 
-    The result is None if there is no such file.
+    def mask_of(depth: Path) -> Path | None:
+        return first_file([masks[depth.parent] / f"{depth.stem}.png"]) if depth.parent in masks else None
 
-    Args:
-        depth: path of the image.
-        recording: the recording's folder; a mask outside it does not belong to the recording.
-    """
-    if depth.parent == recording:
-        return None
-    return first_file([depth.parent.parent / MASKS_FOLDER / f"{depth.stem}.png"])
+    return tuple(replace(frame, mask=mask_of(frame.depth)) for frame in files)
 
 
 def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
     """Return a warning with the number of images in masks/ that belong to no frame; () if there are none."""
     used = {frame.mask for frame in files}
-    others = sorted(mask for mask in visible(path / MASKS_FOLDER, "*.png") if mask not in used)
+    folder = in_any_case(path, MASKS_FOLDER)
+    others = sorted(mask for mask in visible(folder, "*.png") if mask not in used)
     if not others:
         return ()
     count = "1 mask is" if len(others) == 1 else f"{len(others)} masks are"
     such = f"{count} of no frame, such as {printable(others[0].name)}"
-    return (f"{path / MASKS_FOLDER}: {such}: name each as its depth image is named",)
+    return (f"{folder}: {such}: name each as its depth image is named",)
 
 
 def visible(folder: Path, *patterns: str) -> list[Path]:

@@ -106,9 +106,9 @@ def test_a_flat_thing_a_finger_beside_the_box_s_is_not_cut_off_it() -> None:
         steps = (np.arange(low_m, high_m, 0.005), np.arange(0, 0.27, 0.005), [0.012])
         return np.array(np.meshgrid(*steps)).reshape(3, -1).T
 
-    def warns(length_m: float) -> bool:
-        """Of a box of this length from the board's left edge, with a margin on the other sides."""
-        box = OrientedBox((length_m / 2 - 0.01, 0.135, 0.01), (length_m + 0.02, 0.31, 0.05))
+    def warns(length_m: float, right_m: float = 0.0) -> bool:
+        """Of a box of this length that ends at `length_m + right_m`, with a margin on the other sides."""
+        box = OrientedBox((right_m + length_m / 2 - 0.01, 0.135, 0.01), (length_m + 0.02, 0.31, 0.05))
         points = np.concatenate([board, card])
         held = box.contains(points)
         chosen = Selection(points[held], points[~held], box, given=True, focus=np.zeros(3))
@@ -117,6 +117,9 @@ def test_a_flat_thing_a_finger_beside_the_box_s_is_not_cut_off_it() -> None:
     board, card = sheet(0.0, 0.33), sheet(0.353, 0.47)
     # Without the card, with a strip of it, with all of it; and with half of the board.
     assert [warns(length_m) for length_m in (0.34, 0.36, 0.5, 0.16)] == [False, False, False, True]
+    # All of the board and most of the card, and all of the card and half of the board: one of two is cut.
+    assert warns(0.44)
+    assert warns(0.26, right_m=0.25)
 
 
 def test_a_box_under_a_table_top_holds_what_ends_in_it() -> None:

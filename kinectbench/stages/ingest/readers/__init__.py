@@ -273,16 +273,13 @@ def _unknown(path: Path) -> str:
     above = next((folder for folder in path.parents[:2] if path.is_file() and format_of(folder)), None)
     if above is not None:
         return f"{path}: is one file of a recording; give its folder, {above}"
+    misspelt = "".join(f"; {line}" for line in misnamed(path, COMMON_NAMES))
     reason = None if inside else without_depth(path, name_suffixes())
     if reason is not None:
-        return "; ".join([reason, *misnamed(path, COMMON_NAMES)])
+        return f"{reason}{misspelt}"
     if path.is_file() and (reason := foreign_file(path)) is not None:
         return reason
-    hint = (
-        f". Did you mean {inside[0][0]}?"
-        if inside
-        else "".join(f"; {x}" for x in misnamed(path, COMMON_NAMES))
-    )
+    hint = f". Did you mean {inside[0][0]}?" if inside else misspelt
     return f"{path}: not a recording of a known format; {known}{hint}"
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -33,10 +34,18 @@ from kinectbench.stages.ingest.intrinsics import (
     read_color_calibration,
     said_warnings,
 )
-from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics, passed_over
-from kinectbench.stages.ingest.known_names import in_any_case, misnamed
+from kinectbench.stages.ingest.intrinsics_files import (
+    JSON_FILES,
+    MATRIX_FILES,
+    find_intrinsics,
+    named_like_intrinsics,
+    passed_over,
+)
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, misnamed
 from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.folder_images import (
+    COLOR_FOLDERS,
+    LEAST_IMAGES,
     NamedImages,
     color_images,
     depth_images,
@@ -63,10 +72,10 @@ from kinectbench.stages.ingest.recording import (
     first_color_size,
     first_depth_size,
     first_whole,
-    mask_beside,
     read_image_file,
     unmatched_masks,
     visible,
+    with_masks,
 )
 
 DEPTH_SCALE = 1000.0
@@ -149,10 +158,17 @@ class FolderRecording(ConfidenceRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder has depth images, in its subfolder depth/ or next to colour images."""
+        """Whether the folder has depth images, in its subfolder depth/ or next to colour images.
+
+        A few images in Depth/, DEPTH/ and so on do not suffice without a folder of colour or intrinsics.
+        """
         depth = in_any_case(path, "depth")
         if depth.is_dir():
-            return any(listed_paths(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES))
+            images = listed_paths(depth, wanted=lambda name: Path(name).suffix.lower() in SUFFIXES)
+            others = in_order(path, (*COLOR_FOLDERS, *JSON_FILES, *MATRIX_FILES))
+            sure = depth.name == "depth" or any(other.exists() for other in others)
+            least = 1 if sure else LEAST_IMAGES
+            return len(list(islice(images, least))) == least
         return lie_beside_each_other(path)
 
     @classmethod
@@ -160,7 +176,7 @@ class FolderRecording(ConfidenceRecording):
         """List the images, pair them by times or numbers in their names, and read camera and trajectory."""
         depth = depth_images(path)
         files, recorded, paired = pair_files(depth, color_images(path), settings, path)
-        files = tuple(replace(frame, mask=mask_beside(frame.depth, path)) for frame in files)
+        files = with_masks(files, path)
         stamps_ns = list(recorded[0])
         size_px = first_depth_size(files)
         confidence, full_confidence, of_confidence = confidence_beside(
@@ -248,19 +264,17 @@ def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]
 def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
-    ours, beside = in_any_case(path, "trajectory.txt"), visible(path, "*.log", "*.freiburg")
+    beside = visible(path, "*.log", "*.freiburg")
     logs = sorted(file for file in beside if file.suffix == ".log" and starts_like_a_log(file))
-    file = in_any_case(path, "trajectory.log")
-    if len(logs) == 1 and not file.is_file():
-        file = logs[0]
+    file = first_named(path, ("trajectory.txt", "trajectory.log")) or (logs[0] if len(logs) == 1 else None)
     names = (*(log.name for log in logs), *POSE_FILES)
-    if not ours.is_file() and file.is_file():
+    if file is not None and file.suffix.lower() == ".log":
         matrices = read_log(file, len(stamps_ns))
         trajectory, warnings = trajectory_from_matrices(stamps_ns, matrices, str(file))
         return trajectory, [*warnings, *passed_over(file, names)]
-    if pose_folder(path) and not ours.is_file():
+    if pose_folder(path) and file is None:
         return read_pose_folder(path, files)
-    in_one = ours if ours.is_file() else pose_file(path, beside)
+    in_one = file or pose_file(path, beside)
     if in_one is None:
         return None, unread_poses(path)
     trajectory, warnings = read_pose_file(in_one, stamps_ns, stems)

@@ -11,7 +11,7 @@ from kinectbench.stages.ingest.depth_files import SUFFIXES as DEPTH_SUFFIXES
 from kinectbench.stages.ingest.depth_files import depth_size_px
 from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import DamagedImageError, is_depth_png
-from kinectbench.stages.ingest.known_names import in_any_case
+from kinectbench.stages.ingest.known_names import in_any_case, in_order
 from kinectbench.stages.ingest.recording import read_image_file
 
 COLOR_FOLDERS = ("color", "rgb", "image", "JPEGImages", "images")
@@ -103,7 +103,7 @@ def unread_depth(path: Path, read: NamedImages) -> tuple[str, ...]:
 
 def other_depth(path: Path) -> tuple[str, ...]:
     """Return a warning on each folder of depth beside depth/, such as aligned_depth/; () if none exists."""
-    folders = [path / name for name in OTHER_DEPTH] if in_any_case(path, "depth").is_dir() else []
+    folders = [in_any_case(path, name) for name in OTHER_DEPTH] if in_any_case(path, "depth").is_dir() else []
     others = [folder for folder in folders if folder.is_dir() and _first_is_depth(folder)]
     return tuple(
         f"{path}: depth is read from depth/, and not from {f.name}/ beside it: if colour lies on "
@@ -119,8 +119,7 @@ def _first_is_depth(folder: Path) -> bool:
 
 def color_images(path: Path) -> NamedImages:
     """Find the colour images: in the first of `COLOR_FOLDERS` that has any, or beside depth; may be empty."""
-    named = (in_any_case(path, name) for name in COLOR_FOLDERS)
-    folders = [folder for folder in named if folder.is_dir()]
+    folders = [folder for folder in in_order(path, COLOR_FOLDERS) if folder.is_dir()]
     if not (folders or in_any_case(path, "depth").is_dir()):
         return beside_each_other(path, COLOR_WORD)
     every = (in_folder(folder, COLOR_SUFFIXES) for folder in folders)

@@ -18,7 +18,7 @@ from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, tr
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
-from kinectbench.stages.ingest.known_names import first_named, in_any_case
+from kinectbench.stages.ingest.known_names import first_named, in_order
 from kinectbench.stages.ingest.recording import FrameFiles
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
@@ -222,7 +222,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
 
 def pose_folder(path: Path) -> Path | None:
     """Return the recording's folder with one text file per pose; None if there is no such folder."""
-    folders = (in_any_case(path, name) for name in POSE_FOLDERS)
+    folders = in_order(path, POSE_FOLDERS)
     return next((folder for folder in folders if folder.is_dir() and any(folder.glob("*.txt"))), None)
 
 

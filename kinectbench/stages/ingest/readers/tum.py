@@ -27,19 +27,18 @@ from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.pose_files import unread_poses, with_y_down
 from kinectbench.stages.ingest.recording import (
     COLOR_DELAY,
+    MASKS_FOLDER,
     Evidence,
     FileRecording,
     FrameFiles,
     first_depth_size,
-    mask_beside,
     unmatched_masks,
+    with_masks,
 )
 
 DEPTH_SCALE = 5000.0
 # Names of the lists, the first that exists is read: OpenLORIS also lists depth on the pixels of colour.
 DEPTH_LISTS, COLOR_LISTS = ("aligned_depth.txt", "depth.txt"), ("rgb.txt", "color.txt")
-# A list that a recording may have, and its folder of masks.
-LISTS = ("rgb.txt", "masks")
 # Value of `accelerometer_axes` in camera.json: accelerometer.txt has the optical axes of the depth camera.
 DEPTH_AXES = "depth"
 
@@ -86,11 +85,10 @@ class TumRecording(FileRecording):
             streams_ns = ([stamp_ns for stamp_ns, _ in rows] for rows in (depth, color))
             partners = pair_by_time(*streams_ns, delay_s=delay_s, where=where)
         files = tuple(
-            FrameFiles(
-                stamp_ns, file, None if partner is None else color[partner][1], mask_beside(file, path)
-            )
+            FrameFiles(stamp_ns, file, None if partner is None else color[partner][1])
             for (stamp_ns, file), partner in zip(depth, partners.of_depth, strict=True)
         )
+        files = with_masks(files, path)
         recorded, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
         intrinsics = recorded.overridden_by(settings)
         stored = DepthFormat.of(files, settings.depth_scale)
@@ -126,8 +124,9 @@ class TumRecording(FileRecording):
 
 def _lists(path: Path) -> tuple[tuple[Path, Path], list[str]]:
     """Return the lists of depth and colour, which may not exist, and warnings on what is not read."""
-    notes = [f"{path}: {line}" for line in misnamed(path, LISTS)]
     depth, color = (first_named(path, names) for names in (DEPTH_LISTS, COLOR_LISTS))
+    absent = (MASKS_FOLDER,) if color else (*COLOR_LISTS, MASKS_FOLDER)
+    notes = [f"{path}: {line}" for line in misnamed(path, absent)]
     depth, color = depth or path / DEPTH_LISTS[-1], color or path / COLOR_LISTS[0]
     if depth.name.lower() == DEPTH_LISTS[-1]:
         return (depth, color), notes
@@ -147,8 +146,8 @@ def _measured_up(path: Path, camera_file: Path | None, stamps_ns: list[int]) -> 
 
     Recordings of the benchmark itself have this file, too, but in the axes of the Kinect's sensor.
     """
-    file = path / "accelerometer.txt"
-    if camera_file is None or camera_file.suffix != ".json" or not file.is_file():
+    file = in_any_case(path, "accelerometer.txt")
+    if camera_file is None or camera_file.suffix.lower() != ".json" or not file.is_file():
         return ()
     if read_json_object(camera_file, HELD).get("accelerometer_axes") != DEPTH_AXES:
         return ()

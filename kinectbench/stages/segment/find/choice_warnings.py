@@ -119,8 +119,8 @@ def things_beside(points_floor: Float64, cell_m: float = FINE_CELL_M) -> int:
 def box_cut_share(selection: Selection) -> float:
     """Return the share of the object's cells that continue right beside them, outside the box.
 
-    Neither the board that the object stands on counts, nor a thing that comes apart from the largest in the
-    box at the finest cut, such as one beside it that the box just touches.
+    Neither the board that the object stands on counts, nor a thing that comes apart from all large pieces in
+    the box at the finest cut, such as one beside them that the box just touches.
     """
     inside, outside = selection.object_points, selection.other_points
     outside = outside[~selection.box.contains(outside)]
@@ -134,12 +134,9 @@ def box_cut_share(selection: Selection) -> float:
     finest_m, through_faces = FINEST_CUT
     label = connected(np.concatenate([inside, outside]), max(finest_m, selection.spacing_m), through_faces)
     within, beyond = label[: len(inside)], label[len(inside) :]
-    largest = np.argmax(_cells(inside, within))
-    outside = outside[beyond == largest]
-    if not len(outside):
-        return 0.0
-    beside = within == largest
-    beside[beside] = np.isfinite(cKDTree(outside).query(inside[beside], distance_upper_bound=reach_m)[0])
+    sizes = _cells(inside, within)
+    outside = outside[np.isin(beyond, np.flatnonzero(sizes >= PART_SHARE * sizes.max()))]
+    beside = np.isfinite(cKDTree(outside).query(inside, distance_upper_bound=reach_m)[0])
     return float(_cells(inside[beside], None).max(initial=0) / _cells(inside, None).max())
 
 
