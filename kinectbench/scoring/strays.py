@@ -111,11 +111,11 @@ def _of_folders(
             lines[top] = f"{printable(top)}/: has {min(within)}/ in it; move what is in it up"
     large = [top for top, files in inside.items() if files > FEW and recordings and top not in lines]
     for top in large[:NAMED]:
-        alike = {name.lower(): name for name in sorted(free) if _numbers(name) == _numbers(top)}
+        by_lower = {name.lower(): name for name in sorted(free) if _numbers(name) == _numbers(top)}
         meant = ""
-        for near in get_close_matches(top.lower(), list(alike)[:MOST_COMPARED], 1):
-            free.remove(alike[near])
-            meant = f"rename it to {alike[near]}/, the nearest that is missing, or "
+        for near in get_close_matches(top.lower(), list(by_lower)[:MOST_COMPARED], 1):
+            free.remove(by_lower[near])
+            meant = f"rename it to {by_lower[near]}/, the nearest that is missing, or "
         said = f"no recording of the benchmark has this name ({inside[top]} files); {meant}move it away"
         lines[top] = f"{printable(top)}/: {said}"
     return lines, unused - free
