@@ -150,12 +150,9 @@ def tell_status(common: Common, ids: list[str] | None) -> int:
 
 
 def _in_words(row: "RecordingStatus") -> dict[str, object]:
-    """Return a row of the table of `build --status`: what has other settings now is not called missing."""
-    from kinectbench.engine.place import OTHER_SETTINGS, is_of_other_settings
-
-    other = (
-        {"state": OTHER_SETTINGS, "error": f"{row.differs} is changed"} if is_of_other_settings(row) else {}
-    )
+    """Return a row of the table of `build --status`."""
+    state = row.state_in_words
+    other = {} if state == row.state else {"state": state, "error": f"{row.differs} is changed"}
     return {**row.json_value(), **other}
 
 

@@ -313,7 +313,7 @@ def compare_command(
     """Say which methods are better: paired tests over objects, ranks, or that the test set is too small."""
     from kinectbench.cli.score_tables import comparison_tables
     from kinectbench.scoring.compare import compare as compare_tables
-    from kinectbench.scoring.compare import find_methods
+    from kinectbench.scoring.compare import find_methods, method_names
     from kinectbench.scoring.read_table import read_table
 
     tables = [read_table(path) for path in find_methods(scores)]
@@ -321,7 +321,8 @@ def compare_command(
     if common.as_json:
         console.say_json(asdict(comparison))
     else:
-        for table in comparison_tables(comparison):
+        names = zip(method_names(tables), tables, strict=True)
+        for table in comparison_tables(comparison, {name for name, one in names if one.baseline}):
             console.out.print(table)
         console.lines("note", comparison.notes, "yellow")
     return SOME_FAILED if comparison.left_out else 0

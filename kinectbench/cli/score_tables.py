@@ -1,6 +1,6 @@
 """Make terminal tables of scores: methods by categories, and differences between methods."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 from kinectbench.core.artefacts.score_figures import SHARES
@@ -185,10 +185,10 @@ def _cell(iou: float | None, ce: float | None) -> str:
     return "" if iou is None or ce is None else f"{iou:.3f} / {ce:.3f}"
 
 
-def comparison_tables(result: Comparison) -> "list[WideTable]":
+def comparison_tables(result: Comparison, baselines: Collection[str] = ()) -> "list[WideTable]":
     """Return two tables: the mean of each method with group letters, and the differences between all methods.
 
-    Methods that share a letter do not differ significantly.
+    Methods that share a letter do not differ significantly. The methods `baselines` are called so.
     """
     from rich.text import Text
 
@@ -201,7 +201,7 @@ def comparison_tables(result: Comparison) -> "list[WideTable]":
         means.add_column(scope, justify="right")
     for name in result.methods:
         cells = [f"{result.groups[scope][name]}  {result.means[scope][name]:.3f}" for scope in result.means]
-        means.add_row(Text(name), *cells)
+        means.add_row(Text(f"{name} (baseline)" if name in baselines else name), *cells)
     shares = [result.truth_unknown_share[scope] for scope in result.means]
     _add_unknown(means, shares)
     stands = [f"{name}: {_as_stated(standing)}" for name, standing in result.standings.items()]

@@ -4,10 +4,12 @@ from collections.abc import Iterator
 from functools import cached_property
 
 from kinectbench.core import RecordingError
+from kinectbench.doctor.causes import by_cause
 from kinectbench.doctor.clocks import check_partners
 from kinectbench.doctor.codes import check_codes
 from kinectbench.doctor.delays import check_color_delay, check_color_drift
 from kinectbench.doctor.depth import check_depth, check_intrinsics
+from kinectbench.doctor.edges import check_edges, fit_edges
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.lengths import LENGTHS, check_lengths
 from kinectbench.doctor.pose_delay import check_trajectory_delay
@@ -15,8 +17,11 @@ from kinectbench.doctor.probe import ProbeBuilder, frames_to_read, probe_recordi
 from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
-# Findings that make everything built with the poses wrong.
-POSES = frozenset({"trajectory_scale", "trajectory_reading", "trajectory_wrong", "trajectory_time_unit"})
+# Findings that make everything built with the poses wrong, if they stop.
+POSES = frozenset(
+    {"trajectory_scale", "trajectory_reading", "trajectory_wrong", "trajectory_time_unit", "names_differ"}
+    | {"color_mirrored"}
+)
 IN_CAMERA = " (under `camera:` in benchmark.yaml)"
 # Findings that ingest itself does not detect; `track` judges the poses, over all frames.
 CHECKED = frozenset({"byte_order", "depth_normalised", "invalid_code", "intrinsics_resolution"})
@@ -54,9 +59,10 @@ def likely_cause(recording: Recording) -> tuple[str, bool]:
     for each in check_codes(probe, fit):
         suspicion = "the depth's scale may be wrong" if each.name == "depth_scale" else "depth may be coded"
         return f"{each.where}: {suspicion}: {each.what}; {each.advice}{IN_CAMERA}", True
-    of_poses = list(check_trajectory(probe, fit))
+    edges = fit_edges(probe)
+    of_poses = by_cause([*check_edges(probe, edges), *check_trajectory(probe, fit)], recording, edges, fit)
     for each in of_poses:
-        if each.name in POSES:
+        if each.name in POSES and each.severity == "stops":
             return f"{each.where}: {each.what}; {each.advice}", True
     if not by_depth or (fit is not None and fit.proven):
         return "", False

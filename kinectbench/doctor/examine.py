@@ -139,7 +139,6 @@ def inspect(
         hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in findings)
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
             findings += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
-    findings = by_cause(findings)
     if guessed:
         findings = [replace(f, advice=GUESSED) if f.name in BY_INTRINSICS else f for f in findings]
     return Diagnosis(facts, gravest_first(findings)), probe
@@ -200,7 +199,7 @@ def _examined(
     explained = any(f.severity == "stops" or f.name == "doubled_frames" for f in findings)
     if any(f.name == "depth_scale" for f in findings):
         late = [f for f in late if f.name != "far_depth"]
-    findings = findings + [
+    findings += [
         finding
         for finding in late
         if not (explained and finding.name == "trajectory_wrong")
@@ -209,7 +208,7 @@ def _examined(
     facts = _late_facts(edges, poses, floor.heights_m)
     if poses is not None:
         facts |= {name: getattr(depth_range, name) for name in ("max_depth_m", "beyond_share")}
-    return facts, findings
+    return facts, by_cause(findings, probe.recording, edges, poses)
 
 
 def _late(probe: Probe, edges: EdgeFit | None, poses: PoseFit | None) -> Iterator[Finding]:

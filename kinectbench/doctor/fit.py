@@ -35,11 +35,13 @@ IMAGES: dict[str, Float64] = {
     "upright": np.eye(3),
     "mirrored": np.diag([-1.0, 1.0, 1.0]),
     "y_up": np.diag([1.0, -1.0, 1.0]),
+    "turned": np.diag([-1.0, -1.0, 1.0]),
 }
 IMAGES_IN_WORDS = {
     "upright": "",
     "mirrored": "images mirrored left to right",
     "y_up": "y of the camera and of the world mirrored (y up, as in ICL-NUIM)",
+    "turned": "images turned upside down",
 }
 OTHER_UNITS = (0.001, 1000.0, 0.1, 10.0, 0.2, 5.0)
 ANCHORS = 12
@@ -65,8 +67,8 @@ class PoseConvention:
         inverse: whether the poses map the world to the camera.
         axes: the camera's axes, a key of AXES: "optical", "opengl" or "robot".
         wxyz: whether quaternions are stored as w, x, y, z instead of x, y, z, w.
-        images: a key of IMAGES: "upright", "mirrored" left to right, or "y_up", if the y axis of the camera
-            points up, as where ICL-NUIM states a negative fy.
+        images: a key of IMAGES: "upright", "mirrored" left to right, "turned" upside down, or "y_up", if the
+            y axis of the camera points up, as where ICL-NUIM states a negative fy.
         unit_m: the poses' unit of length in metres: 0.001 for millimetres.
     """
 
@@ -116,7 +118,7 @@ def likely_conventions() -> Iterator[PoseConvention]:
     """Yield the conventions to try first, beginning with the default."""
     yield from _of_unit(1.0)
     yield from (PoseConvention(unit_m=unit_m) for unit_m in OTHER_UNITS)
-    for images in ("mirrored", "y_up"):
+    for images in ("mirrored", "y_up", "turned"):
         yield from (PoseConvention(inverse, images=images) for inverse in (False, True))
 
 

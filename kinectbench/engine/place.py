@@ -20,6 +20,7 @@ from kinectbench.engine.artefact import whole_manifest
 from kinectbench.engine.failures import keep_failure, stored_failure
 from kinectbench.engine.locks import locked
 from kinectbench.engine.pipeline import Outcome, build_recording
+from kinectbench.engine.stage_settings import MADE_OF
 from kinectbench.engine.stages import STAGES, Job, Stage, current_stages
 from kinectbench.engine.time_limit import Hung
 
@@ -103,6 +104,11 @@ class RecordingStatus(StoredPart):
     error: str | None = Field(description="why the last run failed")
     code: str | None = Field(description="of that error")
 
+    @property
+    def state_in_words(self) -> str:
+        """The state; what is built, but of other settings, is not called missing."""
+        return OTHER_SETTINGS if self.state == "missing" and self.differs else self.state
+
 
 def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
     """Return the status of each recording under the present settings, without building or reading it.
@@ -129,14 +135,15 @@ def _status(job: Job) -> RecordingStatus:
 
 
 def _differing_setting(build: Path, job: Job, stage: Stage) -> str | None:
-    """Return the first setting of a made stage that the job has otherwise, such as views.count; None if none.
+    """Return the key of the first setting that a made stage has otherwise, as views.count; None if none has.
 
     A missing or damaged artefact, and one of another version of the stage, has no such setting.
     """
     manifest = whole_manifest(build / stage.folder)
     if manifest is None or manifest.stage_version != stage.version:
         return None
-    return next(_differing(manifest.settings, stage.settings(job)), None)
+    key = next(_differing(manifest.settings, stage.settings(job)), None)
+    return None if key is None else MADE_OF.get(key, key)
 
 
 def _differing(made: object, wanted: object, key: str = "") -> Iterator[str]:
@@ -150,12 +157,7 @@ def _differing(made: object, wanted: object, key: str = "") -> Iterator[str]:
 
 def in_words(rows: Sequence[RecordingStatus]) -> str:
     """Summarise in one line how many recordings are done, failed, missing, or of other settings."""
-    counts = Counter(OTHER_SETTINGS if is_of_other_settings(row) else row.state for row in rows)
+    counts = Counter(row.state_in_words for row in rows)
     others = f", {counts[OTHER_SETTINGS]} of {OTHER_SETTINGS}" if counts[OTHER_SETTINGS] else ""
     failed, missing = counts["failed"], counts["missing"]
     return f"{counts['done']} of {len(rows)} done, {failed} failed, {missing} missing{others}"
-
-
-def is_of_other_settings(row: RecordingStatus) -> bool:
-    """Whether a recording is built, but a stage has other settings now."""
-    return row.state == "missing" and row.differs is not None

@@ -37,6 +37,8 @@ RECORDING = "recording"
 MASKS = "masks"
 # Name of the source for a mesh that replaces the fused ground truth.
 REFERENCE = "reference"
+# {setting that a stage makes of a key of benchmark.yaml: this key}
+MADE_OF = {"needs_trajectory": "trajectory", "own_pixels": "segment_by"}
 Needed = TypeVar("Needed", bound="StageSettings")
 
 

@@ -257,9 +257,10 @@ def strays_in_camera(release: Release, folder: Path, method: MethodFile) -> list
     """Return a line for each of the first 20 files in a folder that belong to no view, and on the rest."""
     names = [name for target in release.targets for name in _names_of(target, method.hypotheses)]
     expected = {MethodFile.FILE, *(name + suffix for name in names for suffix in SUFFIXES)}
-    missing = (name for name in names if not any((folder / (name + end)).exists() for end in SUFFIXES))
+    missing = [name for name in names if not any((folder / (name + end)).exists() for end in SUFFIXES)]
     recordings = {target.recording for target in release.targets}
-    return stray_lines(stray_files(folder, expected), missing, recordings)
+    answered = {name.partition("/")[0] for name in set(names).difference(missing)}
+    return stray_lines(stray_files(folder, expected), missing, recordings, answered)
 
 
 def _unknown(release: Release, method: MethodFile) -> set[str]:

@@ -120,7 +120,7 @@ def compare(tables: Sequence[ScoreTable], metric: str = "iou", protocol: str = P
     """
     if metric not in METRICS:
         raise SettingsError(f"no metric '{metric}': choose among {', '.join(METRICS)}")
-    all_of = dict(zip(_compared_names(tables), tables, strict=True))
+    all_of = dict(zip(method_names(tables), tables, strict=True))
     complete = complete_ones(all_of)
     names, tables = tuple(complete), tuple(complete.values())
     means = comparable_means(complete, metric, protocol)
@@ -219,15 +219,7 @@ def find_methods(paths: Sequence[Path]) -> list[Path]:
 
 def method_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
     """Return the methods' names, made unique: the second method named `net` becomes `net #2`."""
-    return _unique([table.method for table in tables])
-
-
-def _compared_names(tables: Sequence[ScoreTable]) -> tuple[str, ...]:
-    """Return unique names as `method_names` does; a baseline beside methods is `hull (baseline)`."""
-    return _unique([f"{table.method} (baseline)" if table.baseline else table.method for table in tables])
-
-
-def _unique(given: Sequence[str]) -> tuple[str, ...]:
+    given = [table.method for table in tables]
     again = [given[:index].count(name) for index, name in enumerate(given)]
     return tuple(f"{name} #{n + 1}" if n else name for name, n in zip(given, again, strict=True))
 

@@ -155,8 +155,10 @@ def missing_line(target: Target) -> str:
 
 def strays_of(release: Release, found: FoundPredictions) -> list[str]:
     """Return the lines of `stray_lines` on what was found in a method's folder."""
-    missing = (target.name for target in found.missing)
-    return stray_lines(found.stray, missing, {target.recording for target in release.targets})
+    missing, targets = [target.name for target in found.missing], set(release.targets)
+    recordings = {target.recording for target in targets}
+    answered = {target.recording for target in targets.difference(found.missing)}
+    return stray_lines(found.stray, missing, recordings, answered)
 
 
 def split_methods(folder: Path, targets: Iterable[Target]) -> dict[str, Path]:

@@ -19,7 +19,12 @@ FEW = 3
 MOST_COMPARED = 200
 
 
-def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collection[str] = ()) -> list[str]:
+def stray_lines(
+    stray: Sequence[str],
+    missing: Iterable[str],
+    recordings: Collection[str] = (),
+    answered: Collection[str] = (),
+) -> list[str]:
     """Return a line for each of the first 20 files that match no target, and one with the number of others.
 
     Files in a folder whose name differs from a recording's only in letter case have one line together.
@@ -31,19 +36,18 @@ def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collec
             rename the file; else, outside the folders of recordings, it has the nearest of these names that
             has the same numbers, if any is near. No two lines have the same name.
         recordings: names of all recordings.
+        answered: names of recordings of which some target has a file: no folder is to be renamed to these.
     """
     names = {_simple(name): name for name in missing}
     folders = {folder.lower(): folder for name in names.values() for folder in [name.partition("/")[0]]}
-    inside = Counter(name.partition("/")[0] for name in stray if "/" in name)
-    large = [top for top, files in inside.items() if files > FEW and recordings and top not in recordings]
-    misnamed = {
-        top: _misnamed(top, inside[top], folders) for top in large[:NAMED] if top.lower() not in folders
-    }
+    of_folders, taken = _of_folders(stray, folders, recordings, answered)
     # Names that no file clearly means, by their numbers.
     clear = {_simple(_stem(name)) for name in stray}
     unclear = dict[tuple[int, ...], list[str]]()
     for simple, name in names.items():
-        if simple not in clear and len(unclear.setdefault(_numbers(name), [])) < MOST_COMPARED:
+        if simple in clear or name.partition("/")[0] in taken:
+            continue
+        if len(unclear.setdefault(_numbers(name), [])) < MOST_COMPARED:
             unclear[_numbers(name)].append(name)
     lines = dict[str, int]()
     for name in stray:
@@ -51,8 +55,8 @@ def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collec
         if folders.get(top.lower(), top) != top:
             wanted = folders[top.lower()]
             line = f"{printable(top)}/: its letter case is not that of the benchmark; rename it to {wanted}/"
-        elif top in misnamed:
-            line = misnamed[top]
+        elif top in of_folders:
+            line = of_folders[top]
         elif name in folders.values():
             line = f"{printable(name)}: no folder; put a folder of this name there, with its predictions"
         else:
@@ -75,19 +79,46 @@ def stray_lines(stray: Sequence[str], missing: Iterable[str], recordings: Collec
     return [*lines, *[f"and {more} more files that answer no target of the benchmark"] * (more > 0)]
 
 
-def _misnamed(top: str, files: int, folders: Mapping[str, str]) -> str:
-    """Return the line on a folder of several files that has no recording's name.
+def _of_folders(
+    stray: Sequence[str], folders: Mapping[str, str], recordings: Collection[str], answered: Collection[str]
+) -> tuple[dict[str, str], set[str]]:
+    """Return {folder: its line} for folders of several files that have no recording's name.
+
+    So has a folder with folders of recordings in it, of any number of files, if these can be moved up.
 
     Args:
-        top: the folder.
-        files: number of the files in it.
+        stray: names of all files, as in `stray_lines`.
         folders: {name in lower case: name} of recordings without some file.
+        recordings: names of all recordings.
+        answered: names of recordings that have some file.
+
+    Returns:
+        The lines, and the names of recordings that they say to make: each has one line.
     """
-    near = get_close_matches(top.lower(), list(folders)[:MOST_COMPARED], 1)
-    meant = f"rename it to {folders[near[0]]}/, the nearest of which some are missing, or " if near else ""
-    return (
-        f"{printable(top)}/: no recording of the benchmark has this name ({files} files); {meant}move it away"
-    )
+    tops = {name.partition("/")[0].lower() for name in stray}
+    unused = {folder for lower, folder in folders.items() if lower not in tops}.difference(answered)
+    free = set(unused)
+    inside, nested = Counter[str](), dict[str, set[str]]()
+    for name in stray:
+        top, *parts = name.split("/")
+        if parts and top not in recordings and top.lower() not in folders:
+            inside[top] += 1
+            nested.setdefault(top, set()).update({parts[0]}.intersection(recordings if parts[1:] else ()))
+    lines = dict[str, str]()
+    for top, within in nested.items():
+        if within and within <= free:
+            free -= within
+            lines[top] = f"{printable(top)}/: has {min(within)}/ in it; move what is in it up"
+    large = [top for top, files in inside.items() if files > FEW and recordings and top not in lines]
+    for top in large[:NAMED]:
+        by_lower = {name.lower(): name for name in sorted(free) if _numbers(name) == _numbers(top)}
+        meant = ""
+        for near in get_close_matches(top.lower(), list(by_lower)[:MOST_COMPARED], 1):
+            free.remove(by_lower[near])
+            meant = f"rename it to {by_lower[near]}/, the nearest that is missing, or "
+        said = f"no recording of the benchmark has this name ({inside[top]} files); {meant}move it away"
+        lines[top] = f"{printable(top)}/: {said}"
+    return lines, unused - free
 
 
 def _stem(name: str) -> str:

@@ -348,7 +348,9 @@ def test_the_baselines_stand_beside_a_method(command: Command, release: Release,
     assert ">baseline</span>" not in (tmp_path / "scores" / "index.html").read_text()
     assert (tmp_path / "scores" / "scores.json").read_bytes() == alone
     compared = command(tmp_path, "compare", "scores", "scores/baselines/hull")
-    assert compared.status == 0 and "mine - hull" in compared.out
+    assert compared.status == 0 and "mine - hull " in compared.out and "hull (baseline) " in compared.out
+    as_json = json.loads(command(tmp_path, "compare", "scores", "scores/baselines/hull", "--json").out)
+    assert as_json["methods"] == ["mine", "hull"]
     page_of = ["report", "--benchmark", str(release.folder), "--scores", "scores/scores.json"]
     assert command(tmp_path, *page_of).status == 0
     assert (tmp_path / "scores" / "index.html").read_text() == page

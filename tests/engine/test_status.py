@@ -39,6 +39,8 @@ def test_what_is_missing_failed_or_out_of_date_is_listed(
     changed = command(root, "build", "--status", "--json", "--set", "views.count=2")
     assert changed.status == 3 and states(changed)["chair"] == ("missing", "sample-views")
     assert [row["differs"] for row in json.loads(changed.out)] == ["views.count", None]
+    ignored = command(root, "build", "--status", "--json", "--set", "recordings.chair.trajectory=ignore")
+    assert json.loads(ignored.out)[0]["differs"] == "trajectory"
     told = command(root, "build", "--status", "--set", "views.count=2").out
     assert "other settings" in told and "views.count is changed" in told
     assert told.endswith("0 of 2 done, 0 failed, 1 missing, 1 of other settings\n")

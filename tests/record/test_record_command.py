@@ -18,6 +18,7 @@ from written_frames import frame, read, write
 
 from kinectbench.record import devices
 from kinectbench.record.interface import Device, Frame, Setup
+from kinectbench.record.recorder import Recorded
 from kinectbench.stages.ingest.readers import open_recording
 
 FRAMES = 300
@@ -125,8 +126,22 @@ def test_ctrl_c_while_the_guide_closes_keeps_the_line(
     lost = command(tmp_path, "record", "none", "--from", "chair_01")
     assert lost.status == 1 and "give the path of a recording" in lost.err
     run = command(tmp_path, "record", "out", "--from", str(source), "--speed", "100")
-    assert "never arrived" not in run.err or "give a lower --speed" in run.err
     assert run.status == 0 and f"wrote out: {check_prefix(tmp_path / 'out', source)} frames in" in run.out
+
+
+@pytest.mark.parametrize(("speed", "advised"), [("100", True), ("1", False)])
+def test_missed_frames_are_told(
+    command: Callable[..., Run],
+    tmp_path: Path,
+    source: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    speed: str,
+    advised: bool,
+) -> None:
+    done = Recorded(tmp_path / "out", "replay", 9, 1, 0, 0, 1.0)
+    monkeypatch.setattr("kinectbench.cli.record._recorded", lambda *_: done)
+    run = command(tmp_path, "record", "out", "--from", str(source), "--speed", speed)
+    assert "1 frames never arrived" in run.err and ("give a lower --speed" in run.err) == advised
 
 
 def test_killed_at_random_moments_it_is_readable_to_the_last_second(tmp_path: Path, source: Path) -> None:

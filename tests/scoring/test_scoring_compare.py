@@ -132,9 +132,9 @@ def test_holm_by_hand() -> None:
     assert holm([0.5, 0.6]) == [1.0, 1.0]
 
 
-def test_a_baseline_is_called_so() -> None:
+def test_a_baseline_keeps_its_name() -> None:
     beside = method("hull", 0.1, 8).model_copy(update={"baseline": True})
-    assert compare([method("hull", 0.2, 8), beside]).methods == ("hull", "hull (baseline)")
+    assert compare([method("hull", 0.2, 8), beside]).methods == ("hull", "hull #2")
     with raises(SettingsError, "settings.wrong-value", match=r"scores\.json of each.*scores/baselines"):
         compare([beside])
 

@@ -79,7 +79,7 @@ def test_a_folder_with_another_name_is_told_in_one_line() -> None:
     chair, logs = stray_lines(stray, missing, {"chair_01", "table_01"})
     assert chair == (
         "chiar_01/: no recording of the benchmark has this name (50 files); rename it to chair_01/, the "
-        "nearest of which some are missing, or move it away"
+        "nearest that is missing, or move it away"
     )
     assert logs == "logs/: no recording of the benchmark has this name (30 files); move it away"
 
@@ -104,3 +104,38 @@ def test_score_says_what_to_do_where_predictions_are_missing(
     assert done.status == 3 and line in done.err.splitlines()
     done = command(tmp_path, *words, "--jobs", "1", "--missing", "empty")
     assert done.status == 0 and line not in done.err
+
+
+def four(name: str) -> list[str]:
+    return [f"{name}/{index}.npy" for index in range(4)]
+
+
+UP = "has chair_01/ in it; move what is in it up"
+AWAY = "no recording of the benchmark has this name (4 files); move it away"
+TO_02 = AWAY.replace("move", "rename it to chair_02/, the nearest that is missing, or move")
+
+
+@pytest.mark.parametrize(
+    ("stray", "answered", "said"),
+    [
+        (["mine/chair_01/000.npy"], (), {"mine/": UP}),
+        ([*four("a/chair_01"), *four("a/chair_02")], (), {"a/": UP}),
+        (four("mine/chair_01"), ("chair_01",), {"mine/": AWAY}),
+        ([*four("a/chair_01"), *four("b/chair_01")], (), {"a/": UP, "b/": AWAY}),
+        (four("chiar_3"), (), {"chiar_3/": AWAY}),
+        (four("chiar_02"), (), {"chiar_02/": TO_02}),
+        (four("chiar_02"), ("chair_02",), {"chiar_02/": AWAY}),
+        ([*four("chiar_02"), *four("chai_02")], (), {"chiar_02/": TO_02, "chai_02/": AWAY}),
+        (
+            [*four("chiar_02"), "chai_02/000.npy"],
+            (),
+            {"chiar_02/": TO_02, "chai_02/000.npy": "answers no target of the benchmark; move it away"},
+        ),
+    ],
+)
+def test_no_two_folders_are_advised_to_be_one_and_none_to_be_one_that_is_there(
+    stray: list[str], answered: tuple[str, ...], said: dict[str, str]
+) -> None:
+    missing = [f"{name}/{index:03d}" for name in ("chair_01", "chair_02") for index in range(4)]
+    lines = stray_lines(stray, missing, {"chair_01", "chair_02"}, answered)
+    assert lines == [f"{name}: {words}" for name, words in said.items()]

@@ -4,7 +4,7 @@ Under the grid protocols, only voxel metrics are computed: they suffice to judge
 take most of the time. If the method predicts in the camera frame, baselines are scored only under `camera`.
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from kinectbench.core.artefacts.score_figures import any_in_space
@@ -12,13 +12,9 @@ from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreTable
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
-from kinectbench.scoring.assemble import as_of_baseline, describe
-from kinectbench.scoring.baselines.counted import baselines_that_differ, counted_baselines
-from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
+from kinectbench.scoring.baselines.counted import scoring_of
 from kinectbench.scoring.baselines.kept import kept_tables
 from kinectbench.scoring.baselines.predict import possible_baselines
-from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
-from kinectbench.scoring.camera.score import settings_in_space
 from kinectbench.scoring.pair_result import Counting
 
 
@@ -57,20 +53,13 @@ def baselines_beside(
         StorageError: the disk is full or read-only.
     """
     names = [name for name in possible_baselines(release) if name not in without]
+    in_space = any_in_space(protocols)
     counting = Counting(tuple(protocols), upsampling, surface=False)
-    settings, sign = as_of_baseline(describe(counting, "error")), ""
-    make: Callable[..., list[ScoreTable]] = counted_baselines
-    differ: Callable[..., Iterable[str]] = baselines_that_differ
-    how: Counting | tuple[str, ...] = counting
-    if any_in_space(protocols):
-        names, how = [name for name in names if name not in WITHOUT_SURFACE], ("camera",)
-        settings, sign = as_of_baseline(settings_in_space(how, "error")), "+camera"
-        make, differ = space_baselines, space_baselines_that_differ
-    folders = {name: out / BASELINES_FOLDER / f"{name}{sign}" for name in names}
-    tables = kept_tables(folders, release, settings, differ, how, jobs, beside=True)
-    wanted = tuple(name for name in names if name not in tables)
-    if wanted:
-        for table in make(release, wanted, how, jobs=jobs, progress=progress):
+    scoring, sign = scoring_of(("camera",) if in_space else counting, names), "+camera" * in_space
+    folders = {name: out / BASELINES_FOLDER / f"{name}{sign}" for name in scoring.names}
+    tables = kept_tables(folders, release, scoring, jobs, beside=True)
+    if wanted := [name for name in scoring.names if name not in tables]:
+        for table in scoring.make(release, wanted, jobs=jobs, progress=progress):
             tables[table.method] = table.model_copy(update={"baseline": True})
             tables[table.method].write(folders[table.method])
-    return [tables[name] for name in names]
+    return [tables[name] for name in scoring.names]

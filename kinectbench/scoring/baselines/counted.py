@@ -1,11 +1,10 @@
 """Score baselines in memory, pair by pair; prediction files of the baselines would give the same tables."""
 
 import contextlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from kinectbench.core import SettingsError, StorageError
 from kinectbench.core.artefacts.counted import PairResult
@@ -16,7 +15,7 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table, rows_of
 from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
-from kinectbench.scoring.baselines.kept import kept_tables
+from kinectbench.scoring.baselines.kept import Scoring, kept_tables
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.camera.score import settings_in_space
@@ -72,23 +71,30 @@ def score_baselines(
     pairs_to_score(release, validation=thresholds_file is None)
     names = possible_baselines(release)
     _refuse_to_replace([out / name / ScoreTable.FILE for name in names])
-    make: Callable[..., list[ScoreTable]] = counted_baselines
-    differ: Callable[..., Iterable[str]] = baselines_that_differ
-    how: Any = space_alone(protocols, upsampling)
-    if how:
-        names = tuple(name for name in names if name not in WITHOUT_SURFACE)
-        settings, make, differ = settings_in_space(how, "error"), space_baselines, space_baselines_that_differ
-    else:
-        how = counting_of(release, protocols, upsampling, surface)
-        settings = describe(how, "error")
-    folders = {} if thresholds_file else {name: out / name for name in names}
-    tables = kept_tables(folders, release, as_of_baseline(settings), differ, how, jobs, beside=False)
-    wanted = [name for name in names if name not in tables]
-    options: dict[str, Any] = {"thresholds_file": thresholds_file, "jobs": jobs, "progress": progress}
-    for table in make(release, wanted, how, **options) if wanted else ():
-        table.write(out / table.method)
-        tables[table.method] = table
-    return [tables[name] for name in names]
+    in_space = space_alone(protocols, upsampling)
+    scoring = scoring_of(in_space or counting_of(release, protocols, upsampling, surface), names)
+    folders = {} if thresholds_file else {name: out / name for name in scoring.names}
+    tables = kept_tables(folders, release, scoring, jobs, beside=False)
+    if wanted := [name for name in scoring.names if name not in tables]:
+        made = scoring.make(release, wanted, thresholds_file=thresholds_file, jobs=jobs, progress=progress)
+        for table in made:
+            table.write(out / table.method)
+            tables[table.method] = table
+    return [tables[name] for name in scoring.names]
+
+
+def scoring_of(how: Counting | tuple[str, ...], names: Sequence[str]) -> Scoring:
+    """Return how baselines are scored: in grids as `how` says, or in space under these protocols."""
+    if isinstance(how, Counting):
+        make = partial(counted_baselines, counting=how)
+        differ = partial(baselines_that_differ, counting=how)
+        return Scoring(tuple(names), as_of_baseline(describe(how, "error")), make, differ)
+    return Scoring(
+        tuple(name for name in names if name not in WITHOUT_SURFACE),
+        as_of_baseline(settings_in_space(how, "error")),
+        partial(space_baselines, protocols=how),
+        partial(space_baselines_that_differ, protocols=how),
+    )
 
 
 def _refuse_to_replace(paths: Sequence[Path]) -> None:

@@ -1,8 +1,8 @@
 """Reuse tables of baselines that an earlier run wrote, if counting again would give the same."""
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from kinectbench.core import StorageError
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
@@ -10,12 +10,28 @@ from kinectbench.release.release import Release
 from kinectbench.scoring.read_table import read_table
 
 
+@dataclass(frozen=True)
+class Scoring:
+    """How baselines are scored: in grids, or in space.
+
+    Attributes:
+        names: baselines that can be scored so.
+        settings: those that their tables have.
+        make: called with (release, names), and by name thresholds_file, jobs and progress; returns tables.
+        differ: called with (release, tables), and by name jobs; counts some rows again, and returns the
+            baselines whose rows differ.
+    """
+
+    names: tuple[str, ...]
+    settings: ScoreSettings
+    make: Callable[..., list[ScoreTable]]
+    differ: Callable[..., Iterable[str]]
+
+
 def kept_tables(
     folders: Mapping[str, Path],
     release: Release,
-    settings: ScoreSettings,
-    differ: Callable[..., Iterable[str]],
-    how: Any,
+    scoring: Scoring,
     jobs: int,
     *,
     beside: bool,
@@ -28,18 +44,16 @@ def kept_tables(
     Args:
         folders: {baseline: folder of its table}.
         release: the release that is scored.
-        settings: those that the tables must have.
-        differ: called with (release, tables, how, jobs); it returns the baselines whose rows differ.
-        how: how pairs are counted, for `differ`.
+        scoring: how baselines are scored now.
         jobs: number of processes.
         beside: whether the tables are kept for comparison beside methods.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
     """
-    kept = {name: _kept(folder, name, release, settings, beside) for name, folder in folders.items()}
+    kept = {name: _kept(folder, name, release, scoring.settings, beside) for name, folder in folders.items()}
     tables = {name: table for name, table in kept.items() if table is not None}
-    wrong = set(differ(release, tables, how, jobs)) if tables else set()
+    wrong = set(scoring.differ(release, tables, jobs=jobs)) if tables else set()
     return {name: table for name, table in tables.items() if name not in wrong}
 
 

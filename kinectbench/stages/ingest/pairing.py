@@ -9,10 +9,16 @@ from dataclasses import dataclass, replace
 from kinectbench.core import RecordingError, printable
 from kinectbench.core.trajectory.association import associate, pairing_tolerance_ns
 from kinectbench.core.trajectory.stamps import NS_PER_S
-from kinectbench.stages.ingest.image_names import frame_key, frame_numbers, times_of_names
+from kinectbench.stages.ingest.image_names import counting_key, frame_key, frame_numbers, times_of_names
 
-# What a warning says where the names of both streams differ: by these words the doctor knows it.
-NAMES_DIFFER = "colour images have no depth of their name"
+# From this share of depth on, misplaced names are taken for such, and not for lost frames (chosen by hand).
+MUCH_UNLIKE = 0.25
+
+
+class NamesDiffer(str):
+    """A warning that images of one frame have different names in the two streams, not that some are lost."""
+
+    __slots__ = ()
 
 
 @dataclass(frozen=True)
@@ -69,9 +75,8 @@ def pair_images(
     """
     depth_ns, color_ns = times_of_names(depth), times_of_names(color)
     if depth_ns is not None and color_ns is not None:
-        partners, lone = _by_times(depth_ns, color_ns, delay_s, where), _unlike(depth, color)
-        warnings = tuple(f"{line}{lone}" for line in partners.warnings)
-        return replace(partners, warnings=warnings), tuple(color_ns)
+        partners = _by_times(depth_ns, color_ns, delay_s, where)
+        return replace(partners, warnings=_hinted(partners.warnings, depth, color)), tuple(color_ns)
     return _by_names(depth, color, where), ()
 
 
@@ -99,14 +104,14 @@ def _by_times(depth_ns: Sequence[int], color_ns: Sequence[int], delay_s: float, 
 def _by_names(depth: Sequence[str], color: Sequence[str], where: str) -> Partners:
     by_name = _same([frame_key(stem) for stem in depth], [frame_key(stem) for stem in color])
     if not color or any(partner is not None for partner in by_name):
-        how = f"of their name{_apart(depth, color)}{_unlike(depth, color)}"
-        return Partners(by_name, _lone(by_name, len(color), how, where))
+        lone = _lone(by_name, len(color), "of their name", where)
+        return Partners(by_name, _hinted(lone, depth, color, _apart(depth, color)))
     depth_numbers, color_numbers = frame_numbers(depth), frame_numbers(color)
     if depth_numbers is not None and color_numbers is not None:
         by_number = _same(depth_numbers, color_numbers)
         if any(partner is not None for partner in by_number):
-            how = f"of their number{_apart(depth, color)}{_unlike(depth, color)}"
-            return Partners(by_number, _lone(by_number, len(color), how, where))
+            lone = _lone(by_number, len(color), "of their number", where)
+            return Partners(by_number, _hinted(lone, depth, color, _apart(depth, color)))
     if len(color) != len(depth):
         raise RecordingError(
             f"{where}: {len(depth)} depth and {len(color)} colour images, and no names agree: give images of "
@@ -129,22 +134,38 @@ def _same(depth: Sequence[object], color: Sequence[object]) -> tuple[int | None,
     return tuple(index.pop(key, None) for key in depth)
 
 
-def _unlike(depth: Sequence[str], color: Sequence[str]) -> str:
-    """Return the part of a warning on names without partner in both streams, if half of depth's agree; or "".
+def _hinted(
+    warnings: Sequence[str], depth: Sequence[str], color: Sequence[str], apart: str = ""
+) -> tuple[str, ...]:
+    """Return warnings on lone depth with a hint on names without partner in both streams, if half agree.
 
-    Streams without one name or number in common are not meant to have any.
+    They are `NamesDiffer` if many lone names of depth lie outside those of colour, and as many lone ones of
+    colour between those of depth. Streams without one name or number in common are not meant to have any.
+    Other warnings also have the hint `apart`.
     """
     keys = [[frame_key(stem) for stem in stems] for stems in (depth, color)]
     if not set(keys[0]) & set(keys[1]):
         keys = [[str(number) for number in frame_numbers(stems) or ()] for stems in (depth, color)]
     lone = [
-        [stem for stem, key in zip(stems, own, strict=False) if key not in others]
+        [(stem, counting_key(key)) for stem, key in zip(stems, own, strict=False) if key not in others]
         for stems, own, others in ((depth, keys[0], set(keys[1])), (color, keys[1], set(keys[0])))
     ]
-    if not (lone[0] and lone[1]) or 2 * len(lone[0]) > len(depth):
-        return ""
-    depth_name, color_name = (printable(stems[0]) for stems in lone)
-    return f"; {len(lone[1])} {NAMES_DIFFER}, such as {color_name} ({depth_name} is depth without colour)"
+    of_depth, of_color = map(len, lone)
+    if not (of_depth and of_color) or 2 * of_depth > len(depth):
+        return tuple(f"{line}{apart}" for line in warnings)
+    (depth_name, _), (color_name, _) = lone[0][0], lone[1][0]
+    hint = (
+        f"; {of_color} colour images have no depth of their name, such as {printable(color_name)} "
+        f"({printable(depth_name)} is depth without colour)"
+    )
+    spans = [sorted(map(counting_key, own)) for own in keys]
+    inside = [
+        [span[0] <= key <= span[-1] for _, key in own] for own, span in zip(lone, spans[::-1], strict=True)
+    ]
+    many = MUCH_UNLIKE * len(depth) <= of_depth <= of_color
+    if many and not any(inside[0]) and all(inside[1]):
+        return tuple(NamesDiffer(f"{line}{hint}") for line in warnings)
+    return tuple(f"{line}{apart}{hint}" for line in warnings)
 
 
 def _apart(depth: Sequence[str], color: Sequence[str]) -> str:

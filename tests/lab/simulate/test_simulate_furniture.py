@@ -281,6 +281,7 @@ def test_contact_sheets_are_written(tmp_path: Path) -> None:
         write_contact_sheets(tmp_path / "file", count=1, size_px=20)
 
 
-def test_another_word_for_a_family_is_understood() -> None:
-    with raises(SettingsError, "settings.wrong-value", match=r"'sofa': unknown; did you mean 'couch'\?"):
-        parse_object("sofa")
+@pytest.mark.parametrize("word", ["sofa", "Sofas"])
+def test_another_word_for_a_family_is_understood(word: str) -> None:
+    with raises(SettingsError, "settings.wrong-value", match=rf"'{word}': unknown; did you mean 'couch'\?"):
+        parse_object(word)

@@ -59,7 +59,8 @@ def check_family(family: str) -> str:
     """
     if family in families():
         return family
-    near = near_miss(OTHER_WORDS.get(family.lower(), family), list(families()))
+    one = family.lower()
+    near = near_miss(OTHER_WORDS.get(one) or OTHER_WORDS.get(one.removesuffix("s"), family), list(families()))
     hint = f"{near} choose one of {listed(families())}".lstrip()
     raise SettingsError(f"object family '{family}': unknown; {hint}")
 
