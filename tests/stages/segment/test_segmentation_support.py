@@ -218,7 +218,7 @@ def test_a_plane_by_hand_wins() -> None:
 
 def test_of_many_planes_the_surface_is_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[tuple[np.ndarray]] = []
-    monkeypatch.setattr("scipy.spatial.cKDTree", noted(cKDTree, made))
+    monkeypatch.setattr(planes, "cKDTree", noted(cKDTree, made))
     ground = np.stack([*np.meshgrid(np.arange(50.0), np.arange(50.0)), np.zeros((50, 50))], -1) / 100
     points = ground.reshape(-1, 3)
     up = np.broadcast_to([0.0, 0.0, 1.0], points.shape)

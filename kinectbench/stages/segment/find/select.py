@@ -77,7 +77,7 @@ def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
     return holder[label]
 
 
-def nearest_within(tree: "cKDTree", points: Float64, most_m: float) -> tuple[float, int | None]:
+def nearest_within(tree: cKDTree, points: Float64, most_m: float) -> tuple[float, int | None]:
     """Return the smallest distance from points (n, k) to a tree's points, and the index of that tree point.
 
     They are inf and None if no point is within `most_m`. A search without a bound would visit most of the
