@@ -186,8 +186,8 @@ def test_an_accelerometer_counts(
         raise SegmentationError("looked at")
 
     monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_, **__: recording)
-    for module in ("floor", "seen_floor"):
-        monkeypatch.setattr(f"kinectbench.stages.segment.find.{module}.find_floor", find_floor)
+    for module in ("doctor.floor", "stages.segment.find.seen_floor"):
+        monkeypatch.setattr(f"kinectbench.{module}.find_floor", find_floor)
     inspect(recording.path, mode="ignore" if ignored else None)
     ups = [hint.up_world for hint in hints if hint.up_world is not None]
     if not ignored:
