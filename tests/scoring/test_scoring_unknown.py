@@ -184,7 +184,7 @@ def test_what_people_see(tables: tuple[ScoreTable, ScoreTable], tmp_path: Path) 
     text = console.export_text()
     assert LINE in text and "occluded: 3 of 4 pairs are left out" in text and "paper: " not in text
     rows = [row.split() for row in text.splitlines() if "truth unknown " in row]
-    assert " ".join(text.split()).count("what is a guess; space") == 2
+    assert " ".join(text.split()).count("nobody saw, a guess; unseen") == 2
     assert [[cell for cell in row if "." in cell] for row in rows] == [
         ["87.5", "0.0", "43.8"] * 2,  # under `known` and `paper`
         ["87.5", "0.0", "43.8"],
