@@ -66,7 +66,7 @@ def record_command(
         raise SettingsError("record: give --build or --json, not both; `kinectbench build --json` can follow")
     if replayed is not None and not replayed.exists():
         raise CaptureError(
-            f"--from {replayed}: no such file or folder: give the path of a recording, as `path:` in "
+            f"--from {replayed}: there is no such file or folder; give a recording's path, as `path:` in "
             "benchmark.yaml has it, and not its id"
         )
     given = settings_from_options(CameraSettings, {}, overrides, "camera") if overrides else None
