@@ -58,7 +58,8 @@ OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
 YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
 # Characters that may stand between the numbers of a value.
 YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
-# Files that may state a unit, and how many to read at most: some programs write one for each image.
+# Files that may state a unit, and how many to read at most (chosen by hand): some programs write one for each
+# image.
 UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)", re.IGNORECASE), 20
 # Units per metre of 16-bit depth, 10 to 0.01 mm, that are believed of a file without intrinsics.
 LEAST_UNITS, MOST_UNITS = 100.0, 100_000.0

@@ -30,8 +30,9 @@ SHEET_VOXELS = 1.2
 FINE: Final = 1600
 COARSE: Final = 400  # a quarter of the time
 # Lines of this share of the width reach slits that whole lines do not reach. The voxels there are unknown,
-# not air: a gap that was measured too narrow, by up to half a line, stays a gap.
-NARROWER = 0.5  # and the least share of a camera's size
+# not air: a gap that was measured too narrow, by up to half a line, stays a gap. A camera keeps this share of
+# its size, too, however large voxels are.
+NARROWER = 0.5
 # A gap is measured narrower than it is by this many voxels: by the sheet (1.2) and rounding (.5) on both
 # sides, and by noise at edges. A gap of 173 mm between two doors was measured as 148 mm (voxels of 5 mm).
 NARROWED_VOXELS = 5
