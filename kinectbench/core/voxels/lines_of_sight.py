@@ -39,7 +39,7 @@ VOXELS_A_WALK = 75
 # First, every 16th direction is swept along.
 FEWER = 16
 # Behind a gap, lines are tried from voxels this near to those seen before. Of a wardrobe with a slot (voxels
-# of 5 mm) the same voxels are closed as by a search everywhere, in a third of the time.
+# of 5 mm) the same voxels are closed as by a search everywhere, in half of the time.
 BESIDE = 2
 
 
