@@ -9,8 +9,7 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
-from itertools import repeat
+from collections.abc import Callable
 from typing import Any, NoReturn
 
 from kinectbench.core.untrusted import printable
@@ -27,6 +26,9 @@ WIDE_CHARACTERS = 16 << 20
 # Largest number of characters of one text or key in a JSON file: a book that a person may read (chosen here).
 # Longer ones would be printed, compared and put on pages.
 MOST_TEXT = 1_000_000
+# Text and end of a JSON string, in C.
+_scanned: Callable[[str, int], tuple[str, int]] = json.decoder.scanstring  # type: ignore[attr-defined]
+_COLON = re.compile(r"\s*:")
 _FOUR_BYTES = re.compile(r"\\u[dD][89abAB]")
 
 
@@ -58,29 +60,22 @@ def parsed_json(text: str, *, constants: bool, most_values: int = MOST_VALUES) -
     )
 
 
-def long_text(text: str, content: object, most: int) -> str | None:
+def long_text(text: str, most: int) -> str | None:
     """Return a line on a text or key of more than `most` characters in JSON; None if there is none.
 
     Args:
-        text: JSON.
-        content: what was parsed from it.
+        text: JSON, known to be well formed.
         most: largest number of characters.
     """
     if not (_runs_without_quote(text, most) or '\\"' in text):
         return None
-    ways: list[Iterator[tuple[str, object]]] = [iter([("", content)])]
-    while ways:
-        key, value = next(ways[-1], (None, None))
-        if key is None:
-            ways.pop()
-            continue
-        for each in (key, value):
-            if isinstance(each, str) and len(each) > most:
-                return f"'{printable(key)}' has {len(each)} characters; at most {most} are read; shorten it"
-        if isinstance(value, dict):
-            ways.append(iter(value.items()))
-        elif isinstance(value, list):
-            ways.append(zip(repeat(key), value))
+    key, end = "", 0
+    while (start := text.find('"', end) + 1) > 0:
+        value, end = _scanned(text, start)
+        if _COLON.match(text, end):
+            key = value
+        if len(value) > most:
+            return f"'{printable(key)}' has {len(value)} characters; at most {most} are read; shorten it"
     return None
 
 

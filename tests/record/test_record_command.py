@@ -124,7 +124,7 @@ def test_ctrl_c_while_the_guide_closes_keeps_the_line(
 
     monkeypatch.setattr("kinectbench.cli.record._guide", interrupted)
     lost = command(tmp_path, "record", "none", "--from", "chair_01")
-    assert lost.status == 1 and "give the path of a recording" in lost.err
+    assert lost.status == 1 and "give a recording's path" in lost.err
     run = command(tmp_path, "record", "out", "--from", str(source), "--speed", "100")
     assert run.status == 0 and f"wrote out: {check_prefix(tmp_path / 'out', source)} frames in" in run.out
 

@@ -169,7 +169,7 @@ class Stored(StoredPart):
         """
         try:
             content = strict_json(text, cls.MAX_VALUES)
-            if len(text) > cls.MAX_TEXT and (problem := long_text(text, content, cls.MAX_TEXT)):
+            if len(text) > cls.MAX_TEXT and (problem := long_text(text, cls.MAX_TEXT)):
                 raise cls.ERROR(f"{where}: {problem}", what="too-large")
             if len(text) > LONG_TEXT and (missing := cls._missing(content)):
                 raise cls.ERROR(f"{where}: '{missing}': Field required; {cls.ADVICE}")
