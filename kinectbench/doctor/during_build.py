@@ -13,8 +13,8 @@ from kinectbench.doctor.edges import check_edges, fit_edges
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.lengths import LENGTHS, check_lengths
 from kinectbench.doctor.pose_delay import check_trajectory_delay
-from kinectbench.doctor.probe import ProbeBuilder, frames_to_read, probe_recording
-from kinectbench.doctor.trajectory import check_trajectory, fit_trajectory
+from kinectbench.doctor.probe import Probe, ProbeBuilder, frames_to_read, probe_recording
+from kinectbench.doctor.trajectory import PoseFit, check_trajectory, fit_trajectory
 from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 # Findings that make everything built with the poses wrong, if they stop.
@@ -25,6 +25,8 @@ POSES = frozenset(
 IN_CAMERA = " (under `camera:` in benchmark.yaml)"
 # Findings that ingest itself does not detect; `track` judges the poses, over all frames.
 CHECKED = frozenset({"byte_order", "depth_normalised", "invalid_code", "intrinsics_resolution"})
+# Findings that depth scale or intrinsics are wrong: the object's size and shape would be, whatever tracks it.
+OF_CAMERA = frozenset({LENGTHS, "intrinsics_resolution", "principal_point", "field_of_view", "aspect"})
 
 
 def refuse_hopeless(recording: Recording) -> None:
@@ -44,14 +46,15 @@ def refuse_hopeless(recording: Recording) -> None:
 
 
 def likely_cause(recording: Recording) -> tuple[str, bool]:
-    """Explain a failed build by a fault of the poses, or of the scale or encoding of depth.
+    """Explain a failed build by a fault of the poses, the intrinsics, or the scale or encoding of depth.
 
     A recording is not refused before the build because of a suspicious depth scale: it may just show a small
     object.
 
     Returns:
         The explanation, one line ("" if none of these faults is likely), and whether the poses prove it:
-            depth alone only shows that a scale is unlikely.
+            depth alone only shows that a scale is unlikely. Implausible intrinsics count as proven, unless
+            the poses fit: without the poses the result would be wrong, too.
     """
     probe = probe_recording(recording)
     by_depth = [each for each in check_depth(probe) if each.name == "depth_scale"]
@@ -59,6 +62,8 @@ def likely_cause(recording: Recording) -> tuple[str, bool]:
     for each in check_codes(probe, fit):
         suspicion = "the depth's scale may be wrong" if each.name == "depth_scale" else "depth may be coded"
         return f"{each.where}: {suspicion}: {each.what}; {each.advice}{IN_CAMERA}", True
+    for each in _of_intrinsics(probe, fit):
+        return f"{each.where}: {each.what}; {each.advice}; without the poses the object is wrong, too", True
     edges = fit_edges(probe)
     of_poses = by_cause([*check_edges(probe, edges), *check_trajectory(probe, fit)], recording, edges, fit)
     for each in of_poses:
@@ -70,6 +75,11 @@ def likely_cause(recording: Recording) -> tuple[str, bool]:
     each = proven or by_depth[0]
     said = f"{each.where}: the depth's scale may be wrong: {each.what}; {each.advice}{IN_CAMERA}"
     return said, proven is not None
+
+
+def _of_intrinsics(probe: Probe, fit: PoseFit | None) -> list[Finding]:
+    """Return findings of implausible intrinsics; none if the poses prove these right."""
+    return [] if fit is not None and fit.proven else list(check_intrinsics(probe))
 
 
 class OffsetWatch:
@@ -89,17 +99,17 @@ class OffsetWatch:
         self._gathering.take(index, frame)
 
     def warnings(self) -> list[str]:
-        """Return one line for each clock offset or wrong scale found, with the setting or advice for it."""
+        """Return one line for each clock offset and fault of the camera found, with the setting for it."""
         reported = (finding for finding in self._findings if finding.severity == "warning")
         return [
             f"{finding.where}: {finding.what}; {finding.advice}"
             for finding in reported
-            if finding.name in ("color_drift", LENGTHS) or "delay_s" in finding.advice
+            if finding.name in {"color_drift", *OF_CAMERA} or "delay_s" in finding.advice
         ]
 
-    def scale_warnings(self) -> list[str]:
-        """Return the warnings about depth_scale and focal lengths, without paths, to be put into releases."""
-        return [f"{finding.what}; {finding.advice}" for finding in self._findings if finding.name == LENGTHS]
+    def camera_doubts(self) -> list[str]:
+        """Return the warnings about depth_scale and intrinsics, without paths, to be put into releases."""
+        return [f"{each.what}; {each.advice}" for each in self._findings if each.name in OF_CAMERA]
 
     @cached_property
     def _findings(self) -> tuple[Finding, ...]:
@@ -111,6 +121,7 @@ class OffsetWatch:
         yield from check_partners(probe)
         yield from list(check_color_drift(probe)) or check_color_delay(probe)
         fit = fit_trajectory(probe)
+        yield from _of_intrinsics(probe, fit)
         # Poses in another convention fit at no delay; `track` reports the convention, over all frames.
         if fit is not None and given is not None and not fit.convention.changes:
             late = list(check_trajectory_delay(probe, given, fit.convention, fit.pairs))

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from kinectbench.core.types import Float64
+from kinectbench.doctor.depth import check_intrinsics
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.fit import FramePair, disagreements, pair_residual_m
 from kinectbench.doctor.probe import Probe
@@ -98,8 +99,12 @@ def stated_scale(recording: Recording) -> float:
 
 
 def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
-    """Report a depth scale or focal lengths with which the given poses fit much better."""
-    if not lengths.implausible:
+    """Report a depth scale or focal lengths with which the given poses fit much better.
+
+    Nothing is reported of implausible intrinsics (`check_intrinsics`): they explain the misfit, and other
+    lengths would only hide it.
+    """
+    if not lengths.implausible or any(check_intrinsics(probe)):
         return
     recording = probe.recording
     parts, values = [], dict[str, float]()

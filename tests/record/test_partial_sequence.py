@@ -76,7 +76,7 @@ class EverySecond:
     def warnings(self) -> list[str]:
         return []
 
-    def scale_warnings(self) -> list[str]:
+    def camera_doubts(self) -> list[str]:
         return []
 
 
