@@ -5,7 +5,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
 from typing import ClassVar, Literal, Protocol, Self, TypeVar
@@ -13,7 +12,7 @@ from typing import ClassVar, Literal, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core import IMAGE_BYTES, RecordingError, listed_paths, printable, read_plain
+from kinectbench.core import IMAGE_BYTES, RecordingError, printable, read_plain
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, DepthCode, Float64, Int64
@@ -28,7 +27,7 @@ from kinectbench.stages.ingest.images import (
     image_header,
     quantised,
 )
-from kinectbench.stages.ingest.known_names import in_any_case
+from kinectbench.stages.ingest.known_names import first_file, in_any_case, visible
 
 # Largest number of damaged images or messages to try until an undamaged one: five minutes at 30 frames a
 # second. An index may start long before the images that were kept.
@@ -339,20 +338,6 @@ def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
     count = "1 mask is" if len(others) == 1 else f"{len(others)} masks are"
     such = f"{count} of no frame, such as {printable(others[0].name)}"
     return (f"{folder}: {such}: name each as its depth image is named",)
-
-
-def visible(folder: Path, *patterns: str) -> list[Path]:
-    """List files in a folder that match a pattern, without hidden files, which no recording includes."""
-
-    def matches(name: str) -> bool:
-        return any(fnmatchcase(name, each) for each in patterns) and not name.startswith(".")
-
-    return list(listed_paths(folder, wanted=matches)) if folder.is_dir() else []
-
-
-def first_file(candidates: Iterable[Path]) -> Path | None:
-    """Return the first existing file of several paths; None if none exists."""
-    return next((file for file in candidates if file.is_file()), None)
 
 
 def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:

@@ -41,7 +41,7 @@ from kinectbench.stages.ingest.intrinsics_files import (
     named_like_intrinsics,
     passed_over,
 )
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, misnamed
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, misnamed, visible
 from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.folder_images import (
     COLOR_FOLDERS,
@@ -74,7 +74,6 @@ from kinectbench.stages.ingest.recording import (
     first_whole,
     read_image_file,
     unmatched_masks,
-    visible,
     with_masks,
 )
 
@@ -265,7 +264,7 @@ def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
     beside = visible(path, "*.log", "*.freiburg")
-    logs = sorted(file for file in beside if file.suffix == ".log" and starts_like_a_log(file))
+    logs = sorted(file for file in beside if file.suffix.lower() == ".log" and starts_like_a_log(file))
     file = first_named(path, ("trajectory.txt", "trajectory.log")) or (logs[0] if len(logs) == 1 else None)
     names = (*(log.name for log in logs), *POSE_FILES)
     if file is not None and file.suffix.lower() == ".log":
