@@ -59,6 +59,19 @@ def visible(folder: Path, *patterns: str) -> list[Path]:
     return list(listed_paths(folder, wanted=matches)) if folder.is_dir() else []
 
 
+def clashing(folder: Path, known: Iterable[str]) -> list[str]:
+    """Return a line on each of `known` of which the folder has several entries that differ in case alone."""
+    lines, entries = list[str](), _by_lower(folder)
+    for each in known:
+        names = entries.get(each.lower(), [])
+        others = printable(" and ".join(name for name in names if name != each))
+        if len(names) > 1 and each in names:
+            lines.append(f"{others} is not read beside {each}: rename it, or move it away")
+        elif len(names) > 1:
+            lines.append(f"{others} differ in case alone: rename the right one to {each}")
+    return lines
+
+
 def misnamed(folder: Path, known: Collection[str]) -> list[str]:
     """Return a line on each entry whose name is nearly one of `known`, in lower case, that the folder lacks.
 
@@ -70,11 +83,7 @@ def misnamed(folder: Path, known: Collection[str]) -> list[str]:
     """
     entries = _by_lower(folder)
     there = {each: entries.get(each, []) for each in known}
-    lines = [
-        f"{printable(' and '.join(names))} differ in case alone: rename the right one to {each}"
-        for each, names in there.items()
-        if len(names) > 1 and each not in names
-    ]
+    lines = clashing(folder, known)
     for name in chain(*entries.values()):
         same = [
             each

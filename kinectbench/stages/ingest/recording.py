@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import IMAGE_BYTES, RecordingError, printable, read_plain
+from kinectbench.core.encoded_images import PNG_MAGIC
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, DepthCode, Float64, Int64
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.color_pictures import as_png
 from kinectbench.stages.ingest.depth_codes import read_by_code
 from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px, kind_of
 from kinectbench.stages.ingest.images import (
@@ -277,7 +279,10 @@ class FileRecording(Recording):
     def color(self, index: int) -> tuple[str, bytes] | None:
         """Return the colour of a frame as encoded in its file: (suffix, bytes); None if it has no colour."""
         file = self.places[index].color
-        return None if file is None else (file.suffix, read_image_file(file))
+        if file is None:
+            return None
+        data = read_image_file(file)
+        return ".png" if data.startswith(PNG_MAGIC) else file.suffix, data
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
         """Correct a frame's depth after it is read; by default, change nothing.
@@ -299,14 +304,14 @@ def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
 
 
 def read_image_file(path: Path) -> bytes:
-    """Read a whole image file.
+    """Read a whole image file; a BMP or PPM is turned into a PNG.
 
     Raises:
-        DamagedImageError: the file is missing, too large, or no plain file.
+        DamagedImageError: the file is missing, too large, or no plain file; or a BMP or PPM is damaged.
         RecordingError: the machine cannot read it now; the next run may.
     """
     try:
-        return read_plain(path, IMAGE_BYTES)
+        return as_png(read_plain(path, IMAGE_BYTES), str(path))
     except FileNotFoundError as error:
         raise DamagedImageError(f"{path}: the recording lists this image, but it is missing") from error
     except OSError as error:

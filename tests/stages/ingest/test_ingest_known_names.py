@@ -203,6 +203,28 @@ def test_names_that_clash_are_told(tmp_path: Path) -> None:
         open_recording(folder)
 
 
+@pytest.mark.parametrize(
+    ("write", "name"),
+    [
+        *((write_folder, name) for name in ("masks", "depth", "color", "camera_intrinsic.json", "poses.txt")),
+        *((write_tum, name) for name in ("masks", "rgb.txt", "groundtruth.txt", "camera.json")),
+    ],
+)
+def test_an_unread_twin_of_a_name_as_given_is_told(
+    tmp_path: Path, write: Callable[[Path], Path], name: str
+) -> None:
+    folder, twin = write(tmp_path / "r"), name.capitalize()
+    for each in (name, twin):
+        if "." not in each:
+            (folder / each).mkdir(exist_ok=True)
+        elif not (folder / each).exists():
+            (folder / each).write_text("".join(f"{index} 0 0 0 0 0 0 1\n" for index in range(4)))
+    if len([entry for entry in folder.iterdir() if entry.name.lower() == name]) == 1:
+        pytest.skip("this file system does not tell them apart")
+    (told,) = [line for line in open_recording(folder).warnings if twin in line]
+    assert told == f"{folder}: {twin} is not read beside {name}: rename it, or move it away"
+
+
 def test_of_a_folder_with_too_many_names_none_is_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
