@@ -1,10 +1,8 @@
 """The folder formats: TUM, 7-Scenes and plain colour + depth."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from ingest_writers import (
@@ -27,7 +25,6 @@ from raising import raises
 from kinectbench.core.errors import RecordingError
 from kinectbench.core.geometry import Camera
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import DamagedImageError, decode_color_bgr
 from kinectbench.stages.ingest.readers import (
     FORMATS,
     find_recordings,
@@ -36,7 +33,7 @@ from kinectbench.stages.ingest.readers import (
     reader_of,
     source_files,
 )
-from kinectbench.stages.ingest.recording import RawFrame, Recording, read_image_file
+from kinectbench.stages.ingest.recording import RawFrame, Recording
 
 SMALL = Camera(**CAMERA)
 
@@ -45,31 +42,6 @@ def raw_frames(recording: Recording) -> list[RawFrame]:
     frames = list(every_frame(recording))
     assert all(isinstance(frame, RawFrame) for frame in frames)
     return [frame for frame in frames if isinstance(frame, RawFrame)]
-
-
-@pytest.mark.parametrize("kind", [".bmp", ".ppm"])
-@pytest.mark.parametrize("write", [write_folder, write_tum])
-def test_colour_in_bmp_and_ppm_is_read(tmp_path: Path, write: Callable[[Path], Path], kind: str) -> None:
-    folder = write(tmp_path / "r")
-    for file in [*folder.glob("color/*.jpg"), *folder.glob("rgb/*.jpg")]:
-        done, encoded = cv2.imencode(kind, color_image(int(file.stem)))
-        assert done
-        file.with_suffix(kind).write_bytes(encoded.tobytes())
-        file.unlink()
-    for rows in folder.glob("rgb.txt"):
-        rows.write_text(rows.read_text().replace(".jpg", kind))
-    recording = open_recording(folder)
-    assert recording.color_registered and recording.warnings == ()
-    for index in range(len(recording)):
-        color = recording.frame(index).color
-        assert color is not None and color[0] == ".png"
-        assert np.array_equal(decode_color_bgr(color[1], "it"), color_image(index))
-    damaged = next(folder.rglob(f"*{kind}"))
-    whole = damaged.read_bytes()
-    for data, said in ((whole[:99], "cannot be decoded"), (whole[:12], "head of the image is damaged")):
-        damaged.write_bytes(data)
-        with raises(DamagedImageError, "recording.damaged-image", match=said):
-            read_image_file(damaged)
 
 
 def test_tum(tmp_path: Path) -> None:
