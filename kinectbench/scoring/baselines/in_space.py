@@ -8,6 +8,7 @@ from kinectbench.core import PredictionError
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.artefacts.scores import BaseRate, ScoreTable
 from kinectbench.core.types import Progress, no_progress
+from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
@@ -82,7 +83,11 @@ def space_baselines(
 
 
 def thresholds_of_baselines(
-    release: Release, names: Sequence[str], rates: Mapping[str, BaseRate], jobs: int = 1
+    release: Release,
+    names: Sequence[str],
+    rates: Mapping[str, BaseRate],
+    jobs: int = 1,
+    upsampling: str = HALF_PIXEL,
 ) -> dict[str, Thresholds]:
     """Return {baseline: its thresholds, chosen on all validation pairs by what it predicts of them}.
 
@@ -91,12 +96,14 @@ def thresholds_of_baselines(
         names: baselines that the release allows (`possible_baselines`).
         rates: as `base_rates` returns them.
         jobs: number of processes.
+        upsampling: "half-pixel" or "corner-aligned".
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
     """
     tasks = baseline_tasks(release, names, rates, ("validation",))
-    counted = {task.target: of for task, of in zip(tasks, run_tasks(_tallies, tasks, jobs), strict=True)}
+    tallies = run_tasks(partial(_tallies, upsampling), tasks, jobs)
+    counted = {task.target: of for task, of in zip(tasks, tallies, strict=True)}
     return {
         name: searched_thresholds(release.targets, {t: of[name] for t, of in counted.items()})
         for name in names
@@ -145,10 +152,10 @@ def space_baselines_that_differ(
     return wrong
 
 
-def _tallies(task: BaselineTask) -> Tallies:
+def _tallies(upsampling: str, task: BaselineTask) -> Tallies:
     """Return {baseline: its voxel counts of a validation pair}; they serve to choose the thresholds."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
-    return {name: tally(prediction, truth) for name, prediction in predicted(task)}
+    return {name: tally(prediction, truth, upsampling) for name, prediction in predicted(task)}
 
 
 def _results(

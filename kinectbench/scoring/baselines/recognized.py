@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
+from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import as_of_baseline
 from kinectbench.scoring.baselines.predict import possible_baselines
@@ -57,7 +58,8 @@ def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[st
     from kinectbench.scoring.baselines.in_space import space_baselines_that_differ, thresholds_of_baselines
 
     if not (table.threshold_source or "").startswith(FROM_FILE):
-        chosen = thresholds_of_baselines(release, [table.method], base_rates(release, jobs), jobs)
+        upsampling, rates = getattr(how, "upsampling", HALF_PIXEL), base_rates(release, jobs)
+        chosen = thresholds_of_baselines(release, [table.method], rates, jobs, upsampling)
         if chosen[table.method].of != table.thresholds:
             return False
     if isinstance(how, Counting):

@@ -97,12 +97,13 @@ def test_a_baseline_of_which_validation_files_alone_changed_is_none(tmp_path: Pa
     release, out = open_release(tmp_path / "benchmark"), tmp_path / "predictions"
     write_baselines(release, out, ["mean-shape"])
 
-    def called_baseline(protocol: str, **options: Path) -> bool:
+    def called_baseline(protocol: str, **options: object) -> bool:
         folder, how = out / "mean-shape", {"protocols": [protocol], "surface": False}
         return is_baseline(score(release, folder, method="mean-shape", **how, **options))  # type: ignore[arg-type]
 
     protocols = ("known", "camera")
     assert all(called_baseline(protocol) for protocol in protocols)
+    assert called_baseline("known", upsampling="corner-aligned")
     # The ball of b, at which the threshold is best above the half that is around it.
     cells = (np.indices((64, 64, 64)) + 0.5) * 4 - np.array([121, 128, 130]).reshape(3, 1, 1, 1)
     changed = np.where(np.sqrt((cells**2).sum(axis=0)) < 87, 0.9, 0.5).astype(np.float32)
