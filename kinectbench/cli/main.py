@@ -278,4 +278,15 @@ def _usage(error: Any) -> tuple[str, ...]:
     if type(error).__name__ == "NoArgsIsHelpError":
         return ()
     command = error.ctx.command_path if error.ctx else "kinectbench"
-    return (f"{error.format_message().rstrip('.')}; see `{command} --help`",)
+    return (f"{_wrong_value(error) or error.format_message().rstrip('.')}; see `{command} --help`",)
+
+
+def _wrong_value(error: Any) -> str:
+    """Return what was found and wanted, if the value of an option or argument is wrong; else ""."""
+    found, parameter = getattr(error.__cause__, "errors", None), getattr(error, "param", None)
+    if found is None or parameter is None:
+        return ""
+    first = found()[0]
+    wanted = first["msg"].removeprefix("Input should be ").partition(", unable to parse")[0]
+    wanted = f"a value {wanted}" if wanted.startswith(("greater", "less")) else wanted
+    return f"{parameter.opts[0]} {printable(str(first['input']))}: wanted {wanted}"

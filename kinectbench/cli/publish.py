@@ -110,8 +110,21 @@ def _published(
     except (ReleaseError, typer.Exit):
         _tell_left_out(common, rows)
         raise
-    _tell_left_out(common, [row for row in rows if row.recording not in summary.recordings])
+    _tell_left_out(common, to_mend(rows, summary, isolated=bool(options.isolate)))
     return summary
+
+
+def to_mend(
+    rows: "list[BuiltRecording]", summary: "PublishSummary", *, isolated: bool
+) -> "list[BuiltRecording]":
+    """Return the left-out recordings, without those to which `--isolate` preferred another of their object.
+
+    Nothing is to be done about the latter: a warning of the summary names them.
+    """
+    left_out = [row for row in rows if row.recording not in summary.recordings]
+    return [
+        row for row in left_out if not (isolated and row.summary.pairs) or row.recording in summary.refused
+    ]
 
 
 def _tell_left_out(common: Common, rows: "list[BuiltRecording]") -> None:

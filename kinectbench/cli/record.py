@@ -75,7 +75,7 @@ def record_command(
     with _begun(out, common.workers) if built else nullcontext() as begun:
         done = _recorded(camera, out, seconds, port, guided)
         ended_s = time.monotonic()
-        _tell(common, done, speed)
+        tell_recorded(common, done, None if replayed is None else speed)
         if done.failure:
             return CANNOT_BE_USED
         interrupt_answered()  # it has ended the recording; another one ends the build
@@ -184,15 +184,26 @@ def _list(common: Common) -> None:
     common.tell(rows, lines)
 
 
-def _tell(common: Common, done: "Recorded", speed: float) -> None:
+def tell_recorded(common: Common, done: "Recorded", speed: float | None) -> None:
+    """Print the outcome of a recording.
+
+    Args:
+        common: the common options.
+        done: the outcome.
+        speed: times its own pace, of a replay; None: of a camera.
+    """
     counts = {"frames": done.frames, "missed": done.missed, "dropped": done.dropped}
     value = {"folder": str(done.folder), "device": done.device, **counts, "seconds": done.seconds}
     value |= {"clock_set_back": done.set_back, "failure": done.failure or None}
     common.tell(value, [f"wrote {done.folder}: {done.frames} frames in {done.seconds:.1f} s"])
-    slower = "; give a lower --speed to have them" if speed > 1 else ""
+    number = f"of {done.frames + done.missed + done.dropped}"
+    slower = "give a lower --speed to have them"
+    usb = "try another cable and port, and end programs that compute"
+    late = usb if speed is None else slower if speed > 1 else "`kinectbench inspect` names damaged ones"
+    disk = "record to a faster one" if speed is None else slower
     warnings = {
-        f"{done.missed} frames never arrived (too late, or damaged){slower}": done.missed,
-        f"{done.dropped} frames were not written: the disk is too slow": done.dropped,
+        f"{done.missed} frames never arrived ({number}; too late, or damaged); {late}": done.missed,
+        f"{done.dropped} frames were not written ({number}): the disk is too slow; {disk}": done.dropped,
         f"the device's clock went back {done.set_back} times; stamps go on by this machine's": done.set_back,
     }
     said = [text for text, count in warnings.items() if count]

@@ -42,14 +42,14 @@ COMPARED_FILES = 32
 # First the stages of a build; then candidates of boxes, releases, synthetic models, tables of scores, and the
 # predictions of baselines.
 VERSIONS: dict[str, int] = {
-    "ingest": 17,
+    "ingest": 18,
     "track": 16,
     "fuse": 7,
-    "segment": 52,
+    "segment": 53,
     "sample-views": 7,
     "pairs": 4,
     "suggest": 8,
-    "publish": 46,
+    "publish": 47,
     "synthesize": 3,
     "score": 14,
     "baselines": 4,

@@ -15,6 +15,7 @@ from kinectbench.core import (
     KinectBenchError,
     RecordingError,
     SettingsError,
+    StorageError,
     below,
     canonical_json,
     printable,
@@ -22,7 +23,7 @@ from kinectbench.core import (
     storage_errors,
     write_below,
 )
-from kinectbench.core.artefacts.manifest import Failed, SourceFile, Sources
+from kinectbench.core.artefacts.manifest import Failed, Manifest, SourceFile, Sources
 from kinectbench.core.store.address import url_of
 from kinectbench.core.store.store import Store, StoredObject, fetch_all, in_parallel
 from kinectbench.core.types import NamedProgress, no_progress
@@ -199,6 +200,24 @@ def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
         text = listing.store.read(name, MOST_FAILED_BYTES)
         failed = Failed.parse(text.decode("utf-8", errors="replace"), listing.store.place(name))
     return () if known is None else known.current, failed
+
+
+def newest_there(job: Job, stage: str) -> Manifest | None:
+    """Return the manifest of the artefact of a stage that was stored last; None if it is damaged, or none is.
+
+    Raises:
+        StorageError: the store cannot be read.
+    """
+    store = store_of(job)
+    listed = store.objects(f"build/{job.recording.id}/{stage}")
+    made = [each for each in listed if PurePosixPath(each.name).name == Manifest.FILE]
+    if not made:
+        return None
+    name = max(made, key=lambda each: each.modified_s).name
+    text = store.read(name).decode("utf-8", errors="replace")
+    with contextlib.suppress(StorageError):
+        return Manifest.parse(text, store.place(name))
+    return None
 
 
 def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], report: NamedProgress) -> None:

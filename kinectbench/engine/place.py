@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
@@ -122,24 +121,29 @@ def _status(job: Job) -> RecordingStatus:
     current, failed = status_of(job)
     left = [stage for stage in STAGES if stage.name not in current]
     state: State = "failed" if failed else "missing" if left else "done"
-    local = left and url_of(job.root) is None
     return RecordingStatus(
         recording=job.recording.id,
         state=state,
         current=current,
         next=left[0].name if left else None,
-        differs=_differing_setting(job.build, job, left[0]) if local else None,
+        differs=_differing_setting(job, left[0]) if left else None,
         error=failed.error if failed else None,
         code=failed.code if failed else None,
     )
 
 
-def _differing_setting(build: Path, job: Job, stage: Stage) -> str | None:
+def _differing_setting(job: Job, stage: Stage) -> str | None:
     """Return the key of the first setting that a made stage has otherwise, as views.count; None if none has.
 
-    A missing or damaged artefact, and one of another version of the stage, has no such setting.
+    A missing or damaged artefact, and one of another version of the stage, has no such setting. Of those in a
+    store, the newest counts.
     """
-    manifest = whole_manifest(build / stage.folder)
+    if url_of(job.root) is None:
+        manifest = whole_manifest(job.build / stage.folder)
+    else:
+        from kinectbench.engine.checkout import newest_there
+
+        manifest = newest_there(job, stage.name)
     if manifest is None or manifest.stage_version != stage.version:
         return None
     key = next(_differing(manifest.settings, stage.settings(job)), None)

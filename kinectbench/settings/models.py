@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 from kinectbench.core import MOST_SIDE_PX, Category, Name, Named, first_clash
 from kinectbench.core.geometry import BoxAnchor, OrientedBox, Pose
 from kinectbench.core.sensor_limits import SensorLimits
-from kinectbench.core.types import DepthCode, Framing, PartialRule, Split, Underside
+from kinectbench.core.types import CLOSED_MEANS, OPEN_MEANS, DepthCode, Framing, PartialRule, Split, Underside
 from kinectbench.settings.base import Settings
 from kinectbench.settings.pick import PickSettings
 from kinectbench.settings.publishing import PublishSettings, ReviewSettings
@@ -35,10 +35,7 @@ MOST_DELAY_S = 4e9
 # Depth up to this range is always fused, unless a person sets less: it contains most furniture (the rules for
 # solids were chosen with it).
 LEAST_RANGE_M = 3.0
-UNDERSIDE = (
-    "closed: turn it over, and the hand meets one face; open: the hand goes in, as between a chair's aprons; "
-    "unseen: nobody looked"
-)
+UNDERSIDE = f"closed: {CLOSED_MEANS}; open: {OPEN_MEANS}, as between a chair's aprons; unseen: nobody looked"
 
 
 class CameraSettings(Settings):

@@ -6,8 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from small_benchmark import Run, copied, hashes
+from typed import model_of
 
+from kinectbench.cli.publish import to_mend
 from kinectbench.engine.locks import locked
+from kinectbench.engine.summary import BuiltRecording, RecordingSummary
+from kinectbench.release.publish.publish import PublishSummary
 
 Command = Callable[..., Run]
 
@@ -85,3 +89,17 @@ def test_what_to_do_first_for_recordings_that_are_left_out(
     config.write_text(config.read_text().replace(accepted, rejected))
     both = command(root, "publish", "--jobs", "1", *strict)
     assert [line for line in both.err.splitlines() if "do this first" in line] == first[1:]
+
+
+def test_what_isolate_leaves_out_is_not_to_be_mended() -> None:
+    """One view of an object is published, of whichever recording was drawn; the others are no worse."""
+
+    def built(name: str, pairs: int | None) -> BuiltRecording:
+        return BuiltRecording(name, None, (), lambda: model_of(RecordingSummary, pairs=pairs))
+
+    rows = [built("drawn", 3), built("other", 3), built("poor", 3), built("empty", 0)]
+    summary = PublishSummary(Path("benchmark"), "", 1, ("drawn",), (), refused=("poor",))
+    told = {
+        alone: [row.recording for row in to_mend(rows, summary, isolated=alone)] for alone in (True, False)
+    }
+    assert told == {True: ["poor", "empty"], False: ["other", "poor", "empty"]}

@@ -7,7 +7,12 @@ from pathlib import Path
 
 import pytest
 from small_benchmark import Run, copied, hashes
+from stored_benchmark import know_sources, put_benchmark
+from stores import s3, s3_server
 
+from kinectbench.engine.pipeline import STAGE_NAMES
+
+__all__ = ["s3", "s3_server"]
 Command = Callable[..., Run]
 pytestmark = pytest.mark.xdist_group("resume")
 
@@ -75,3 +80,16 @@ def test_status_of_a_part(command: Command, small: Path) -> None:
         for name in states(command(small, "build", "--status", "--json", "--shard", f"{number}/2"))
     ]
     assert sorted(listed) == ["chair", "table"]
+
+
+def test_what_was_built_there_of_other_settings_is_told(
+    command: Command, small: Path, tmp_path: Path, s3: str
+) -> None:
+    put_benchmark(small, s3, STAGE_NAMES[:-1])
+    know_sources(s3)
+    status = ("build", "--status", "--config", f"{s3}/benchmark.yaml")
+    rows = json.loads(command(tmp_path, *status, "--json", "--set", "views.count=2").out)
+    assert [(row["next"], row["differs"]) for row in rows] == [("sample-views", "views.count")] * 2
+    told = command(tmp_path, *status, "--set", "views.count=2").out
+    assert told.endswith("0 of 2 done, 0 failed, 0 missing, 2 of other settings\n")
+    assert command(tmp_path, *status).out.endswith("0 of 2 done, 0 failed, 2 missing\n")

@@ -16,6 +16,8 @@ from made_once import made_once
 from small_benchmark import Run
 from written_frames import frame, read, write
 
+from kinectbench.cli.common import Common
+from kinectbench.cli.record import tell_recorded
 from kinectbench.record import devices
 from kinectbench.record.interface import Device, Frame, Setup
 from kinectbench.record.recorder import Recorded
@@ -142,6 +144,23 @@ def test_missed_frames_are_told(
     monkeypatch.setattr("kinectbench.cli.record._recorded", lambda *_: done)
     run = command(tmp_path, "record", "out", "--from", str(source), "--speed", speed)
     assert "1 frames never arrived" in run.err and ("give a lower --speed" in run.err) == advised
+
+
+@pytest.mark.parametrize(
+    ("speed", "remedies"),
+    [
+        (None, ("try another cable and port", "record to a faster one")),
+        (1.0, ("`kinectbench inspect` names damaged ones", "give a lower --speed")),
+        (1000.0, ("give a lower --speed", "give a lower --speed")),
+    ],
+)
+def test_lost_frames_are_told_with_their_share_and_the_remedy(
+    capsys: pytest.CaptureFixture[str], speed: float | None, remedies: tuple[str, str]
+) -> None:
+    tell_recorded(Common(), Recorded(Path("out"), "it", 2, 5, 3, 0, 1.0), speed)
+    never, dropped = capsys.readouterr().err.replace("\n", " ").split("warning: ")[1:]
+    assert "5 frames never arrived (of 10;" in never and remedies[0] in never
+    assert "3 frames were not written (of 10)" in dropped and remedies[1] in dropped
 
 
 def test_killed_at_random_moments_it_is_readable_to_the_last_second(tmp_path: Path, source: Path) -> None:

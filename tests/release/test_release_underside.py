@@ -1,20 +1,24 @@
 """What a release says of undersides: each recording's word, by whom it is, and nothing of a hidden truth."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from evidence_by_hand import shape_of
 from synthetic_release import synthetic_settings, write_json
 from typed import model_of
 
 from kinectbench.core.artefacts.benchmark import RecordingInfo, ReleaseInfo, SettingsInfo
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.types import Underside
+from kinectbench.core.types import CLOSED_MEANS, OPEN_MEANS, Underside
 from kinectbench.release.check.rebuild import LocalRecording, _settings
 from kinectbench.release.publish.card import card_figures, underside_line
 from kinectbench.release.publish.datasheet import datasheet
 from kinectbench.release.publish.publish import _public_settings
 from kinectbench.release.publish.publish_recording import _stage
-from kinectbench.settings.models import BenchmarkSettings
+from kinectbench.settings.models import UNDERSIDE, BenchmarkSettings
+from kinectbench.stages.segment.judge.quality import _underside_question
 
 RESTS = "the ground truth rests on it"
 
@@ -56,6 +60,14 @@ def test_one_line_says_whose_word_it_is(words: tuple[Underside | None], begins: 
     line = underside_line({str(number): recording(word) for number, word in enumerate(words)})
     assert line.startswith(begins) and (line == "") == (begins == "") and "\n" not in line
     assert (RESTS in line) == rests == ("the word of whoever recorded it" in line)
+    assert (CLOSED_MEANS in line) == rests
+
+
+def test_settings_cards_and_messages_explain_the_words_alike() -> None:
+    solid = np.ones((3, 3, 3), bool)
+    (line,) = _underside_question(replace(shape_of(solid), underside=solid), "unseen")
+    assert f"`underside: closed` ({CLOSED_MEANS})" in line and f"`underside: open` ({OPEN_MEANS})" in line
+    assert f"closed: {CLOSED_MEANS}; open: {OPEN_MEANS}" in UNDERSIDE
 
 
 def test_card_and_datasheet_say_it() -> None:

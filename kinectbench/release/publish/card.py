@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.benchmark import UNSPECIFIED, RecordingInfo, Rel
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.targets import SPLITS, Target
 from kinectbench.core.medians import known_median
-from kinectbench.core.types import Float64, Underside
+from kinectbench.core.types import CLOSED_MEANS, Float64, Underside
 from kinectbench.core.voxels.pair_file import TRUTH_KEYS
 from kinectbench.release.contents import LICENSE, PREVIEWS, SPLIT_TARGETS
 from kinectbench.release.publish.attribution import HUGGING_FACE, markdown_line
@@ -102,7 +102,7 @@ def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
     line = f"Underside, as stated of {by_word.total()} recording{'s' * (by_word.total() > 1)}: {counts}."
     if by_word["closed"]:
         line += (
-            " `closed` (no space behind the underside that is open to the air) is the word of whoever "
+            f" `closed` ({CLOSED_MEANS}) is the word of whoever "
             "recorded it, no measurement, and the ground truth rests on it: what could be seen from below "
             "only counts as known and solid."
         )

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from kinectbench.core import PredictionError
 from kinectbench.core.artefacts.counted import Tally
-from kinectbench.core.artefacts.scores import ScoreTable
+from kinectbench.core.artefacts.scores import BaseRate, ScoreTable
 from kinectbench.core.types import Progress, no_progress
+from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
@@ -20,7 +21,7 @@ from kinectbench.scoring.counts import tally
 from kinectbench.scoring.pair_result import drawn
 from kinectbench.scoring.read_table import differing
 from kinectbench.scoring.references import base_rates
-from kinectbench.scoring.thresholds import searched_thresholds, thresholds_for
+from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
 
@@ -57,13 +58,8 @@ def space_baselines(
     rates = base_rates(release, jobs)
     validation: dict[Target, str | None] = {}
     if thresholds_file is None:
-        tasks = baseline_tasks(release, names, rates, ("validation",))
-        counted = {task.target: of for task, of in zip(tasks, run_tasks(_tallies, tasks, jobs), strict=True)}
-        validation = dict.fromkeys(counted)
-        thresholds = {
-            name: searched_thresholds(release.targets, {t: of[name] for t, of in counted.items()})
-            for name in names
-        }
+        validation = dict.fromkeys(release.split("validation"))
+        thresholds = thresholds_of_baselines(release, names, rates, jobs)
     else:
         thresholds = dict.fromkeys(names, thresholds_for(thresholds_file, release.split("test")))
     used = {name: of.of for name, of in thresholds.items()}
@@ -84,6 +80,34 @@ def space_baselines(
         )
         for name in names
     ]
+
+
+def thresholds_of_baselines(
+    release: Release,
+    names: Sequence[str],
+    rates: Mapping[str, BaseRate],
+    jobs: int = 1,
+    upsampling: str = HALF_PIXEL,
+) -> dict[str, Thresholds]:
+    """Return {baseline: its thresholds, chosen on all validation pairs by what it predicts of them}.
+
+    Args:
+        release: the release that is predicted.
+        names: baselines that the release allows (`possible_baselines`).
+        rates: as `base_rates` returns them.
+        jobs: number of processes.
+        upsampling: "half-pixel" or "corner-aligned".
+
+    Raises:
+        PairError, ReleaseError: a pair cannot be read.
+    """
+    tasks = baseline_tasks(release, names, rates, ("validation",))
+    tallies = run_tasks(partial(_tallies, upsampling), tasks, jobs)
+    counted = {task.target: of for task, of in zip(tasks, tallies, strict=True)}
+    return {
+        name: searched_thresholds(release.targets, {t: of[name] for t, of in counted.items()})
+        for name in names
+    }
 
 
 def space_baselines_that_differ(
@@ -128,10 +152,10 @@ def space_baselines_that_differ(
     return wrong
 
 
-def _tallies(task: BaselineTask) -> Tallies:
+def _tallies(upsampling: str, task: BaselineTask) -> Tallies:
     """Return {baseline: its voxel counts of a validation pair}; they serve to choose the thresholds."""
     truth = read_packed_truth(task.release.pair_path(task.target), task.target.sha256)
-    return {name: tally(prediction, truth) for name, prediction in predicted(task)}
+    return {name: tally(prediction, truth, upsampling) for name, prediction in predicted(task)}
 
 
 def _results(

@@ -3,10 +3,13 @@
 from collections.abc import Callable
 
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
+from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import as_of_baseline
 from kinectbench.scoring.baselines.predict import possible_baselines
 from kinectbench.scoring.pair_result import Counting
+from kinectbench.scoring.references import base_rates
+from kinectbench.scoring.thresholds import FROM_FILE
 
 
 def made_table(
@@ -36,6 +39,8 @@ def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[st
     """Return whether a complete table has the rows of the baseline that its method is named after.
 
     All pairs are predicted by the baseline and counted again: a few other predictions must not pass for it.
+    Thresholds, unless they are from a file, must be those that the baseline chooses on the validation split:
+    at others it would score less, and be easier to surpass.
 
     Args:
         release: the release that was predicted.
@@ -50,8 +55,13 @@ def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[st
         return False
     # Late: what counts is slow to load, and few methods have the name of a baseline.
     from kinectbench.scoring.baselines.counted import baselines_that_differ
-    from kinectbench.scoring.baselines.in_space import space_baselines_that_differ
+    from kinectbench.scoring.baselines.in_space import space_baselines_that_differ, thresholds_of_baselines
 
+    if not (table.threshold_source or "").startswith(FROM_FILE):
+        upsampling, rates = getattr(how, "upsampling", HALF_PIXEL), base_rates(release, jobs)
+        chosen = thresholds_of_baselines(release, [table.method], rates, jobs, upsampling)
+        if chosen[table.method].of != table.thresholds:
+            return False
     if isinstance(how, Counting):
         return not baselines_that_differ(release, {table.method: table}, how, jobs, every=True)
     return not space_baselines_that_differ(release, {table.method: table}, how, jobs, every=True)

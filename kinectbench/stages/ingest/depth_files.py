@@ -43,6 +43,8 @@ FARTHEST_M = 50.0
 # Between neighbours whose high bytes differ by one, depth in two channels mostly changes by less than
 # SMALL_STEP, because surfaces are smooth. In a false-colour picture the channels are not related like this.
 SMALL_STEP, SMALL_SHARE, LEAST_STEPS = 64, 0.8, 16
+# Signature of OpenEXR (its file layout).
+EXR_MAGIC = b"v/1\x01"
 # Signature of HDF5 (its file format specification, III.A).
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 # Errors of h5py on damaged files: by its documentation only OSError, KeyError and ValueError; RuntimeError
@@ -64,7 +66,7 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
 
     Raises:
         DamagedImageError: the image is damaged.
-        OddImageError: the image is intact, but not a depth image.
+        OddImageError: the image is intact, but not a depth image, or in EXR.
         RecordingError: the image is in HDF5, and h5py is not installed.
     """
     if _is_array(data, name):
@@ -94,6 +96,12 @@ def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
         return _tiff_size_px(data, name)
     if is_netpbm(data, name):
         return netpbm_head(data, name)[:2]
+    if data.startswith(EXR_MAGIC):
+        raise OddImageError(
+            f"{name}: EXR images are not read: write each as .npy in metres, which OpenCV (cv2.imread) does "
+            "with OPENCV_IO_ENABLE_OPENEXR=1 in the environment",
+            advice="",
+        )
     return image_header(data, name)[1:]
 
 

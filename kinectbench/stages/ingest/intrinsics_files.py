@@ -30,8 +30,7 @@ from kinectbench.stages.ingest.intrinsics import (
 )
 from kinectbench.stages.ingest.intrinsics_words import intrinsics_in_words, intrinsics_in_xml
 from kinectbench.stages.ingest.json_values import read_json_object
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order
-from kinectbench.stages.ingest.recording import visible
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, visible
 
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
@@ -166,7 +165,7 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
         with suppress(RecordingError):
             if file.is_file():
                 return _read_text(file), None
-    files = [file for folder in YAML_FOLDERS for file in visible(path / folder, YAML_NAMES)]
+    files = [file for folder in YAML_FOLDERS for file in visible(in_any_case(path, folder), YAML_NAMES)]
     return _of_yaml(sorted(files)), None
 
 

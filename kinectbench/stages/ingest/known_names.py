@@ -1,12 +1,13 @@
 """Find files and folders by the names that readers know, in any case, and names that nearly match."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from functools import lru_cache
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
-from kinectbench.core import printable, scanned
+from kinectbench.core import listed_paths, printable, scanned
 
 # Names from this similarity on are taken for misspelled (difflib's ratio, chosen by hand: of depths.txt to
 # depth.txt it is 0.95, of mask to masks 0.89), if their lengths differ by at most so many characters.
@@ -23,7 +24,7 @@ def in_any_case(folder: Path, name: str) -> Path:
     exact = folder / name
     if exact.exists():
         return exact
-    same = [entry for entry in _entries(folder) if entry.lower() == name.lower()]
+    same = _by_lower(folder).get(name.lower(), ())
     return folder / same[0] if len(same) == 1 else exact
 
 
@@ -38,6 +39,39 @@ def first_named(folder: Path, names: Collection[str]) -> Path | None:
     return next((file for file in in_order(folder, names) if file.is_file()), None)
 
 
+def first_file(candidates: Iterable[Path]) -> Path | None:
+    """Return the first file of several paths, as `in_any_case` finds each; None if none exists."""
+    found = (in_any_case(file.parent, file.name) for file in candidates)
+    return next((file for file in found if file.is_file()), None)
+
+
+def visible(folder: Path, *patterns: str) -> list[Path]:
+    """List files in a folder that match a pattern, in any case, without hidden files.
+
+    Args:
+        folder: a folder; of anything else the list is empty.
+        patterns: as `fnmatch` reads them.
+    """
+
+    def matches(name: str) -> bool:
+        return any(fnmatchcase(name.lower(), each.lower()) for each in patterns) and not name.startswith(".")
+
+    return list(listed_paths(folder, wanted=matches)) if folder.is_dir() else []
+
+
+def clashing(folder: Path, known: Iterable[str]) -> list[str]:
+    """Return a line on each of `known` of which the folder has several entries that differ in case alone."""
+    lines, entries = list[str](), _by_lower(folder)
+    for each in known:
+        names = entries.get(each.lower(), [])
+        others = printable(" and ".join(name for name in names if name != each))
+        if len(names) > 1 and each in names:
+            lines.append(f"{others} is not read beside {each}: rename it, or move it away")
+        elif len(names) > 1:
+            lines.append(f"{others} differ in case alone: rename the right one to {each}")
+    return lines
+
+
 def misnamed(folder: Path, known: Collection[str]) -> list[str]:
     """Return a line on each entry whose name is nearly one of `known`, in lower case, that the folder lacks.
 
@@ -47,14 +81,10 @@ def misnamed(folder: Path, known: Collection[str]) -> list[str]:
         folder: a recording's folder; of anything else there is no line.
         known: names of files, with their suffix, and of folders, without.
     """
-    entries = _entries(folder)
-    there = {each: [name for name in entries if name.lower() == each] for each in known}
-    lines = [
-        f"{printable(' and '.join(names))} differ in case alone: rename the right one to {each}"
-        for each, names in there.items()
-        if len(names) > 1 and each not in names
-    ]
-    for name in entries:
+    entries = _by_lower(folder)
+    there = {each: entries.get(each, []) for each in known}
+    lines = clashing(folder, known)
+    for name in chain(*entries.values()):
         same = [
             each
             for each in known
@@ -69,13 +99,20 @@ def misnamed(folder: Path, known: Collection[str]) -> list[str]:
     return lines
 
 
-def _entries(folder: Path) -> tuple[str, ...]:
-    """Return the names in a folder, sorted, without hidden ones; none if it is large, or no folder."""
-    return _listed(folder, folder.stat().st_mtime_ns) if folder.is_dir() else ()
+def _by_lower(folder: Path) -> dict[str, list[str]]:
+    """Return the names in a folder, sorted, by each in lower case; without hidden ones.
+
+    There are none if it is large, or no folder.
+    """
+    return _listed(folder, folder.stat().st_mtime_ns) if folder.is_dir() else {}
 
 
 @lru_cache(maxsize=2)
-def _listed(folder: Path, mtime_ns: int) -> tuple[str, ...]:
-    """Do as `_entries`; a folder that has not changed since, by its `mtime_ns`, is listed once."""
+def _listed(folder: Path, mtime_ns: int) -> dict[str, list[str]]:
+    """Do as `_by_lower`; a folder that has not changed since, by its `mtime_ns`, is listed once."""
     names = [entry.name for entry in islice(scanned(folder), LOOKED_AT + 1)]
-    return tuple(sorted(name for name in names if name[0] != ".")) if len(names) <= LOOKED_AT else ()
+    by_lower: dict[str, list[str]] = {}
+    for name in sorted(names if len(names) <= LOOKED_AT else ()):
+        if name[0] != ".":
+            by_lower.setdefault(name.lower(), []).append(name)
+    return by_lower

@@ -5,7 +5,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from itertools import islice
 from pathlib import Path
 from typing import ClassVar, Literal, Protocol, Self, TypeVar
@@ -13,11 +12,13 @@ from typing import ClassVar, Literal, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core import IMAGE_BYTES, RecordingError, listed_paths, printable, read_plain
+from kinectbench.core import IMAGE_BYTES, RecordingError, printable, read_plain
+from kinectbench.core.encoded_images import PNG_MAGIC
 from kinectbench.core.geometry import Camera
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.types import Bools, DepthCode, Float64, Int64
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.color_pictures import as_png
 from kinectbench.stages.ingest.depth_codes import read_by_code
 from kinectbench.stages.ingest.depth_files import decode_depth_file, depth_size_px, kind_of
 from kinectbench.stages.ingest.images import (
@@ -28,7 +29,7 @@ from kinectbench.stages.ingest.images import (
     image_header,
     quantised,
 )
-from kinectbench.stages.ingest.known_names import in_any_case
+from kinectbench.stages.ingest.known_names import first_file, in_any_case, visible
 
 # Largest number of damaged images or messages to try until an undamaged one: five minutes at 30 frames a
 # second. An index may start long before the images that were kept.
@@ -278,7 +279,10 @@ class FileRecording(Recording):
     def color(self, index: int) -> tuple[str, bytes] | None:
         """Return the colour of a frame as encoded in its file: (suffix, bytes); None if it has no colour."""
         file = self.places[index].color
-        return None if file is None else (file.suffix, read_image_file(file))
+        if file is None:
+            return None
+        data = read_image_file(file)
+        return ".png" if data.startswith(PNG_MAGIC) else file.suffix, data
 
     def clean_depth(self, depth: NDArray[np.uint16], index: int) -> NDArray[np.uint16]:
         """Correct a frame's depth after it is read; by default, change nothing.
@@ -300,14 +304,14 @@ def without_color(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
 
 
 def read_image_file(path: Path) -> bytes:
-    """Read a whole image file.
+    """Read a whole image file; a BMP or PPM is turned into a PNG.
 
     Raises:
-        DamagedImageError: the file is missing, too large, or no plain file.
+        DamagedImageError: the file is missing, too large, or no plain file; or a BMP or PPM is damaged.
         RecordingError: the machine cannot read it now; the next run may.
     """
     try:
-        return read_plain(path, IMAGE_BYTES)
+        return as_png(read_plain(path, IMAGE_BYTES), str(path))
     except FileNotFoundError as error:
         raise DamagedImageError(f"{path}: the recording lists this image, but it is missing") from error
     except OSError as error:
@@ -339,20 +343,6 @@ def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
     count = "1 mask is" if len(others) == 1 else f"{len(others)} masks are"
     such = f"{count} of no frame, such as {printable(others[0].name)}"
     return (f"{folder}: {such}: name each as its depth image is named",)
-
-
-def visible(folder: Path, *patterns: str) -> list[Path]:
-    """List files in a folder that match a pattern, without hidden files, which no recording includes."""
-
-    def matches(name: str) -> bool:
-        return any(fnmatchcase(name, each) for each in patterns) and not name.startswith(".")
-
-    return list(listed_paths(folder, wanted=matches)) if folder.is_dir() else []
-
-
-def first_file(candidates: Iterable[Path]) -> Path | None:
-    """Return the first existing file of several paths; None if none exists."""
-    return next((file for file in candidates if file.is_file()), None)
 
 
 def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:

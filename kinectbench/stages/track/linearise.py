@@ -159,6 +159,49 @@ def _within(error, variance, slack):  # type: ignore[no-untyped-def]
     return beyond <= 0 or beyond * beyond <= 9 * variance
 
 
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _turned_back(rows, x, y, z):  # type: ignore[no-untyped-def]
+    """Turn a vector by the inverse of a rotation, given by the nine values of its rows."""
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = rows
+    return r00 * x + r10 * y + r20 * z, r01 * x + r11 * y + r21 * z, r02 * x + r12 * y + r22 * z
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _plane_row(J, weights, m, px, py, pz, nx, ny, nz, r, variance):  # type: ignore[no-untyped-def]
+    """Write the row m of a point p with the normal n, whose residual is r."""
+    w = 1 / variance
+    if r * r > HUBER_SIGMAS**2 * variance:
+        w = HUBER_SIGMAS * np.sqrt(w) / abs(r)
+    J[0, m], J[1, m], J[2, m] = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
+    J[3, m], J[4, m], J[5, m], J[6, m] = nx, ny, nz, r
+    weights[m] = w
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _interpolated(intensity, u, v):  # type: ignore[no-untyped-def]
+    """Return the bilinear value of an image at (u, v), and its derivatives by u and v."""
+    u0, v0 = np.uint32(u), np.uint32(v)
+    au, av = u - u0, v - v0
+    i00, i01 = float(intensity[v0, u0]), float(intensity[v0, u0 + 1])
+    i10, i11 = float(intensity[v0 + 1, u0]), float(intensity[v0 + 1, u0 + 1])
+    value = (i00 * (1 - au) + i01 * au) * (1 - av) + (i10 * (1 - au) + i11 * au) * av
+    gu = (i01 - i00) * (1 - av) + (i11 - i10) * av
+    gv = (i10 - i00) * (1 - au) + (i11 - i01) * au
+    return value, gu, gv
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True, inline="always")
+def _intensity_row(Q, weights, k, px, py, pz, qx, qy, qz, own, e):  # type: ignore[no-untyped-def]
+    """Write the row k of a point p whose intensity is `own`, with the gradient q and the residual e."""
+    w = PHOTOMETRIC_WEIGHT / INTENSITY_SIGMA**2
+    if abs(e) > HUBER_SIGMAS * INTENSITY_SIGMA:
+        w *= HUBER_SIGMAS * INTENSITY_SIGMA / abs(e)
+    Q[0, k], Q[1, k], Q[8, k] = own, 1.0, e
+    Q[2, k], Q[3, k], Q[4, k] = pz * qy - py * qz, px * qz - pz * qx, py * qx - px * qy
+    Q[5, k], Q[6, k], Q[7, k] = -qx, -qy, -qz
+    weights[k] = w
+
+
 @numba.njit(cache=True, error_model="numpy", fastmath={"contract"}, nogil=True)
 def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposure, with_observability):  # type: ignore[no-untyped-def]
     """Sum the normal equations of a pair of frames over the source's points, at the pose T.
@@ -182,9 +225,10 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
     r00, r01, r02, t0 = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     r10, r11, r12, t1 = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
     r20, r21, r22, t2 = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    rows = r00, r01, r02, r10, r11, r12, r20, r21, r22
     gain, offset = exposure
     over_fx, over_fy = 1 / fx, 1 / fy
-    has_intensity, photometric_weight = intensity.size > 0, PHOTOMETRIC_WEIGHT / INTENSITY_SIGMA**2
+    has_intensity = intensity.size > 0
     A, P, S, M = np.zeros((7, 7)), np.zeros((9, 9)), np.zeros((6, 6)), np.zeros((4, 4))
     J, J_weights = np.empty((7, BLOCK + PADDING)), np.empty(BLOCK)
     Q, Q_weights = np.empty((9, BLOCK + PADDING)), np.empty(BLOCK)
@@ -220,9 +264,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
                 continue
             # The mean of both normals, in the source's axes: less noisy than either (Rusinkiewicz 2019).
             ox, oy, oz = np.float64(points[i, 3]), np.float64(points[i, 4]), np.float64(points[i, 5])
-            nx = r00 * mx + r10 * my + r20 * mz
-            ny = r01 * mx + r11 * my + r21 * mz
-            nz = r02 * mx + r12 * my + r22 * mz
+            nx, ny, nz = _turned_back(rows, mx, my, mz)
             facing = nx * ox + ny * oy + nz * oz
             if facing < MIN_FACING:
                 # A different orientation means a different surface.
@@ -235,12 +277,7 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             mz = r20 * nx + r21 * ny + r22 * nz
             r = mx * ((ui - cx) * over_fx * d - x) + my * ((vi - cy) * over_fy * d - y) + mz * (d - z)
             variance = sigma * sigma + np.float64(points[i, 6]) ** 2
-            w = 1 / variance
-            if r * r > HUBER_SIGMAS**2 * variance:
-                w = HUBER_SIGMAS * np.sqrt(w) / abs(r)
-            J[0, m], J[1, m], J[2, m] = py * nz - pz * ny, pz * nx - px * nz, px * ny - py * nx
-            J[3, m], J[4, m], J[5, m], J[6, m] = nx, ny, nz, r
-            J_weights[m] = w
+            _plane_row(J, J_weights, m, px, py, pz, nx, ny, nz, r, variance)
             inlies = _within(r, variance, INLIER_SLACK_M)
             if inlies:
                 inliers += 1
@@ -259,28 +296,13 @@ def _accumulate(points, depth, normals, intensity, intrinsics, T, gate_m, exposu
             m += 1
             if not has_intensity or not _within(d - z, variance, INTENSITY_SLACK_M):
                 continue
-            u0, v0 = np.uint32(u), np.uint32(v)
-            au, av = u - u0, v - v0
-            i00, i01 = float(intensity[v0, u0]), float(intensity[v0, u0 + 1])
-            i10, i11 = float(intensity[v0 + 1, u0]), float(intensity[v0 + 1, u0 + 1])
-            value = (i00 * (1 - au) + i01 * au) * (1 - av) + (i10 * (1 - au) + i11 * au) * av
-            gu = (i01 - i00) * (1 - av) + (i11 - i10) * av
-            gv = (i10 - i00) * (1 - au) + (i11 - i01) * au
+            value, gu, gv = _interpolated(intensity, u, v)
             own = np.float64(points[i, 7])
-            e = value - gain * own - offset
             # Gradient of the target's intensity in space, then in the source's axes.
             sx, sy = gu * fx * over_z, gv * fy * over_z
             sz = -(sx * x + sy * y) * over_z
-            qx = r00 * sx + r10 * sy + r20 * sz
-            qy = r01 * sx + r11 * sy + r21 * sz
-            qz = r02 * sx + r12 * sy + r22 * sz
-            w = photometric_weight
-            if abs(e) > HUBER_SIGMAS * INTENSITY_SIGMA:
-                w *= HUBER_SIGMAS * INTENSITY_SIGMA / abs(e)
-            Q[0, k], Q[1, k], Q[8, k] = own, 1.0, e
-            Q[2, k], Q[3, k], Q[4, k] = pz * qy - py * qz, px * qz - pz * qx, py * qx - px * qy
-            Q[5, k], Q[6, k], Q[7, k] = -qx, -qy, -qz
-            Q_weights[k] = w
+            qx, qy, qz = _turned_back(rows, sx, sy, sz)
+            _intensity_row(Q, Q_weights, k, px, py, pz, qx, qy, qz, own, value - gain * own - offset)
             k += 1
         add_products(A, J, J_weights, m)
         add_products(P, Q, Q_weights, k)

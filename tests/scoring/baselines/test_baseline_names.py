@@ -88,6 +88,33 @@ def test_a_baseline_with_one_prediction_of_another_is_none(tmp_path: Path) -> No
         np.save(folder / "chair_01" / f"{changed:03d}.npy", np.ones((16, 16, 16), bool))
 
 
+def test_a_baseline_of_which_validation_files_alone_changed_is_none(tmp_path: Path) -> None:
+    """They decide the thresholds, and so its scores; thresholds of a file are stated with the table."""
+    recordings = (("a", "test", 1), ("b", "validation", 1), ("c", "train", 1), ("d", "train", 1))
+    publish_synthetic(
+        tmp_path, tuple((name, "chair", name, split, count) for name, split, count in recordings)
+    )
+    release, out = open_release(tmp_path / "benchmark"), tmp_path / "predictions"
+    write_baselines(release, out, ["mean-shape"])
+
+    def called_baseline(protocol: str, **options: object) -> bool:
+        folder, how = out / "mean-shape", {"protocols": [protocol], "surface": False}
+        return is_baseline(score(release, folder, method="mean-shape", **how, **options))  # type: ignore[arg-type]
+
+    protocols = ("known", "camera")
+    assert all(called_baseline(protocol) for protocol in protocols)
+    assert called_baseline("known", upsampling="corner-aligned")
+    # The ball of b, at which the threshold is best above the half that is around it.
+    cells = (np.indices((64, 64, 64)) + 0.5) * 4 - np.array([121, 128, 130]).reshape(3, 1, 1, 1)
+    changed = np.where(np.sqrt((cells**2).sum(axis=0)) < 87, 0.9, 0.5).astype(np.float32)
+    (out / "mean-shape" / "b" / "000.npz").unlink()
+    np.save(out / "mean-shape" / "b" / "000.npy", changed)
+    assert not any(called_baseline(protocol) for protocol in protocols)
+    thresholds = tmp_path / "thresholds.json"
+    thresholds.write_text('{"thresholds": {"chair": 0.5}}')
+    assert called_baseline("known", thresholds_file=thresholds)
+
+
 def test_older_tables_are_of_baselines_by_their_names(release: Release, tmp_path: Path) -> None:
     """Tables that do not state whether they are a baseline's."""
     write_baselines(release, tmp_path / "predictions", ["hull"])

@@ -15,6 +15,7 @@ from kinectbench.stages.ingest.intrinsics_files import LIKE_INTRINSICS
 from kinectbench.stages.ingest.known_names import first_named, in_any_case
 from kinectbench.stages.ingest.readers import find_recordings, open_recording
 from kinectbench.stages.ingest.readers.folder_images import color_images
+from kinectbench.stages.ingest.readers.phone_images import ConfidenceRecording
 from kinectbench.stages.ingest.recording import FrameFiles, with_masks
 
 
@@ -36,6 +37,34 @@ def test_names_in_another_case_are_read(tmp_path: Path, format_name: str, names:
     assert (found.camera, found.warnings) == (expected.camera, expected.warnings)
     assert (found.given_trajectory is None) == (expected.given_trajectory is None)
     assert all(found.frame(index).color for index in range(len(expected)))
+
+
+@pytest.mark.parametrize("name", ["scan.LOG", "living.gt.FREIBURG", "Pose/{}.TXT"])
+def test_poses_in_files_in_capitals_are_read(tmp_path: Path, name: str) -> None:
+    folder = write_folder(tmp_path / "r")
+    matrix = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
+    poses = {".LOG": f"{{0}} {{0}} {{0}}\n{matrix}", ".FREIBURG": "{0} 0 0 0 0 0 0 1\n", ".TXT": matrix}
+    for index in range(4):
+        file = folder / name.format(index)
+        file.parent.mkdir(exist_ok=True)
+        with file.open("a") as rows:
+            rows.write(poses[file.suffix].format(index))
+    given = open_recording(folder).given_trajectory
+    assert given is not None and len(given.stamps_ns) == 4
+
+
+def test_files_of_each_frame_and_of_the_camera_in_capitals_are_read(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "camera_intrinsic.json").unlink()
+    for name, value in (("Calib", 0), ("masks", 1), ("confidence", 2)):
+        (folder / name).mkdir()
+        (folder / name / "1.PNG").write_bytes(png(np.full((HEIGHT, WIDTH), value, np.uint8)))
+    (folder / "Calib" / "CAMERA.YAML").write_text("fx: 50\nfy: 51\ncx: 31\ncy: 23\n")
+    found = open_recording(folder)
+    assert (found.camera.fx, found.camera.fy) == (50, 51)
+    assert found.frame(1).mask is not None
+    assert isinstance(found, ConfidenceRecording) and found.confidence[1] is not None
+    assert not [line for line in found.warnings if "of no frame" in line]
 
 
 def test_two_names_that_differ_in_case_alone_are_ambiguous(tmp_path: Path) -> None:
@@ -172,6 +201,28 @@ def test_names_that_clash_are_told(tmp_path: Path) -> None:
     clash = "; DEPTH and Depth differ in case alone: rename the right one to depth"
     with raises(RecordingError, "recording.unknown-format", match=clash):
         open_recording(folder)
+
+
+@pytest.mark.parametrize(
+    ("write", "name"),
+    [
+        *((write_folder, name) for name in ("masks", "depth", "color", "camera_intrinsic.json", "poses.txt")),
+        *((write_tum, name) for name in ("masks", "rgb.txt", "groundtruth.txt", "camera.json")),
+    ],
+)
+def test_an_unread_twin_of_a_name_as_given_is_told(
+    tmp_path: Path, write: Callable[[Path], Path], name: str
+) -> None:
+    folder, twin = write(tmp_path / "r"), name.capitalize()
+    for each in (name, twin):
+        if "." not in each:
+            (folder / each).mkdir(exist_ok=True)
+        elif not (folder / each).exists():
+            (folder / each).write_text("".join(f"{index} 0 0 0 0 0 0 1\n" for index in range(4)))
+    if len([entry for entry in folder.iterdir() if entry.name.lower() == name]) == 1:
+        pytest.skip("this file system does not tell them apart")
+    (told,) = [line for line in open_recording(folder).warnings if twin in line]
+    assert told == f"{folder}: {twin} is not read beside {name}: rename it, or move it away"
 
 
 def test_of_a_folder_with_too_many_names_none_is_taken(

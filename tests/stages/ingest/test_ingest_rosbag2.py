@@ -124,6 +124,12 @@ def check(path: Path, count: int = 5) -> None:
     np.testing.assert_allclose(recording.given_trajectory.T_world_camera[3], pose(3), atol=1e-12)
 
 
+def test_a_folder_of_a_bag_with_its_ending_in_capitals(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    write_mcap(tmp_path / "bag" / "RUN_0.MCAP", messages())
+    check(tmp_path / "bag")
+
+
 @pytest.mark.parametrize(("said", "scale"), [("0.000100", 10_000.0), ("0.001000", 1000.0), ("none", 1000.0)])
 def test_depth_units_of_librealsense_are_the_scale(tmp_path: Path, said: str, scale: float) -> None:
     """Since 2.58 it writes ROS 2 bags, its options as texts; a text of any other bag says nothing."""

@@ -55,6 +55,15 @@ def test_a_scene_with_its_masks(tmp_path: Path) -> None:
     np.testing.assert_allclose(given.T_world_camera[3][:3, 3], [5, 0, 0], atol=1e-12)
 
 
+def test_images_with_endings_in_capitals_are_read(tmp_path: Path) -> None:
+    folder = wildrgbd(tmp_path / "r")
+    for file in list(folder.glob("*/*.png")):
+        file.rename(file.with_suffix(".PNG"))
+    recording = open_recording(folder)
+    assert (recording.format, len(recording), recording.warnings) == ("wildrgbd", 4, ())
+    assert all(recording.frame(index).mask is not None for index in range(4))
+
+
 def test_parts_that_are_missing_or_too_many(tmp_path: Path) -> None:
     folder = wildrgbd(tmp_path / "r")
     (folder / "masks/00001.png").unlink()

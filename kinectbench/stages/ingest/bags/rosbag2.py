@@ -105,7 +105,7 @@ def _bag_files(folder: Path) -> list[Path]:
     """Return the files that may belong to a bag, in the order of recording: NAME_2 before NAME_10."""
 
     def matches(name: str) -> bool:
-        return name.endswith(Rosbag2Recording.suffixes) and not name.startswith(".")
+        return name.lower().endswith(Rosbag2Recording.suffixes) and not name.startswith(".")
 
     files = listed_paths(folder, wanted=matches)
     return sorted(files, key=lambda file: (len(file.name), file.name))
@@ -120,7 +120,7 @@ def _is_bag_file(file: Path) -> bool:
         return False
     start = _start_of(file)
     return start.startswith(MAGICS) or (
-        start.startswith(ZSTD_MAGIC) and file.name.endswith(Rosbag2Recording.suffixes)
+        start.startswith(ZSTD_MAGIC) and file.name.lower().endswith(Rosbag2Recording.suffixes)
     )
 
 
@@ -143,7 +143,7 @@ def _walk_packed(file: Path, types: frozenset[str], budget: WalkBudget) -> RosBa
     # The file is unpacked into a temporary folder that exists as long as `read`.
     folder = tempfile.mkdtemp(prefix="kinectbench-")
     weakref.finalize(read, shutil.rmtree, folder, ignore_errors=True)
-    unpacked, trouble = Path(folder) / file.name.removesuffix(".zstd"), ""
+    unpacked, trouble = Path(folder) / file.stem, ""
     with open_plain(file) as source, unpacked.open("wb") as target:
         stream = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
         try:

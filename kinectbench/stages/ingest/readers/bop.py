@@ -16,12 +16,12 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import MOST_FOCAL_PX, Intrinsics, scale_warnings
 from kinectbench.stages.ingest.json_values import json_numbers, read_json_object
+from kinectbench.stages.ingest.known_names import first_file
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
     Pixel,
     first_depth_size,
-    first_file,
     without_color,
 )
 

@@ -41,7 +41,14 @@ from kinectbench.stages.ingest.intrinsics_files import (
     named_like_intrinsics,
     passed_over,
 )
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, misnamed
+from kinectbench.stages.ingest.known_names import (
+    clashing,
+    first_named,
+    in_any_case,
+    in_order,
+    misnamed,
+    visible,
+)
 from kinectbench.stages.ingest.pairing import pair_images
 from kinectbench.stages.ingest.readers.folder_images import (
     COLOR_FOLDERS,
@@ -57,6 +64,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
 from kinectbench.stages.ingest.readers.phone_images import ConfidenceRecording, confidence_beside
 from kinectbench.stages.ingest.readers.pose_files import (
     POSE_FILES,
+    POSE_FOLDERS,
     pose_file,
     pose_folder,
     read_log,
@@ -74,13 +82,13 @@ from kinectbench.stages.ingest.recording import (
     first_whole,
     read_image_file,
     unmatched_masks,
-    visible,
     with_masks,
 )
 
 DEPTH_SCALE = 1000.0
 # What makes the folder a recording of TUM's layout, and folders that are read if they are there.
 ALSO_READ = ("depth.txt", "masks", "confidence")
+NAMED_FILES = (*JSON_FILES, *MATRIX_FILES, "trajectory.txt", "trajectory.log", *POSE_FILES, *POSE_FOLDERS)
 # The PrimeSense camera of Redwood's scans, by the data set's documents.
 PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 
@@ -217,6 +225,7 @@ class FolderRecording(ConfidenceRecording):
                 *paired,
                 *stored.warnings,
                 *(f"{path}: {line}" for line in misnamed(path, ALSO_READ)),
+                *(f"{path}: {line}" for line in clashing(path, ("depth", *COLOR_FOLDERS, *NAMED_FILES))),
                 *said_warnings(path, said, settings),
                 *warnings,
                 *unmatched_masks(path, files),
@@ -265,7 +274,7 @@ def _read_trajectory(
     path: Path, stamps_ns: list[int], files: Sequence[FrameFiles], stems: Sequence[str]
 ) -> tuple[GivenTrajectory | None, list[str]]:
     beside = visible(path, "*.log", "*.freiburg")
-    logs = sorted(file for file in beside if file.suffix == ".log" and starts_like_a_log(file))
+    logs = sorted(file for file in beside if file.suffix.lower() == ".log" and starts_like_a_log(file))
     file = first_named(path, ("trajectory.txt", "trajectory.log")) or (logs[0] if len(logs) == 1 else None)
     names = (*(log.name for log in logs), *POSE_FILES)
     if file is not None and file.suffix.lower() == ".log":

@@ -17,7 +17,7 @@ from kinectbench.stages.ingest.recording import read_image_file
 # Limits of the search: entries of a folder, entries in all (two such folders), folders of a level, and levels
 # below the recording's folder.
 LOOKED_AT, MOST_ENTRIES, MOST_FOLDERS, LEVELS = 20_000, 40_000, 200, 3
-PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
+PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm", ".webp"})
 # Files of depth that is read in a folder depth/, and kinds that hold nothing but depth.
 READ, ONLY_DEPTH = SUFFIXES - {".png"}, frozenset({".pfm", ".dpt"})
 # Files of a folder named depth that are not its images.

@@ -35,6 +35,7 @@ from kinectbench.stages.ingest.image_names import counting_key
 from kinectbench.stages.ingest.images import decode_color_bgr, encode_png
 from kinectbench.stages.ingest.intrinsics import Intrinsics, scale_warnings
 from kinectbench.stages.ingest.json_values import json_numbers, number_of, read_json_object
+from kinectbench.stages.ingest.known_names import first_file
 from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.phone_images import (
     OPENGL_FROM_OPTICAL,
@@ -42,7 +43,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
     one_camera,
     scaled_to_depth,
 )
-from kinectbench.stages.ingest.recording import FrameFiles, first_color_size, first_depth_size, first_file
+from kinectbench.stages.ingest.recording import FrameFiles, first_color_size, first_depth_size
 from kinectbench.stages.ingest.sources import check_count
 from kinectbench.stages.ingest.undistortion import Undistortion
 
@@ -50,7 +51,7 @@ FILE = "transforms.json"
 DEPTH_KEYS = ("depth_file_path", "depth_path")
 SCALE_KEYS = ("depth_unit_scale_factor", "integer_depth_scale")
 PINHOLE_KEYS = ("fl_x", "fl_y", "cx", "cy")
-ANGLE_KEYS, COLOR_KINDS = ("camera_angle_x", "camera_angle_y"), (".png", ".jpg", ".jpeg", ".PNG", ".JPG")
+ANGLE_KEYS, COLOR_KINDS = ("camera_angle_x", "camera_angle_y"), (".png", ".jpg", ".jpeg")
 # Brown's coefficients in order; his model has no fourth radial term.
 BROWN_KEYS = ("k1", "k2", "p1", "p2", "k3")
 # All keys that are read, for a frame or for all frames.

@@ -22,14 +22,8 @@ from kinectbench.stages.ingest.images import (
     image_header,
 )
 from kinectbench.stages.ingest.intrinsics import Intrinsics, gives_intrinsics
-from kinectbench.stages.ingest.known_names import in_any_case
-from kinectbench.stages.ingest.recording import (
-    FileRecording,
-    FrameFiles,
-    first_file,
-    read_image_file,
-    visible,
-)
+from kinectbench.stages.ingest.known_names import first_file, in_any_case, visible
+from kinectbench.stages.ingest.recording import FileRecording, FrameFiles, read_image_file
 
 # Size of ARKit's colour images, used if there is none.
 COLOR_PX = (1920, 1440)

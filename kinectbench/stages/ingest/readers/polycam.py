@@ -17,6 +17,7 @@ from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_f
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.json_values import json_numbers, number_of, read_camera_of_frame
+from kinectbench.stages.ingest.known_names import first_file, visible
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
@@ -24,7 +25,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
     one_camera,
     scaled_to_depth,
 )
-from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
+from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size
 
 # Depth is in millimetres, stamps in microseconds.
 DEPTH_SCALE = 1000.0
@@ -57,10 +58,10 @@ class PolycamRecording(PhoneRecording):
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the depth images by stamp, and read the camera of each image."""
         inside = path / "keyframes"
-        corrected = any((inside / "corrected_cameras").glob("*.json"))
+        corrected = bool(visible(inside / "corrected_cameras", "*.json"))
         kind = "corrected_" if corrected else ""
         warnings = [] if corrected else [f"{path}: has no corrected_cameras; ARKit's own poses are taken"]
-        depth = {int(f.stem): f for f in (inside / "depth").glob("*.png") if STAMP_US.fullmatch(f.stem)}
+        depth = {int(f.stem): f for f in visible(inside / "depth", "*.png") if STAMP_US.fullmatch(f.stem)}
         if not depth:
             raise RecordingError(
                 f"{inside / 'depth'}: holds no depth image; export the raw data again", what="no-depth"

@@ -18,7 +18,7 @@ from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, tr
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics_files import names_like
-from kinectbench.stages.ingest.known_names import first_named, in_order
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, visible
 from kinectbench.stages.ingest.recording import FrameFiles
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
@@ -63,7 +63,7 @@ def pose_file(path: Path, beside: Sequence[Path]) -> Path | None:
         path: the recording's folder.
         beside: its visible files, at least those with this suffix.
     """
-    others = [file for file in beside if file.suffix == ".freiburg"]
+    others = [file for file in beside if file.suffix.lower() == ".freiburg"]
     return first_named(path, POSE_FILES) or (others[0] if len(others) == 1 else None)
 
 
@@ -223,7 +223,7 @@ def read_log(file: Path, frames: int) -> list[Float64]:
 def pose_folder(path: Path) -> Path | None:
     """Return the recording's folder with one text file per pose; None if there is no such folder."""
     folders = in_order(path, POSE_FOLDERS)
-    return next((folder for folder in folders if folder.is_dir() and any(folder.glob("*.txt"))), None)
+    return next((folder for folder in folders if folder.is_dir() and visible(folder, "*.txt")), None)
 
 
 def read_pose_folder(
@@ -246,7 +246,7 @@ def read_pose_folder(
     if folder is None:
         return None, []
     place = np.eye(4) if T_camera_depth is None else T_camera_depth
-    matrices = [read_pose_matrix(folder / f"{frame.depth.stem}.txt", place) for frame in files]
+    matrices = [read_pose_matrix(in_any_case(folder, f"{frame.depth.stem}.txt"), place) for frame in files]
     return finite_trajectory([frame.stamp_ns for frame in files], matrices, str(path))
 
 

@@ -12,6 +12,7 @@ from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_f
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.json_values import json_numbers, read_camera_of_frame
+from kinectbench.stages.ingest.known_names import first_file
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
@@ -19,13 +20,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
     intrinsics_of_depth,
     times_or_counted,
 )
-from kinectbench.stages.ingest.recording import (
-    Evidence,
-    FrameFiles,
-    first_color_size,
-    first_depth_size,
-    first_file,
-)
+from kinectbench.stages.ingest.recording import Evidence, FrameFiles, first_color_size, first_depth_size
 
 DEPTH_SCALE = 1000.0
 # Keys of a frame's JSON that are read, and the required keys in words.

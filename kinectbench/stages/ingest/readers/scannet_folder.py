@@ -16,16 +16,11 @@ from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_non
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix, rig_calibration
+from kinectbench.stages.ingest.known_names import first_file
 from kinectbench.stages.ingest.readers.folder import pair_files
 from kinectbench.stages.ingest.readers.folder_images import color_images, in_folder
 from kinectbench.stages.ingest.readers.pose_files import read_pose_folder
-from kinectbench.stages.ingest.recording import (
-    COLOR_DELAY,
-    FileRecording,
-    first_color_size,
-    first_depth_size,
-    first_file,
-)
+from kinectbench.stages.ingest.recording import COLOR_DELAY, FileRecording, first_color_size, first_depth_size
 
 DEPTH_SCALE = 1000.0
 

@@ -25,6 +25,7 @@ from kinectbench.stages.ingest.intrinsics import (
     rig_calibration,
     scale_warnings,
 )
+from kinectbench.stages.ingest.known_names import first_file
 from kinectbench.stages.ingest.readers.pose_files import read_pose_matrix
 from kinectbench.stages.ingest.recording import (
     ColorCalibration,
@@ -33,7 +34,6 @@ from kinectbench.stages.ingest.recording import (
     FrameFiles,
     first_color_size,
     first_depth_size,
-    first_file,
     first_whole,
     read_image_file,
     without_color,
@@ -171,7 +171,7 @@ def _read_rig(file: Path | None, color_px: tuple[int, int], size_px: tuple[int, 
         return _read_info(file, color_px)
     # Depth to be used with colour's intrinsics has colour's pixels.
     return ScannetRig(
-        file, read_intrinsics_matrix(file), registered="color" in file.name and color_px == size_px
+        file, read_intrinsics_matrix(file), registered="color" in file.name.lower() and color_px == size_px
     )
 
 

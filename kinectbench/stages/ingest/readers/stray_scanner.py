@@ -17,13 +17,14 @@ from kinectbench.core.trajectory.trajectory_file import TimedPose, read_given, t
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.images import DamagedImageError
+from kinectbench.stages.ingest.known_names import first_file, visible
 from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     PhoneRecording,
     intrinsics_of_depth,
 )
-from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size, first_file
+from kinectbench.stages.ingest.recording import FrameFiles, first_depth_size
 
 if TYPE_CHECKING:
     from cv2 import VideoCapture
@@ -92,7 +93,7 @@ class StrayScannerRecording(PhoneRecording):
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """Read odometry.csv, and keep the frames with depth."""
-        images = [f for kind in DEPTH_KINDS for f in (path / "depth").glob(kind)]
+        images = visible(path / "depth", *DEPTH_KINDS)
         depth = {int(f.stem): f for f in images if FRAME_NUMBER.fullmatch(f.stem)}
         rows = _read_odometry(path / "odometry.csv")
         paired = [(number, row) for number, row in rows if number in depth]

@@ -18,16 +18,11 @@ from kinectbench.core.trajectory.trajectory_file import read_given
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names, times_of_names
 from kinectbench.stages.ingest.intrinsics import check_focal_lengths, read_intrinsics_matrix
+from kinectbench.stages.ingest.known_names import visible
 from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.readers.folder_images import COLOR_SUFFIXES, in_folder
 from kinectbench.stages.ingest.readers.pose_files import finite_trajectory
-from kinectbench.stages.ingest.recording import (
-    COLOR_DELAY,
-    FileRecording,
-    FrameFiles,
-    first_depth_size,
-    visible,
-)
+from kinectbench.stages.ingest.recording import COLOR_DELAY, FileRecording, FrameFiles, first_depth_size
 
 DEPTH_SCALE = 1000.0
 # Numbers of a pose in extrinsics/: three rows of a 4x4 matrix.

@@ -19,9 +19,14 @@ from kinectbench.core.trajectory.trajectory_file import read_given, read_traject
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.gravity import up_at_rest
 from kinectbench.stages.ingest.intrinsics import HELD, read_color_calibration, said_warnings
-from kinectbench.stages.ingest.intrinsics_files import find_intrinsics, named_like_intrinsics
+from kinectbench.stages.ingest.intrinsics_files import (
+    JSON_FILES,
+    MATRIX_FILES,
+    find_intrinsics,
+    named_like_intrinsics,
+)
 from kinectbench.stages.ingest.json_values import read_json_object
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, misnamed
+from kinectbench.stages.ingest.known_names import clashing, first_named, in_any_case, misnamed
 from kinectbench.stages.ingest.pairing import pair_by_time, pair_images
 from kinectbench.stages.ingest.readers.folder import DepthFormat
 from kinectbench.stages.ingest.readers.pose_files import unread_poses, with_y_down
@@ -39,6 +44,7 @@ from kinectbench.stages.ingest.recording import (
 DEPTH_SCALE = 5000.0
 # Names of the lists, the first that exists is read: OpenLORIS also lists depth on the pixels of colour.
 DEPTH_LISTS, COLOR_LISTS = ("aligned_depth.txt", "depth.txt"), ("rgb.txt", "color.txt")
+BESIDE = ("groundtruth.txt", "accelerometer.txt")
 # Value of `accelerometer_axes` in camera.json: accelerometer.txt has the optical axes of the depth camera.
 DEPTH_AXES = "depth"
 
@@ -126,7 +132,9 @@ def _lists(path: Path) -> tuple[tuple[Path, Path], list[str]]:
     """Return the lists of depth and colour, which may not exist, and warnings on what is not read."""
     depth, color = (first_named(path, names) for names in (DEPTH_LISTS, COLOR_LISTS))
     absent = (MASKS_FOLDER,) if color else (*COLOR_LISTS, MASKS_FOLDER)
-    notes = [f"{path}: {line}" for line in misnamed(path, absent)]
+    others = ({*DEPTH_LISTS, *COLOR_LISTS} - {*absent}, BESIDE, JSON_FILES, MATRIX_FILES)
+    clashes = clashing(path, sorted({name for names in others for name in names}))
+    notes = [f"{path}: {line}" for line in (*misnamed(path, absent), *clashes)]
     depth, color = depth or path / DEPTH_LISTS[-1], color or path / COLOR_LISTS[0]
     if depth.name.lower() == DEPTH_LISTS[-1]:
         return (depth, color), notes

@@ -19,12 +19,12 @@ from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
 from kinectbench.stages.ingest.intrinsics import read_matrix_json
+from kinectbench.stages.ingest.known_names import first_file, visible
 from kinectbench.stages.ingest.recording import (
     FileRecording,
     FrameFiles,
     first_color_size,
     first_depth_size,
-    first_file,
     without_color,
 )
 
@@ -47,7 +47,7 @@ class WildRgbdRecording(FileRecording):
     def open(cls, path: Path, settings: CameraSettings) -> Self:
         """List the depth images by number, with colour and mask of the same number."""
         depth_files = {
-            int(f.stem): f for f in (path / "depth").glob("*.png") if FRAME_NUMBER.fullmatch(f.stem)
+            int(f.stem): f for f in visible(path / "depth", "*.png") if FRAME_NUMBER.fullmatch(f.stem)
         }
         if not depth_files:
             raise RecordingError(

@@ -26,15 +26,14 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.depth_files import hdf5_arrays
 from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.intrinsics import Intrinsics, pinhole, scale_warnings
+from kinectbench.stages.ingest.known_names import first_file, visible
 from kinectbench.stages.ingest.recording import (
     ColorCalibration,
     FileRecording,
     FrameFiles,
     first_color_size,
     first_depth_size,
-    first_file,
     read_image_file,
-    visible,
     without_color,
 )
 

@@ -13,7 +13,7 @@ from kinectbench.core.artefacts.object import (
 )
 from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import OrientedBox, transform_points
-from kinectbench.core.types import Int32, Int64, Underside
+from kinectbench.core.types import CLOSED_MEANS, OPEN_MEANS, Int32, Int64, Underside
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.find.choice_warnings import LOOK
 from kinectbench.stages.segment.find.floor import Floor
@@ -179,8 +179,7 @@ def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, .
         return ()
     return (
         f"{share:.0%} of the solid is a guess that one word decides: say in benchmark.yaml "
-        "`underside: closed` if no space behind the underside is open to the air, and it is known; or "
-        "`underside: open`",
+        f"`underside: closed` ({CLOSED_MEANS}), and it is known; or `underside: open` ({OPEN_MEANS})",
     )
 
 

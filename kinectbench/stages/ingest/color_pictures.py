@@ -1,0 +1,53 @@
+"""Turn colour images in BMP and PPM (netpbm.sourceforge.net) into PNG, as later stages expect."""
+
+import re
+import struct
+
+import numpy as np
+
+from kinectbench.core import is_too_large
+from kinectbench.stages.ingest.images import DamagedImageError, decode_unchanged, encode_png
+from kinectbench.stages.ingest.netpbm import BETWEEN, HEAD_BYTES
+
+BMP_MAGIC, PPM_MAGIC = b"BM", b"P6"
+PPM_HEAD = re.compile(PPM_MAGIC + BETWEEN + rb"(\d{1,6})" + BETWEEN + rb"(\d{1,6})" + BETWEEN + rb"\d{1,5}\s")
+# Where a BMP begins its second header, whose first number is its length; of the oldest kind it is 12, and the
+# sides are then of 16 bits (Microsoft's BITMAPCOREHEADER and BITMAPINFOHEADER).
+BMP_INFO, BMP_CORE_BYTES = 14, 12
+
+
+def as_png(data: bytes, name: str) -> bytes:
+    """Return a BMP or PPM as a PNG of 8 bits per channel; any other data as they are.
+
+    Args:
+        data: bytes of a file.
+        name: source of the data, for messages.
+
+    Raises:
+        DamagedImageError: the BMP or PPM is damaged or too large.
+    """
+    if not data.startswith((BMP_MAGIC, PPM_MAGIC)):
+        return data
+    width, height = size_px = _size_px(data)
+    if not width * height:
+        raise DamagedImageError(f"{name}: the head of the image is damaged")
+    if is_too_large(width, height):
+        raise DamagedImageError(f"{name}: {width}x{height} are more pixels than an image may have")
+    pixels = decode_unchanged(data, name)
+    if pixels.shape[1::-1] != size_px:
+        raise DamagedImageError(f"{name}: the image is damaged")
+    bytes_of = pixels if pixels.dtype == np.uint8 else (pixels.astype(np.uint16) >> 8).astype(np.uint8)
+    return encode_png(np.asarray(bytes_of[..., :3] if bytes_of.ndim == 3 else bytes_of, np.uint8), fast=True)
+
+
+def _size_px(data: bytes) -> tuple[int, int]:
+    """Return width and height that the head of a BMP or PPM states, pixels; (0, 0) if it states none."""
+    if data.startswith(PPM_MAGIC):
+        match = PPM_HEAD.match(data[:HEAD_BYTES])
+        return (int(match[1]), int(match[2])) if match else (0, 0)
+    try:
+        (length,) = struct.unpack_from("<I", data, BMP_INFO)
+        width, height = struct.unpack_from("<HH" if length == BMP_CORE_BYTES else "<ii", data, BMP_INFO + 4)
+    except struct.error:
+        return 0, 0
+    return max(width, 0), abs(height)
