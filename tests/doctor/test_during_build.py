@@ -1,17 +1,23 @@
 """Offsets between clocks that are put in by hand: the line that is offered takes them away again."""
 
+import json
 import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import pytest
 from slow import slow
 from small_benchmark import Run
+from typed import present
 from wrong_recordings import make_wrong, rows_of, write_rows
 
+from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.doctor import inspect
-from kinectbench.doctor.during_build import OffsetWatch
+from kinectbench.doctor.depth import check_intrinsics
+from kinectbench.doctor.during_build import OffsetWatch, likely_cause
+from kinectbench.doctor.probe import probe_recording
 from kinectbench.lab.simulate.presets import preset_spec
 from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.settings.models import CameraSettings
@@ -70,6 +76,44 @@ def test_what_is_offered_is_the_whole_delay(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", [slow("chair_01"), "table_01.bag"])
 def test_nothing_is_offered_for_the_samples(name: str, tmp_path: Path) -> None:
     assert ingested(CHAIR.parent / name, CameraSettings(), tmp_path / "s") == []
+
+
+def with_swapped_centre(folder: Path, poses: bool) -> Path:
+    shutil.copytree(CHAIR, folder)
+    camera = json.loads((folder / "camera.json").read_text())
+    camera["cx"], camera["cy"] = camera["cy"], camera["cx"]
+    (folder / "camera.json").write_text(json.dumps(camera))
+    if not poses:
+        (folder / "groundtruth.txt").unlink()
+    return folder
+
+
+@pytest.mark.parametrize("poses", [True, False])
+def test_implausible_intrinsics_are_doubted(poses: bool, tmp_path: Path) -> None:
+    recording = open_recording(with_swapped_centre(tmp_path / "r", poses))
+    warnings = write_sequence(recording, tmp_path / "s", watch=OffsetWatch(recording))
+    (doubt,) = CameraFile.read(tmp_path / "s").doubts
+    assert "the principal point (" in doubt and "cx and cy may be swapped" in doubt
+    assert any(line.endswith(doubt) for line in warnings)
+    cause, first = likely_cause(recording)
+    assert first and doubt in cause
+    # No other scale or focal length is advised: it would only hide the fault.
+    assert not any(finding.name == "lengths_doubtful" for finding in inspect(recording.path)[0].findings)
+
+
+def test_poses_that_fit_prove_the_intrinsics(tmp_path: Path) -> None:
+    """Images that were cut to their right part have their principal point on the left."""
+    shutil.copytree(CHAIR, tmp_path / "r")
+    for path in (*(tmp_path / "r/depth").iterdir(), *(tmp_path / "r/rgb").iterdir()):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), present(image)[:, 100:])
+    camera = json.loads((tmp_path / "r/camera.json").read_text())
+    camera |= {"width": camera["width"] - 100, "cx": camera["cx"] - 100}
+    (tmp_path / "r/camera.json").write_text(json.dumps(camera))
+    recording = open_recording(tmp_path / "r")
+    assert [each.name for each in check_intrinsics(probe_recording(recording))] == ["principal_point"]
+    write_sequence(recording, tmp_path / "s", watch=OffsetWatch(recording))
+    assert CameraFile.read(tmp_path / "s").doubts == ()
 
 
 @pytest.fixture(scope="module")

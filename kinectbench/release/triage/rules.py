@@ -12,7 +12,7 @@ from pathlib import Path
 
 from kinectbench.core import StorageError
 from kinectbench.core.artefacts.manifest import Failed, Manifest
-from kinectbench.core.artefacts.object import FLOOR_CUT, QualityFile
+from kinectbench.core.artefacts.object import FLOOR_CUT, MAX_OFF_SHARE, QualityFile
 from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.artefacts.trajectory import GRADES, TrajectoryHealth
@@ -168,6 +168,8 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
         yield f"the estimated IoU on known voxels is {known:.2f}, below {LEAST_KNOWN}"
     if (moving := quality.moving) is not None and len(moving.frames) > MOST_MOVING * moving.judged:
         yield f"something moves in {len(moving.frames)} of {moving.judged} frames"
+    if (off := quality.off_share or 0.0) > MAX_OFF_SHARE:
+        yield f"{off:.1%} of the depth on the object lies 2 cm and more off its surface"
     if (beyond := quality.beyond_share or 0.0) > MOST_BEYOND:
         yield f"{beyond:.0%} of the depth around the object is farther than what is fused"
 

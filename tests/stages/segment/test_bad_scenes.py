@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from analytic_scenes import box, health_of, ring
+from analytic_scenes import Surface, box, health_of, ring
 from bad_scenes import AROUND, FINE, FLOOR, FUSION, OBJECT, Recorded, recorded, table_of
 from numpy.typing import NDArray
 from raising import raises
@@ -16,6 +16,7 @@ from typed import present
 from kinectbench.core.errors import KinectBenchError, SegmentationError
 from kinectbench.core.geometry import OrientedBox, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.trajectory.coverage import convergence_point
+from kinectbench.stages.fuse import fuse
 from kinectbench.stages.segment.find.choice_warnings import Selection, choice_warnings
 from kinectbench.stages.segment.find.select import CELL_M, select_in_box
 from kinectbench.stages.segment.judge.coverage_report import unseen_side
@@ -60,6 +61,30 @@ def test_poses_that_are_not_good_for_ground_truth_are_told_with_what_to_do() -> 
         assert told.startswith(f"the trajectory is {verdict}{remedy}") and "record again" in told
     good = replace(bad, health=health_of(24, grade="10 mm", recommended="trust"))
     assert replace(plain(), trajectory=good).coverage_report().warnings == ()
+
+
+def shifted(surface_m: float, from_frame: int = 12) -> dict[int, list[Surface]]:
+    """The object in each frame; from one of them on it stands elsewhere."""
+    there = box((surface_m - 0.2, -0.15, 0.0), (surface_m + 0.2, 0.15, 0.5))
+    return {k: [there if k >= from_frame else OBJECT] for k in range(len(AROUND))}
+
+
+@pytest.mark.parametrize("from_frame", [6, 12, 20])
+def test_depth_contradicts_an_object_that_was_moved(from_frame: int) -> None:
+    assert plain().coverage_report().off_share == 0
+    seen = recorded([FLOOR], passing=shifted(0.08, from_frame)).coverage_report()
+    assert seen.off_share > 0.005
+    assert warned(seen.warnings, "of the depth on the object lies 2 cm and more off its surface")
+
+
+def test_depth_contradicts_the_object_if_poses_are_off() -> None:
+    good = plain()
+    poses = good.trajectory.T_world_camera.copy()
+    poses[12:, 0, 3] += 0.05
+    off = replace(good.trajectory, T_world_camera=poses)
+    scene = fuse(good.sequence, off, FUSION).mesh
+    seen = replace(good, trajectory=off, scene=scene).coverage_report()
+    assert warned(seen.warnings, "2 cm and more off its surface")
 
 
 @pytest.mark.parametrize("arc_deg", [300.0, 180.0, 120.0])

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from kinectbench.core.artefacts.object import MovingPart, UnseenSidePart
+from kinectbench.core.artefacts.object import MAX_OFF_SHARE, MovingPart, UnseenSidePart
 from kinectbench.core.geometry import (
     DepthRenderer,
     Grid,
+    OrientedBox,
     TriangleMesh,
     depth_sigma_m,
     invert_rigid,
@@ -18,7 +19,7 @@ from kinectbench.core.geometry import (
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Float64, Int64
+from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor import GIVEN, Floor
 from kinectbench.stages.segment.find.object import Segmentation
@@ -29,6 +30,9 @@ from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
 COLUMNS = 160
 # A pixel moves if it is nearer than the scene by both; a frame, if this share of it does.
 NEARER_M, NEARER_SIGMAS, MOVING_SHARE = 0.1, 5.0, 0.02
+# Depth on the object contradicts its surface if it lies off it by this and as many sigmas. In such patches
+# objects of real and simulated recordings have hardly any (`MAX_OFF_SHARE`).
+OFF_M = 0.02
 # Speckle and edges are thinner than this many of the pixels looked at.
 THICK_PX = 3
 # A Kinect measures surfaces up to about this slant: a camera sees an upright side from this far around.
@@ -48,35 +52,59 @@ REMEDIES: Mapping[str, str] = {
 }
 
 
-def moving_frames(
-    sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor
-) -> MovingPart:
-    """Find motion in at most 40 good frames: more than 2 % of the pixels are nearer than the scene.
+def contradictions(
+    sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor, box: OrientedBox
+) -> tuple[MovingPart, float]:
+    """Compare at most 40 good frames with the fused scene; return what moves, and what frames see through.
 
-    The pixels are sampled in about 160 columns. A pixel counts if it is nearer by more than max(5 sigma, 0.1
-    m), lies more than 0.1 m above the floor (which is measured badly at a grazing angle), and is in a patch
-    at least three sampled pixels wide. A moving object leaves no surface in the fused scene, because other
-    frames saw through it.
+    The pixels are sampled in about 160 columns. One moves if it is nearer than the scene by more than max(5
+    sigma, 0.1 m), lies more than 0.1 m above the floor (which is measured badly at a grazing angle), and is
+    in a patch at least three sampled pixels wide; a frame, if 2 % of its pixels do. What moves leaves no
+    surface in the fused scene, because other frames saw through it.
+
+    One contradicts the object's surface if it lies behind it (a surface in `box`) or before it (as a point
+    in `box`) by more than max(5 sigma, 20 mm), and 20 mm above the floor, in such a patch, too. None does
+    unless the object was moved or changed, or poses or intrinsics are wrong.
+
+    Returns:
+        The frames in which something moves; and the share of the depth on the object that contradicts it.
     """
     good = trajectory.good_frames
     judged = some_frames(good)
     step_px = max(1, round(sequence.camera.width / COLUMNS))
     camera = sequence.camera.every(step_px)
-    renderer = DepthRenderer(scene)
-    shares = []
+    rays, renderer = camera.rays(), DepthRenderer(scene)
+    shares, on, off = list[float](), 0, 0
     for frame, measured_m in zip(judged, sequence.depths_m(judged, step_px), strict=True):
         T_world_camera = trajectory.T_world_camera[frame]
         heights_m = floor.heights_m(measured_m, camera, T_world_camera)
         scene_m = renderer.depth_m(camera, T_world_camera)
-        least_m = np.maximum(NEARER_SIGMAS * depth_sigma_m(scene_m), NEARER_M)
-        nearer = (measured_m > 0) & (scene_m > 0) & (scene_m - measured_m > least_m)
-        nearer &= heights_m > NEARER_M
-        opened = cv2.morphologyEx(
-            nearer.astype(np.uint8), cv2.MORPH_OPEN, np.ones((THICK_PX, THICK_PX), np.uint8)
+        both, sigmas_m = (measured_m > 0) & (scene_m > 0), NEARER_SIGMAS * depth_sigma_m(scene_m)
+        nearer = both & (scene_m - measured_m > np.maximum(sigmas_m, NEARER_M))
+        shares.append(float(_patches(nearer & (heights_m > NEARER_M)).mean()))
+        T_floor_camera, least_m = floor.T_floor_world @ T_world_camera, np.maximum(sigmas_m, OFF_M)
+        seen, there = (
+            both & _above_floor_in(box, transform_points(T_floor_camera, rays * depth_m[..., None]))
+            for depth_m in (measured_m, scene_m)
         )
-        shares.append(float(opened.mean()))
+        before, behind = seen & (scene_m - measured_m > least_m), there & (measured_m - scene_m > least_m)
+        on += int(there.sum())
+        off += int(_patches(before).sum()) + int(_patches(behind).sum())
     moving: Int64 = judged[np.array(shares) > MOVING_SHARE]
-    return MovingPart(judged=len(judged), frames=tuple(moving.tolist()), largest_share=round(max(shares), 4))
+    part = MovingPart(judged=len(judged), frames=tuple(moving.tolist()), largest_share=round(max(shares), 4))
+    return part, min(1.0, off / max(on, 1))
+
+
+def _above_floor_in(box: OrientedBox, points: Float64) -> Bools:
+    """Return which points (height, width, 3), floor frame, lie in a box, and clearly above the floor."""
+    inside = box.contains(points.reshape(-1, 3)).reshape(points.shape[:-1])
+    return np.asarray(inside & (points[..., 2] > OFF_M))
+
+
+def _patches(pixels: Bools) -> Bools:
+    """Return the pixels (height, width) in patches of three by three: edges and speckle are thinner."""
+    kernel = np.ones((THICK_PX, THICK_PX), np.uint8)
+    return np.asarray(cv2.morphologyEx(pixels.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0)
 
 
 def beyond_depth_share(sequence: Sequence, trajectory: Trajectory, grid: Grid, max_depth_m: float) -> float:
@@ -107,6 +135,7 @@ class CoverageReport:
         moving: the frames in which something moves.
         max_depth_m: depth up to this is fused, metres.
         beyond_share: share of the depth near the object that lies beyond `max_depth_m`.
+        off_share: share of the depth on the object that contradicts its surface.
         warnings: all warnings, one line each.
         choice_warnings: those about the floor and the choice of the object; `doubts` in quality.json.
         first_rad: direction from the object to the first camera, seen from above, radians, counterclockwise
@@ -118,6 +147,7 @@ class CoverageReport:
     moving: MovingPart
     max_depth_m: float
     beyond_share: float
+    off_share: float
     warnings: tuple[str, ...]
     choice_warnings: tuple[str, ...]
     first_rad: float = 0.0
@@ -183,6 +213,17 @@ def _of_range(too_far: float, max_depth_m: float, is_set: bool) -> list[str]:
     ]
 
 
+def _of_contradictions(off_share: float) -> list[str]:
+    """Return a warning if too much of the depth on the object contradicts its surface."""
+    if off_share <= MAX_OFF_SHARE:
+        return []
+    return [
+        f"{off_share:.1%} of the depth on the object lies 2 cm and more off its surface, whose shape is "
+        "wrong there: the object was moved or changed, or poses or intrinsics are wrong; look at "
+        "object/mesh.ply, and record it again, or correct them"
+    ]
+
+
 def coverage_report(
     sequence: Sequence,
     trajectory: Trajectory,
@@ -196,8 +237,9 @@ def coverage_report(
 ) -> CoverageReport:
     """Measure how well a recording shows its object, with a warning for each fault.
 
-    Faults are a trajectory graded "not good", a side that no frame looks at, few frames, something that
-    moves, depth near the object beyond `max_depth_m`, and signs of a wrongly chosen floor or object.
+    Faults are a trajectory graded "not good", depth that contradicts the object, a side that no frame looks
+    at, few frames, something that moves, depth near the object beyond `max_depth_m`, and signs of a wrongly
+    chosen floor or object.
 
     Args:
         sequence: the recording.
@@ -214,9 +256,9 @@ def coverage_report(
     center = np.array(chosen.box.center_m)
     gap_rad, towards_rad, hidden_share = unseen_side(T_floor_camera, center)
     first_rad = float(np.arctan2(*(T_floor_camera[0, :2, 3] - center[:2])[::-1]))
-    moving = moving_frames(sequence, trajectory, scene, chosen.floor)
+    moving, off_share = contradictions(sequence, trajectory, scene, chosen.floor, chosen.box)
     choice_warnings = (*_of_floor(chosen.floor), *chosen.warnings)
-    warnings = [*_of_trajectory(trajectory), *choice_warnings]
+    warnings = [*_of_trajectory(trajectory), *_of_contradictions(off_share), *choice_warnings]
     if hidden_share > 0:
         towards = np.array([np.cos(towards_rad), np.sin(towards_rad), 0.0])
         show = "show it to the camera, too"
@@ -240,5 +282,6 @@ def coverage_report(
         towards_rad=np.radians(round(np.degrees(towards_rad), 1)),
         share=round(hidden_share, 4),
     )
-    share, lines = round(too_far, 4), tuple(warnings)
-    return CoverageReport(len(good), figures, moving, max_depth_m, share, lines, choice_warnings, first_rad)
+    shares = round(too_far, 4), round(off_share, 4)
+    lines = tuple(warnings), choice_warnings
+    return CoverageReport(len(good), figures, moving, max_depth_m, *shares, *lines, first_rad)

@@ -48,7 +48,7 @@ BOX_LEFT_OUT = 0.005
 # 0.92 to 1 on a rim or a flat base.
 RIM_LAYERS, STANDING_SHARE = 2, 0.5
 # Values of the coverage report that quality.json has by the same names.
-OF_REPORT = ("good_frames", "unseen_side", "moving", "max_depth_m", "beyond_share")
+OF_REPORT = ("good_frames", "unseen_side", "moving", "max_depth_m", "beyond_share", "off_share")
 # Tenths of a millimetre, and less than that at a metre.
 BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
 

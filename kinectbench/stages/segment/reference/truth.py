@@ -37,7 +37,15 @@ from kinectbench.stages.segment.solid.solid import SolidShape
 # that was itself fused from the recording lies at .006 mm, with an error of 2.5 mm.
 LEAST_NOISE = 0.05
 # Keys of the fused truth's quality that also hold for a reference: they describe frames, not the solid.
-OF_FRAMES = ("selection", "good_frames", "unseen_side", "moving", "max_depth_m", "beyond_share")
+OF_FRAMES = (
+    "selection",
+    "good_frames",
+    "unseen_side",
+    "moving",
+    "max_depth_m",
+    "beyond_share",
+    "behind_share",
+)
 
 
 def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
