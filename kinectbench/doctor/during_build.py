@@ -107,7 +107,7 @@ class OffsetWatch:
             if finding.name in {"color_drift", *OF_CAMERA} or "delay_s" in finding.advice
         ]
 
-    def camera_doubts(self) -> list[str]:
+    def camera_faults(self) -> list[str]:
         """Return the warnings about depth_scale and intrinsics, without paths, to be put into releases."""
         return [f"{each.what}; {each.advice}" for each in self._findings if each.name in OF_CAMERA]
 

@@ -76,7 +76,7 @@ class EverySecond:
     def warnings(self) -> list[str]:
         return []
 
-    def camera_doubts(self) -> list[str]:
+    def camera_faults(self) -> list[str]:
         return []
 
 

@@ -82,7 +82,7 @@ def write_sequence(
         warnings.append(f"{problem}; it is ignored")
     if watch:
         warnings += watch.warnings()
-    head = _head(recording, len(rows), warnings, watch.camera_doubts() if watch else [], problem)
+    head = _head(recording, len(rows), warnings, watch.camera_faults() if watch else [], problem)
     with storage_errors(folder):
         head.write(folder)
         FramesFile(rows=tuple(rows)).write(folder)
@@ -108,13 +108,13 @@ def _show_stored(writer: SequenceWriter, watch: Watch) -> None:
 
 
 def _head(
-    recording: Recording, frames: int, warnings: list[str], doubts: list[str], trajectory_error: str
+    recording: Recording, frames: int, warnings: list[str], faults: list[str], trajectory_error: str
 ) -> CameraFile:
     """Return the content of camera.json for `frames` frames; empty optional keys are left out."""
     calibrated = recording.color_calibration is not None
     others: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
-    if doubts:
-        others["doubts"] = tuple(doubts)
+    if faults:
+        others["doubts"] = tuple(faults)
     if recording.up_cameras:
         others["up_cameras"] = tuple((each.stamp_ns, *each.up_camera) for each in recording.up_cameras)
     return CameraFile(

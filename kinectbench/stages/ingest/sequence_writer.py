@@ -37,7 +37,7 @@ class Watch(Protocol):
         """Return warnings after the last frame, one line each."""
         ...
 
-    def camera_doubts(self) -> list[str]:
+    def camera_faults(self) -> list[str]:
         """Return evidence against the depth scale and the intrinsics, one line each."""
         ...
 
