@@ -11,8 +11,11 @@ from file_damage import seal
 from synthetic_release import RECORDINGS, synthetic_settings
 
 from kinectbench._version import __version__
+from kinectbench.core.artefacts.benchmark import ReleaseInfo
+from kinectbench.core.artefacts.targets import parse_targets
 from kinectbench.core.voxels.npz import load_arrays, packed_npz_bytes
 from kinectbench.release.check.rebuild import LocalRecording, differences, find_sources, rebuild_plan
+from kinectbench.release.check.text_check import text_problems
 from kinectbench.release.check.verify import reservations, verify
 from kinectbench.release.opening import open_contents
 from kinectbench.release.publish.publish import publish
@@ -98,6 +101,15 @@ def test_of_other_versions_no_text_is_compared(
     assert verify(folder) == []
     monkeypatch.setattr("kinectbench.release.check.verify.__version__", "99")
     assert reservations(folder) == [f"no text was written again: kinectbench {__version__} wrote them"]
+
+
+def test_a_recording_without_a_pair_has_no_texts(analytic: Path) -> None:
+    info = ReleaseInfo.read(analytic / "benchmark")
+    more = info.model_copy(update={"recordings": {**info.recordings, "nobody": info.recordings["chair_01"]}})
+    with open_contents(analytic / "benchmark") as contents:
+        targets = parse_targets(contents.text("targets.csv"), "targets.csv")
+        assert text_problems(contents, info, targets) == []
+        assert text_problems(contents, more, targets) == ["benchmark.json: its recording nobody has no pair"]
 
 
 def rebuilt(release: Path, build: Path, sources: dict[str, LocalRecording]) -> list[str]:

@@ -14,7 +14,7 @@ from kinectbench._version import __version__
 from kinectbench.core import KinectBenchError, ReleaseError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, PRIVACY_JSON, Lineage, Privacy
-from kinectbench.core.artefacts.targets import Target
+from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.release.contents import CARD, Contents, release_json
 from kinectbench.release.publish.gate import ADVICE
 from kinectbench.release.publish.preview import NO_PICTURE
@@ -74,6 +74,9 @@ def text_problems(contents: Contents, metadata: ReleaseInfo, targets: Sequence[T
 
 
 def _other_texts(contents: Contents, metadata: ReleaseInfo, targets: Sequence[Target]) -> Iterator[str]:
+    if without := sorted(metadata.recordings.keys() - by_recording(targets).keys()):
+        yield f"{BENCHMARK_JSON}: its recording {printable(without[0])} has no pair"
+        return
     settings = release_settings(metadata)
     warnings = stated_warnings(metadata, settings, targets, contents.text(CARD))
     color = Privacy.parse(contents.text(PRIVACY_JSON), PRIVACY_JSON).color

@@ -15,6 +15,7 @@ from kinectbench.release.contents import (
     DATASHEET,
     LICENSE,
     PREVIEW,
+    READING,
 )
 from kinectbench.release.publish.about import datacite, day_by
 from kinectbench.release.publish.attribution import (
@@ -23,7 +24,7 @@ from kinectbench.release.publish.attribution import (
     common_license,
     license_text,
 )
-from kinectbench.release.publish.card import card
+from kinectbench.release.publish.card import card, reading
 from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.croissant import described
 from kinectbench.release.publish.datasheet import datasheet
@@ -81,6 +82,7 @@ def release_texts(
     license, bare = common_license(infos, info.license), info.isolated if hold_back else ()
     yield CARD, card(info, targets, warnings, license)
     yield DATASHEET, datasheet(settings, targets, infos, color, warnings, hold_back, info.isolated)
+    yield READING, reading(targets, hold_back)
     yield CHANGELOG, changelog_text(settings.publish.changelog, info.name)
     yield LICENSE, license_text(info.name, license, infos)
     yield CITATION, citation_text(settings.publish.citation, info.name, license)
