@@ -254,16 +254,20 @@ def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator
 
 
 def copy_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a message for each object whose mesh is byte for byte that of an object in another split.
+    """Yield a message for each pair or mesh that is byte for byte another one.
 
-    What was recorded twice never is. A copy would be trained or chosen on before it is scored. Collections of
+    A pair is compared with those of its recording, a mesh with those of objects in other splits: what was
+    recorded twice never is the same. A copy would be trained or chosen on before it is scored. Collections of
     CAD models do have copies: pairs without images are not compared. Without a mesh all pairs are compared.
     """
     folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
-    pairs = dict[tuple[str, str, str], list[str]]()
+    pairs, own = dict[tuple[str, str, str], list[str]](), dict[tuple[str, str], str]()
     for target in targets:
         if f"views/{target.recording}" in folders:
             pairs.setdefault((target.recording, target.object, target.split), []).append(target.sha256)
+            copy_of = own.setdefault((target.recording, target.sha256), target.file)
+            if copy_of != target.file:
+                yield f"{target.file}: a copy of {copy_of}; no camera gives one view twice"
     first = dict[object, tuple[str, str, str]]()
     for (recording, thing, split), hashes in pairs.items():
         mesh = sums.get(f"objects/{recording}/{OBJECT_FILES[0]}")

@@ -2,7 +2,6 @@
 
 import hashlib
 import io
-import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -10,23 +9,31 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from pydantic import ValidationError
 
 from kinectbench._version import __version__
-from kinectbench.core import PairError, ReleaseError, SettingsError, listed, read_plain, sha256_file
-from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
+from kinectbench.core import (
+    PairError,
+    ReleaseError,
+    SettingsError,
+    listed,
+    printable,
+    read_plain,
+    sha256_file,
+)
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
 from kinectbench.core.artefacts.manifest import Sources
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording, files_hash
 from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording, parse_targets
 from kinectbench.core.types import FileArray
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES, packed_count, pair_values
 from kinectbench.engine.artefact import VERSIONS
+from kinectbench.release.check.remade import AGAIN, remade_differences
+from kinectbench.release.check.text_check import release_settings
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents, most_bytes
 from kinectbench.release.publish.small_files import data_package_versions
 from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import BenchmarkSettings
 
-AGAIN = "differs when made again"
 # At most this many files of a recording are named in a line.
 SHOWN = 3
 
@@ -39,11 +46,20 @@ class LocalRecording:
         path: the recording's file or folder.
         masks: folder of the user's masks; None if there is none.
         reference: the mesh that is the recording's truth; None if there is none.
+        license: its data's licence; None if no benchmark.yaml states it.
+        source: who recorded it, or where it is from; likewise.
     """
 
     path: Path
     masks: Path | None = None
     reference: Path | None = None
+    license: str | None = None
+    source: str | None = None
+
+    @property
+    def paths(self) -> dict[str, Path | None]:
+        """{key of the recording's settings: its path here}."""
+        return {"path": self.path, "masks": self.masks, "reference": self.reference}
 
 
 @dataclass(frozen=True)
@@ -54,11 +70,13 @@ class RebuildPlan:
         settings: the release's settings for the recordings to rebuild, with this machine's paths.
         targets: the pairs to compare.
         notes: one line for each version that differs here, and each reason why pairs are not compared.
+        other_terms: one line for each licence or source that the benchmark.yaml here states otherwise.
     """
 
     settings: BenchmarkSettings
     targets: tuple[Target, ...]
     notes: tuple[str, ...]
+    other_terms: tuple[str, ...] = ()
 
 
 def find_sources(path: Path, suffixes: Sequence[str] = ()) -> dict[str, LocalRecording]:
@@ -81,6 +99,8 @@ def find_sources(path: Path, suffixes: Sequence[str] = ()) -> dict[str, LocalRec
                 root / r.path,
                 None if r.masks is None else root / r.masks,
                 None if r.reference is None else root / r.reference,
+                None if (license := settings.license_of(r)) == UNSPECIFIED else license,
+                None if (source := settings.source_of(r)) == UNSPECIFIED else source,
             )
             for r in settings.recordings
         }
@@ -144,7 +164,8 @@ def rebuild_plan(
         notes.append(f"the truth of {', '.join(held_back)} is held back: its pairs are not compared")
     if isolated:
         notes.append(f"of {', '.join(isolated)} one view is published, isolated: its pair is not compared")
-    return RebuildPlan(_settings(metadata, sources, wanted), kept, tuple(notes))
+    terms = tuple(_other_terms(metadata, sources, wanted))
+    return RebuildPlan(_settings(metadata, sources, wanted), kept, tuple(notes), terms)
 
 
 def _draw(identity: str, name: str) -> str:
@@ -156,27 +177,27 @@ def _settings(
     metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
 ) -> BenchmarkSettings:
     """Return the release's settings, reduced to the `wanted` recordings, with their paths on this machine."""
-    values = metadata.settings.json_value()
-    if not values.get("recordings"):
-        raise ReleaseError(
-            f"{BENCHMARK_JSON}: this release was not made from recordings", what="not-rebuildable"
+    stated = release_settings(metadata)
+    rows = [
+        each.model_copy(
+            update={key: path and str(path.resolve()) for key, path in sources[each.id].paths.items()}
         )
-    rows = [dict(row) for row in values["recordings"] if row.get("id") in wanted]
-    for row in rows:
-        source = sources[row["id"]]
-        row["path"] = str(source.path.resolve())
-        row["masks"] = None if source.masks is None else str(source.masks.resolve())
-        row["reference"] = None if source.reference is None else str(source.reference.resolve())
-    values |= {"name": metadata.name, "license": metadata.license, "recordings": rows}
-    try:
-        return BenchmarkSettings.model_validate_json(json.dumps(values))
-    except ValidationError as error:
-        key = ".".join(str(part) for part in error.errors()[0]["loc"])
-        raise ReleaseError(
-            f"{BENCHMARK_JSON}: this version does not know the setting '{key}' as it is there; install "
-            f"kinectbench {metadata.package_version}, which made the release",
-            what="other-version",
-        ) from error
+        for each in stated.recordings
+        if each.id in wanted
+    ]
+    return stated.model_copy(update={"recordings": tuple(rows)})
+
+
+def _other_terms(
+    metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
+) -> Iterator[str]:
+    """Yield a line for each licence or source that the benchmark.yaml here states otherwise."""
+    for name in sorted(wanted):
+        for key in ("license", "source"):
+            stated, here = getattr(metadata.recordings[name], key), getattr(sources[name], key)
+            if here not in (None, stated):
+                said = f"{key} of {name} is '{printable(stated)}'"
+                yield f"{BENCHMARK_JSON}: {said}, which benchmark.yaml states as '{printable(here)}'"
 
 
 def version_notes(metadata: ReleaseInfo) -> list[str]:
@@ -217,11 +238,24 @@ def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
 def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
     """Yield a line for each rebuilt file or pair that differs from the published one, or is missing.
 
+    If objects, images and pairs are the same, all else that `publish` makes of them is compared, too.
+
     Args:
         contents: the release.
         plan: the plan of the rebuild.
         build: the folder with a subfolder for each built recording.
     """
+    yield from plan.other_terms
+    differs = False
+    for line in _built_differences(contents, plan, build):
+        differs = True
+        yield line
+    if not differs:
+        yield from remade_differences(contents, plan.settings, plan.targets, build)
+
+
+def _built_differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
+    """Yield a line for each object, image or pair that differs; the arguments are those of `differences`."""
     lineage = _lineage(contents)
     for recording, targets in sorted(by_recording(plan.targets).items()):
         folder = build / recording

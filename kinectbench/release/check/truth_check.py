@@ -245,11 +245,13 @@ class TruthCheck:
         contents: the release.
         whole: names of the files whose bytes are the published ones.
         visible_shares: {recording: `visible_share` of each of its pairs that was checked}.
+        keys: {recording: {pair file: the keys that it holds}}.
     """
 
     contents: Contents
     whole: Collection[str]
     visible_shares: dict[str, list[float]] = field(default_factory=dict)
+    keys: dict[str, dict[str, frozenset[str]]] = field(default_factory=dict)
     _last: tuple[str, ObjectTruth] = ("", ObjectTruth())
 
     def lines(self, recording: str, name: str, pair: Pair) -> list[str]:
@@ -271,3 +273,12 @@ class TruthCheck:
             if info.visible_share != (found := round(fmean(shares), SHARE_DECIMALS)):
                 stated = f"its recordings.{printable(name)}.visible_share is {info.visible_share}"
                 yield f"{BENCHMARK_JSON}: {stated} where its pairs have {found}"
+
+    def key_lines(self) -> Iterator[str]:
+        """Yield a message for each key that only some pairs of a recording hold: one run makes them all."""
+        for recording, files in self.keys.items():
+            for key in sorted(frozenset[str]().union(*files.values())):
+                lack = [name for name, keys in files.items() if key not in keys]
+                if lack:
+                    count = f"{len(files) - len(lack)} of the {len(files)} pairs of {recording}"
+                    yield f"{lack[0]}: without '{printable(key)}', which is in {count}"

@@ -9,6 +9,7 @@ from typing import cast
 
 import numpy as np
 
+from kinectbench._version import __version__
 from kinectbench.core import PairError, ReleaseError, StorageError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import (
@@ -35,6 +36,7 @@ from kinectbench.core.voxels.pair_file import (
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
 from kinectbench.release.check.object_check import object_problems, recording_of, surface_lines
 from kinectbench.release.check.pair_check import input_problems, pair_problems
+from kinectbench.release.check.text_check import text_problems
 from kinectbench.release.check.truth_check import TruthCheck
 from kinectbench.release.check.view_check import StatedView, image_names, no_decoder, view_lines
 from kinectbench.release.contents import AGAIN, GLB, OBJECT_FILES, SURFACES, VIEW_IMAGES, Contents
@@ -94,11 +96,12 @@ def verify(path: Path, progress: Progress = no_progress, *, checksums_only: bool
             if metadata and name not in damaged:
                 lines += _pair_lines(contents, name, metadata, stated.get(name, _OfPair()), objects)
             progress(done, total)
-        lines += objects.share_lines(metadata)
+        lines += [*objects.share_lines(metadata), *objects.key_lines()]
         if metadata is not None:
             for recording in sorted({name.split("/")[1] for name in pairs if name not in damaged}):
                 if not metadata.hides(recording) and not metadata.has_solid(recording):
                     lines += surface_lines(contents, recording)
+            lines += [] if lines else text_problems(contents, metadata, targets)
     return lines
 
 
@@ -140,6 +143,8 @@ def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
         info = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
         sums = parse_sums(contents.text(SHA256SUMS), SHA256SUMS)
     clauses = list[str]()
+    if info.package_version != __version__ and info.settings.recordings and not checksums_only:
+        clauses.append(f"no text was written again: kinectbench {printable(info.package_version)} wrote them")
     if info.benchmark_sha256_version is None:
         clauses.append(
             "its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"
@@ -257,6 +262,7 @@ def _pair_lines(
     try:
         values = pair_values(contents.read(name), name)
         recording = name.split("/")[1]
+        objects.keys.setdefault(recording, {})[name] = frozenset(values)
         if metadata.has_solid(recording):
             least = metadata.settings.pairs.min_containment
             pair = checked_pair(Pair, values, name)

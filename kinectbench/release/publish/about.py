@@ -64,9 +64,13 @@ def day_of(citation: CitationSettings, folder: Path) -> str:
         citation: the citation, which may state `date_released`.
         folder: the release's folder; lineage.json may be missing.
     """
+    return day_by(citation, Lineage.read_if_there(folder))
+
+
+def day_by(citation: CitationSettings, lineage: Lineage | None) -> str:
+    """Return the date of a release as `day_of` does, from the content of its lineage.json."""
     if citation.date_released:
         return citation.date_released
-    lineage = Lineage.read_if_there(folder)
     views = [row.views or () for row in lineage.recordings.values()] if lineage else []
     last_ns = max((view.stamp_ns for some in views for view in some), default=0)
     if last_ns < FIRST_DAY_NS:

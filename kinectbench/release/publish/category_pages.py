@@ -1,6 +1,6 @@
 """Write pages categories/<category>.html of a release: a picture and the main values of every object."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +9,10 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.core.images import data_uri
 from kinectbench.core.pages import render_page
-from kinectbench.core.types import Rgb
 from kinectbench.core.voxels.pair_file import read_input, read_pair, unpack
 from kinectbench.release.contents import CATEGORIES
 from kinectbench.release.publish.card import category_words
-from kinectbench.release.publish.preview import BLUE, CLAY, enlarged, seen_from_the_front
+from kinectbench.release.publish.preview import BLUE, CLAY, NO_PICTURE, enlarged, seen_from_the_front
 from kinectbench.settings.models import BenchmarkSettings
 
 # Every second of 256 cells is shown: 128 pixels, 2 kB as a JPEG of this quality. A page of ten thousand
@@ -31,10 +30,24 @@ def write_category_pages(
 ) -> None:
     """Write a page for each category of a release; the pair files must be there already.
 
-    Isolated recordings are listed without a picture.
+    The arguments are those of `category_texts`.
+    """
+    for name, text in category_texts(folder, settings, targets, infos, held_back, isolated):
+        write_below(folder / name, text.encode())
+
+
+def category_texts(
+    folder: Path | None,
+    settings: BenchmarkSettings,
+    targets: Sequence[Target],
+    infos: Mapping[str, RecordingInfo],
+    held_back: Sequence[str],
+    isolated: Sequence[str] = (),
+) -> Iterator[tuple[str, str]]:
+    """Yield (file, text) of each category's page. Isolated recordings are listed without a picture.
 
     Args:
-        folder: the release's folder.
+        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
         settings: the benchmark's settings.
         targets: every pair.
         infos: {recording: its entry in benchmark.json}.
@@ -53,7 +66,7 @@ def write_category_pages(
                 "held_back": info.split in held_back,
                 "picture": None
                 if name in isolated
-                else data_uri(_picture(folder, of_recording[name][0], info.split in held_back), QUALITY),
+                else _picture(folder, of_recording[name][0], info.split in held_back),
                 "words": category_words(info),
             }
             for name, info in sorted(infos.items())
@@ -61,13 +74,16 @@ def write_category_pages(
         ]
         objects = len({part["info"].object for part in shown})
         page = {"settings": settings, "category": category, "parts": shown, "objects": objects}
-        text = render_page("release/publish/category.html", page)
-        write_below(folder / CATEGORIES / f"{category}.html", text.encode())
+        yield f"{CATEGORIES}/{category}.html", render_page("release/publish/category.html", page)
 
 
-def _picture(folder: Path, target: Target, held_back: bool) -> Rgb:
+def _picture(folder: Path | None, target: Target, held_back: bool) -> str:
     """Draw the full shape as the camera of `target` sees it; if truth is held back, only the partial."""
+    if folder is None:
+        return NO_PICTURE
     path = folder / target.file
     if held_back:
-        return enlarged(seen_from_the_front(unpack(read_input(path).partial), BLUE))[::STEP, ::STEP]
-    return seen_from_the_front(unpack(read_pair(path).full), CLAY)[::STEP, ::STEP]
+        drawn = enlarged(seen_from_the_front(unpack(read_input(path).partial), BLUE))
+    else:
+        drawn = seen_from_the_front(unpack(read_pair(path).full), CLAY)
+    return data_uri(drawn[::STEP, ::STEP], QUALITY)

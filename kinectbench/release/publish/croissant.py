@@ -42,6 +42,16 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
 
     Source: https://docs.mlcommons.org/croissant/docs/croissant-spec-1.1.html, …/croissant-rai-spec.html
     """
+    content = described(about)
+    content["distribution"] = [*_file_objects(folder), *_file_sets(folder)]
+    content["recordSet"] = [_targets(columns), _pairs()]
+    if next(folder.glob("views/*/views.json"), None) is not None:
+        content["recordSet"].append(_cameras())
+    return content
+
+
+def described(about: About) -> dict[str, Any]:
+    """Return those keys of croissant.json that do not depend on the files of the release."""
     citation = about.citation
     content: dict[str, Any] = {
         "@context": _context(),
@@ -60,12 +70,7 @@ def croissant(about: About, folder: Path, columns: Sequence[str] = tuple(COLUMNS
     url = citation.url or (f"https://doi.org/{citation.doi}" if citation.doi else None)
     if url:
         content["url"] = url
-    content |= {f"rai:{key}": text for key, text in responsible_use(about).items()}
-    content["distribution"] = [*_file_objects(folder), *_file_sets(folder)]
-    content["recordSet"] = [_targets(columns), _pairs()]
-    if next(folder.glob("views/*/views.json"), None) is not None:
-        content["recordSet"].append(_cameras())
-    return content
+    return content | {f"rai:{key}": text for key, text in responsible_use(about).items()}
 
 
 def _file_objects(folder: Path) -> list[dict[str, object]]:

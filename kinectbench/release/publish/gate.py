@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from kinectbench.core.artefacts.benchmark import Flow
+from kinectbench.core.artefacts.benchmark import Flow, RecordingInfo
 from kinectbench.release.publish.same_frames import refuse_same_frames
 from kinectbench.release.triage.rules import NOT_BUILT, Judged, judged
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
@@ -43,6 +43,29 @@ def poor_line(name: str, limits: Sequence[str], why: str) -> str:
 def look_line(name: str, look: Sequence[str]) -> str:
     """Return the card's line about a published recording that somebody should review."""
     return f"{name} is published, and a person should look at it: {'; '.join(look)}"
+
+
+def gate_lines(
+    reasons: Iterable[str],
+    poor: Mapping[str, tuple[Sequence[str], str]],
+    look: Mapping[str, Sequence[str]],
+) -> Iterator[str]:
+    """Yield the card's lines on recordings that are left out, poor, or to review.
+
+    Args:
+        reasons: a line for each recording that is left out.
+        poor: {published id: (limits that it violates, why it is published nevertheless)}.
+        look: {published id: reasons for a review that is still missing}.
+    """
+    left_out = [*reasons]
+    if left_out:
+        are = " is" if len(left_out) == 1 else "s are"
+        yield f"{len(left_out)} recording{are} left out of this release"
+    yield from left_out
+    for name, (limits, why) in poor.items():
+        yield poor_line(name, limits, why)
+    for name, why_look in look.items():
+        yield look_line(name, why_look)
 
 
 @dataclass(frozen=True)
@@ -141,14 +164,17 @@ class Gate:
 
     def lines(self) -> Iterator[str]:
         """Yield the card's lines on recordings that are left out, poor, to review, or published twice."""
-        if count := len(self.left_out):
-            yield f"{count} recording{' is' if count == 1 else 's are'} left out of this release"
-        yield from self.reasons()
-        for name, (limits, why) in self.poor.items():
-            yield poor_line(name, limits, why)
-        for name, why_look in self.look.items():
-            yield look_line(name, why_look)
+        yield from gate_lines(self.reasons(), self.poor, self.look)
         yield from self.twice
+
+    def noted(self, name: str, info: RecordingInfo) -> RecordingInfo:
+        """Return a recording's entry in benchmark.json with its violated limits and reasons for a review."""
+        changes = dict[str, object]()
+        if name in self.poor:
+            changes["poor"], changes["accepted"] = self.poor[name]
+        if name in self.look:
+            changes["look"] = self.look[name]
+        return info.model_copy(update=changes)
 
 
 def gate(settings: BenchmarkSettings, build: Path, recordings: Sequence[str], allow_poor: bool) -> Gate:

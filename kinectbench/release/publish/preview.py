@@ -41,6 +41,10 @@ UNKNOWN = (228, 214, 170)
 # Direction towards the light: right, down and towards the viewer.
 LIGHT = (-0.45, -0.6, 0.66)
 BLUR_CELLS = 2
+# Stands for every picture where a page is written without them.
+NO_PICTURE = "data:"
+CAPTIONS = ("depth and mask", "partial, as seen", "full, as seen", "full, from the right", "slice")
+CAPTIONS_HELD_BACK = ("depth and mask", "partial, as seen", "partial, from the right")
 
 
 def write_preview(
@@ -53,10 +57,25 @@ def write_preview(
     build: Path | None = None,
     isolated: Sequence[str] = (),
 ) -> None:
-    """Write index.html of a release whose pairs and views are written; no isolated recording is pictured.
+    """Write index.html of a release whose pairs and views are written; see `preview_text`."""
+    text = preview_text(folder, settings, targets, infos, warnings, held_back, build, isolated)
+    (folder / PREVIEW).write_text(text, encoding="utf-8")
+
+
+def preview_text(
+    folder: Path | None,
+    settings: BenchmarkSettings,
+    targets: Sequence[Target],
+    infos: Mapping[str, RecordingInfo],
+    warnings: Sequence[str],
+    held_back: Sequence[str],
+    build: Path | None = None,
+    isolated: Sequence[str] = (),
+) -> str:
+    """Return the text of index.html; no isolated recording is pictured.
 
     Args:
-        folder: the release's folder.
+        folder: the release's folder; None: `NO_PICTURE` stands for each picture.
         settings: the benchmark's settings.
         targets: every pair.
         infos: {recording: its entry in benchmark.json}.
@@ -96,7 +115,7 @@ def write_preview(
         "turns": any(part["turntable"] for part in parts),
         "package_version": __version__,
     }
-    (folder / PREVIEW).write_text(render_page("release/publish/preview.html", shown), encoding="utf-8")
+    return render_page("release/publish/preview.html", shown)
 
 
 def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing:
@@ -119,7 +138,7 @@ def _listed(infos: Mapping[str, RecordingInfo], shown: Sequence[str]) -> Listing
 
 
 def _part(
-    folder: Path,
+    folder: Path | None,
     scenes: Path | None,
     name: str,
     info: RecordingInfo,
@@ -131,12 +150,16 @@ def _part(
 
     `here` has the recording's pairs; `views` of them, evenly spread, are shown with pictures.
     """
+    if folder is None:
+        turned = None if held_back else NO_PICTURE
+    else:
+        turned = _turntable(folder / "objects" / name, scenes and scenes / name)
     chosen = sorted({int(i) for i in np.linspace(0, len(here) - 1, views).round()})
     return {
         "name": name,
         "info": info,
         "held_back": held_back,
-        "turntable": _turntable(folder / "objects" / name, scenes and scenes / name),
+        "turntable": turned,
         "figures": quality_words(info.quality).items(),
         "views": [(here[index].view, _pictures(folder, here[index], held_back)) for index in chosen],
     }
@@ -154,24 +177,29 @@ def _turntable(objects: Path, built: Path | None) -> str | None:
     return data_uri(turntable(mesh.transformed(T_floor_world), colored), QUALITY)
 
 
-def _pictures(folder: Path, target: Target, held_back: bool) -> list[tuple[str, str]]:
+def _pictures(folder: Path | None, target: Target, held_back: bool) -> list[tuple[str, str]]:
     """Return (caption, `data:` URL) of each picture of a pair: depth with mask, partial, public truth."""
+    captions = CAPTIONS_HELD_BACK if held_back else CAPTIONS
+    pictures = [NO_PICTURE] * len(captions) if folder is None else _drawn(folder, target, held_back)
+    return list(zip(captions, pictures, strict=True))
+
+
+def _drawn(folder: Path, target: Target, held_back: bool) -> list[str]:
+    """Return a `data:` URL of each picture of a pair, in the order of the captions."""
     pair = (read_input if held_back else read_pair)(folder / target.file)
     # The input itself; each of its cells is 4 x 4 pixels.
     partial = unpack(pair.partial)
-    pictures = [
-        ("depth and mask", _png(depth_with_mask(folder / "views" / target.recording, target.view))),
-        ("partial, as seen", _png(enlarged(seen_from_the_front(partial, BLUE)))),
-        ("partial, from the right", _png(enlarged(seen_from_the_right(partial, BLUE)))),
+    drawn = [
+        depth_with_mask(folder / "views" / target.recording, target.view),
+        enlarged(seen_from_the_front(partial, BLUE)),
     ]
     if isinstance(pair, Pair):
         full, known = unpack(pair.full), unpack(pair.known)
-        pictures[2:] = [
-            ("full, as seen", _png(seen_from_the_front(full, CLAY))),
-            ("full, from the right", _png(seen_from_the_right(full, CLAY))),
-            ("slice", _png(_upright_slice(unpack(pair.partial_256), full, known))),
-        ]
-    return pictures
+        drawn += [seen_from_the_front(full, CLAY), seen_from_the_right(full, CLAY)]
+        drawn.append(_upright_slice(unpack(pair.partial_256), full, known))
+    else:
+        drawn.append(enlarged(seen_from_the_right(partial, BLUE)))
+    return [_png(picture) for picture in drawn]
 
 
 def _png(picture: NDArray[np.uint8]) -> str:

@@ -7,13 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
-from kinectbench.core import ReleaseError, listed, replaced_folder
-from kinectbench.core.artefacts.benchmark import (
-    BENCHMARK_JSON,
-    PublishOptions,
-    RecordingInfo,
-    ReleaseInfo,
-)
+from kinectbench.core import ReleaseError, replaced_folder
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, ReleaseInfo
 from kinectbench.core.artefacts.provenance import (
     THRESHOLDS_JSON,
     ColorPublished,
@@ -25,7 +20,7 @@ from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile
 from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
 from kinectbench.release.own_folder import refuse_other_content
-from kinectbench.release.publish.attribution import changelog_text, reasons_against_distribution
+from kinectbench.release.publish.attribution import changelog_text
 from kinectbench.release.publish.category_pages import write_category_pages
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.gate import Gate, first_lines, gate
@@ -34,13 +29,12 @@ from kinectbench.release.publish.isolate import SETTINGS_KEYS, Isolated, isolate
 from kinectbench.release.publish.preview import write_preview
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
-from kinectbench.release.publish.rebuilt import rebuilt_line
 from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
 from kinectbench.release.publish.view_pictures import write_view_pictures
+from kinectbench.release.publish.warned import gives_away, release_warnings
 from kinectbench.settings.models import BenchmarkSettings
 
 PRIVATE = "-private"
-SHOWN_VIEWS = 6  # most views of a recording in a warning
 
 
 @dataclass(frozen=True)
@@ -143,8 +137,8 @@ def publish(
         note_in_benchmark_json(folder, private_benchmark_sha256=whole.benchmark_sha256)
         info = ReleaseInfo.read(folder)
     # The publisher also gets the reasons that reveal held-back truth.
-    named = (*whole.warnings, *_gives_away(settings, info.held_back, info.recordings, isolated))
-    warnings = tuple(dict.fromkeys((*named, *isolated.lines())))
+    away = gives_away(settings, info.recordings, info.held_back, bool(isolated.views))
+    warnings = tuple(dict.fromkeys((*whole.warnings, *away, *isolated.lines())))
     return replace(
         public, folder=out, warnings=warnings, private=private, private_sha256=whole.benchmark_sha256
     )
@@ -198,17 +192,10 @@ def _write(
     if not made:
         raise ReleaseError(f"{build}: no pair to publish; {first_lines([*passed.lines()])}", what="no-pairs")
     infos = {name: published.info for name, published in made.items()}
-    # Possible harm first, then faults of the truth, then limits of its use.
-    warnings = [
-        *reasons_against_distribution(infos),
-        *_gives_away(settings, options.hold_back, infos, isolated),
-        *passed.lines(),
-        *_warned(infos),
-        *_unknown(made),
-        *_without_thresholds(settings, infos),
-    ]
     targets = tuple(sorted(target for published in made.values() for target in published.targets))
     alone = tuple(sorted(isolated.views))
+    lines = [*passed.lines()]
+    warnings = release_warnings(settings, infos, targets, lines, options.hold_back, bool(alone))
     _write_texts(settings, folder, made, targets, warnings, options, removals, alone)
     privacy(_color(settings, made), removals).write(folder)
     head = Head(
@@ -262,18 +249,8 @@ def _pairs(
         built = Built(settings, by_id[name], build / name, hidden, most_named, only)
         published = publish_recording(built, folder, removals)
         if published is not None:
-            made[name] = _with_warnings(published, passed, name)
+            made[name] = replace(published, info=passed.noted(name, published.info))
     return made
-
-
-def _with_warnings(published: Published, passed: Gate, name: str) -> Published:
-    """Return a published recording, with its violated limits and its reasons for a review in its entry."""
-    changes = dict[str, object]()
-    if name in passed.poor:
-        changes["poor"], changes["accepted"] = passed.poor[name]
-    if name in passed.look:
-        changes["look"] = passed.look[name]
-    return replace(published, info=published.info.model_copy(update=changes)) if changes else published
 
 
 def _write_texts(
@@ -303,56 +280,6 @@ def _write_texts(
     if options.thresholds is not None:
         given = ThresholdsFile.parse(options.thresholds, THRESHOLDS_JSON)
         scrubbed_file(given, THRESHOLDS_JSON, removals).write(folder)
-
-
-def _gives_away(
-    settings: BenchmarkSettings,
-    hold_back: Sequence[str],
-    infos: Mapping[str, RecordingInfo],
-    isolated: Isolated,
-) -> list[str]:
-    """Return warnings on what a release may reveal: people in colour images, shapes that are held back."""
-    warnings = []
-    if settings.publish.color:
-        warnings.append("colour images are included: look through them for faces and people")
-    if hold_back and not isolated.views and (line := rebuilt_line(infos)):
-        warnings.append(line)
-    if hold_back and settings.pairs.framing == "object":
-        warnings.append(
-            "with framing 'object' the cube of a held-back pair tells how long its shape is and where its "
-            "middle lies: use `pairs: {framing: view}`"
-        )
-    return warnings
-
-
-def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """Return a warning if the release has no validation split: methods get their thresholds from it."""
-    names = [recording.id for recording in settings.recordings if recording.split == "validation"]
-    if any(name in infos for name in names):
-        return []
-    why = f" is published, as this release is without {listed(names)}" if names else ""
-    return [f"no validation split{why}: thresholds are fixed at 0.5 unless a threshold file is given"]
-
-
-def _warned(infos: Mapping[str, RecordingInfo]) -> list[str]:
-    """Return a line for each recording with quality warnings: the first warning, and how many follow."""
-    lines = []
-    for name, info in infos.items():
-        warnings = info.quality.warnings
-        more = f" (and {len(warnings) - 1} more)" if len(warnings) > 1 else ""
-        lines += [f"{name}: {warnings[0]}{more}"] if warnings else []
-    return lines
-
-
-def _unknown(made: Mapping[str, Published]) -> list[str]:
-    """Return a line for each recording that has pairs whose true shape is entirely unknown."""
-    return [
-        f"{name}: nothing of the true shape is known in {'1 pair' if len(of) == 1 else f'{len(of)} pairs'} "
-        f"({', '.join(of[:SHOWN_VIEWS])}{', …' if len(of) > SHOWN_VIEWS else ''}); the protocol `known` "
-        "leaves them out"
-        for name, published in made.items()
-        if (of := published.all_unknown)
-    ]
 
 
 def _color(settings: BenchmarkSettings, made: Mapping[str, Published]) -> ColorPublished:

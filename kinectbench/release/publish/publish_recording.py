@@ -127,14 +127,12 @@ class Published:
         info: the recording's entry in benchmark.json.
         lineage: the recording's entry in lineage.json.
         has_color: whether its views have colour, published or not.
-        all_unknown: views whose true shape is entirely unknown; empty if the truth is held back.
     """
 
     targets: tuple[Target, ...]
     info: RecordingInfo
     lineage: LineageRecording
     has_color: bool
-    all_unknown: tuple[str, ...] = ()
 
 
 def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Published | None:
@@ -154,15 +152,12 @@ def publish_recording(built: Built, folder: Path, removals: list[Removed]) -> Pu
     if not names:
         return None
     pairs = {view: _publish_pair(built, view, folder) for view in names}
-    targets = tuple(target for target, _, _ in pairs.values())
+    targets = tuple(target for target, _ in pairs.values())
     if not built.isolated:
         _publish_object(built, folder, removals)
     has_color = _publish_views(built, targets, folder, removals)
-    unknown = tuple(
-        view for view, (_, nothing_known, _) in pairs.items() if nothing_known and not built.hidden
-    )
-    info = _info(built, [share for _, _, share in pairs.values()], removals)
-    return Published(targets, info, _lineage(built, names), has_color, unknown)
+    info = _info(built, [share for _, share in pairs.values()], removals)
+    return Published(targets, info, _lineage(built, names), has_color)
 
 
 def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
@@ -182,12 +177,11 @@ def _read_pair(built: Built, view: str) -> tuple[bytes, Pair]:
     return content, pair
 
 
-def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, float]:
+def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, float]:
     """Write a pair into a release as built, or only its input if its truth is held back.
 
     Returns:
-        The pair's target; whether its true shape is entirely unknown; the share of the true surface that its
-        view sees.
+        The pair's target; the share of the true surface that its view sees.
     """
     recording = built.recording
     content, pair = _read_pair(built, view)
@@ -209,7 +203,7 @@ def _publish_pair(built: Built, view: str, folder: Path) -> tuple[Target, bool, 
         unknown_share=None if built.hidden else pair.stated_unknown_share,
         truth="" if built.hidden or built.quality.truth is None else built.quality.truth.kind,
     )
-    return target, pair.unknown_share == 1, pair.visible_share
+    return target, pair.visible_share
 
 
 def _publish_object(built: Built, folder: Path, removals: list[Removed]) -> None:

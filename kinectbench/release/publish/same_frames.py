@@ -15,6 +15,8 @@ SAME_SHARE = 0.5
 # This many files of each recording, those with the smallest hashes, are looked up in all other recordings. If
 # two recordings share half of the smaller one's files, none is found in one of 65,000 cases (2^-16).
 LOOKED_FOR = 16
+# Words of the warning on two recordings.
+TWICE = "hold the same frames and count as two objects"
 
 
 def _same_frames(
@@ -65,8 +67,7 @@ def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Seq
                 what="object-in-two-splits",
             )
         lines.append(
-            f"{first.id} and {second.id} hold the same frames and count as two objects: leave one out, or "
-            f"say `object: {first.object_name}` of both"
+            f"{first.id} and {second.id} {TWICE}: leave one out, or say `object: {first.object_name}` of both"
         )
     return lines
 

@@ -129,15 +129,22 @@ def write_small_files(
     columns = columns_of(targets)
     write_schemas(folder, columns)
     write_glbs(folder, infos, scenes)
-    about = _about(head, license, folder, warnings)
+    about = about_release(head, license, day_of(head.citation, folder), warnings)
     (folder / DATACITE).write_text(pretty_json(datacite(about)), encoding="utf-8")
     (folder / CROISSANT).write_text(pretty_json(croissant(about, folder, columns)), encoding="utf-8")
     (folder / CARD).write_text(card(info, targets, warnings, license, head.texts), encoding="utf-8")
     return _seal(folder, info)
 
 
-def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> About:
-    """Return the description of a release from which croissant.json and datacite.json are made."""
+def about_release(head: Head, license: str, date: str, warnings: Sequence[str]) -> About:
+    """Return the description of a release from which croissant.json and datacite.json are made.
+
+    Args:
+        head: facts about the release as a whole.
+        license: the licence of all recordings.
+        date: the day of publication, year-month-day.
+        warnings: the release's warnings, one line each.
+    """
     published = head.settings.get("publish")
     options = PublishSettings() if published is None else PublishSettings.model_validate(published)
     return About(
@@ -145,7 +152,7 @@ def _about(head: Head, license: str, folder: Path, warnings: Sequence[str]) -> A
         license=license,
         description=f"A benchmark for single-depth-view shape completion from {head.texts.source}.",
         citation=head.citation,
-        date=day_of(head.citation, folder),
+        date=date,
         answers=options.datasheet,
         warnings=warnings,
         color=options.color,

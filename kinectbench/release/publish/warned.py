@@ -1,0 +1,88 @@
+"""The warnings of a release: they stand in the card, the datasheet, the page and croissant.json."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from kinectbench.core import listed
+from kinectbench.core.artefacts.benchmark import RecordingInfo
+from kinectbench.core.artefacts.targets import Target, by_recording
+from kinectbench.release.publish.attribution import reasons_against_distribution
+from kinectbench.release.publish.rebuilt import rebuilt_line
+from kinectbench.settings.models import BenchmarkSettings
+
+SHOWN_VIEWS = 6  # most views of a recording in a warning
+
+
+def release_warnings(
+    settings: BenchmarkSettings,
+    infos: Mapping[str, RecordingInfo],
+    targets: Sequence[Target],
+    of_gate: Iterable[str],
+    hold_back: Sequence[str],
+    isolates: bool,
+) -> list[str]:
+    """Return a release's warnings: possible harm first, then faults of the truth, then limits of its use.
+
+    Args:
+        settings: the benchmark's settings.
+        infos: {recording: its entry in benchmark.json}.
+        targets: every pair.
+        of_gate: the lines on recordings that are left out, poor, to review, or published twice.
+        hold_back: splits of which only inputs are published.
+        isolates: whether a single view is published of each object with held-back truth.
+    """
+    return [
+        *reasons_against_distribution(infos),
+        *gives_away(settings, infos, hold_back, isolates),
+        *of_gate,
+        *_of_quality(infos),
+        *_unknown(targets),
+        *_without_thresholds(settings, infos),
+    ]
+
+
+def gives_away(
+    settings: BenchmarkSettings, infos: Mapping[str, RecordingInfo], hold_back: Sequence[str], isolates: bool
+) -> Iterator[str]:
+    """Yield warnings on what a release may reveal: people in colour images, shapes that are held back.
+
+    The arguments are those of `release_warnings`.
+    """
+    if settings.publish.color:
+        yield "colour images are included: look through them for faces and people"
+    if hold_back and not isolates and (line := rebuilt_line(infos)):
+        yield line
+    if hold_back and settings.pairs.framing == "object":
+        yield (
+            "with framing 'object' the cube of a held-back pair tells how long its shape is and where its "
+            "middle lies: use `pairs: {framing: view}`"
+        )
+
+
+def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, RecordingInfo]) -> Iterator[str]:
+    """Yield a warning if the release has no validation split: methods get their thresholds from it."""
+    names = [recording.id for recording in settings.recordings if recording.split == "validation"]
+    if not any(name in infos for name in names):
+        why = f" is published, as this release is without {listed(names)}" if names else ""
+        yield f"no validation split{why}: thresholds are fixed at 0.5 unless a threshold file is given"
+
+
+def _of_quality(infos: Mapping[str, RecordingInfo]) -> Iterator[str]:
+    """Yield a line for each recording with quality warnings: the first warning, and how many follow."""
+    for name, info in infos.items():
+        warnings = info.quality.warnings
+        more = f" (and {len(warnings) - 1} more)" if len(warnings) > 1 else ""
+        if warnings:
+            yield f"{name}: {warnings[0]}{more}"
+
+
+def _unknown(targets: Sequence[Target]) -> Iterator[str]:
+    """Yield a line for each recording that has pairs whose true shape is entirely unknown."""
+    for name, pairs in by_recording(targets).items():
+        views = [target.view for target in pairs if target.unknown_share == 1]
+        if views:
+            count = "1 pair" if len(views) == 1 else f"{len(views)} pairs"
+            shown = f"{', '.join(views[:SHOWN_VIEWS])}{', …' if len(views) > SHOWN_VIEWS else ''}"
+            yield (
+                f"{name}: nothing of the true shape is known in {count} ({shown}); the protocol `known` "
+                "leaves them out"
+            )
