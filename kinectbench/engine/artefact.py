@@ -46,7 +46,7 @@ VERSIONS: dict[str, int] = {
     "track": 16,
     "fuse": 7,
     "segment": 54,
-    "sample-views": 7,
+    "sample-views": 8,
     "pairs": 4,
     "suggest": 8,
     "publish": 47,

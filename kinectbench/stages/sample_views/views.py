@@ -64,6 +64,7 @@ class View:
         pose_residual_m: residual between its depth and that of other frames, under the trajectory's poses,
             metres; None if unknown.
         too_far_share: share of its depth pixels beyond the range of a 16-bit depth image in mm.
+        depth_digest: of its depth in memory; empty in a view that was read from a file.
     """
 
     name: str
@@ -76,6 +77,7 @@ class View:
     blur: float | None = None
     pose_residual_m: float | None = None
     too_far_share: float = 0.0
+    depth_digest: bytes = b""
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,8 @@ def sample_views(
     """Try good frames, in the order of the strategy, until enough of them fit the object.
 
     With `random` every good frame is equally likely (paper, Sec. 3.6: 50 random views of the trajectory). A
-    refused frame is replaced by another good frame, if any is left.
+    refused frame is replaced by another good frame, if any is left. So is one with the depth image of an
+    earlier view, which a driver delivered twice: a pair would count twice.
 
     Args:
         sequence: the recording.
@@ -121,14 +124,18 @@ def sample_views(
     health = {row.frame: row for row in trajectory.health.per_frame} if trajectory.health else {}
     views: list[View] = []
     refused: list[tuple[int, str]] = []
+    names = dict[bytes, str]()
     look = partial(_look, sequence, trajectory, model, renderer, settings, segmentation)
     for seen in ahead(look, order):
         reason = refusal(seen.fit, settings, pairs)
+        if not reason and seen.depth_digest in names:
+            reason = f"its depth image is that of view {names[seen.depth_digest]}"
         if reason:
             refused.append((seen.frame, reason))
             continue
         name, row = f"{len(views):03d}", health.get(seen.frame)
         mask = seen.mask if masks is None else override_mask(seen.mask, masks, name, seen.frame)
+        names[seen.depth_digest] = name
         blur, residual_m = (row.blur, row.residual_m) if row else (None, None)
         views.append(replace(seen, name=name, mask=mask, blur=blur, pose_residual_m=residual_m))
         if progress:
@@ -159,6 +166,7 @@ def _look(
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
+    digest = hashlib.blake2b(np.ascontiguousarray(depth_m)).digest()
     too_far_share = too_far_for_mm(depth_m)
     recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
     if recorded is not None:
@@ -186,6 +194,7 @@ def _look(
         mask=mask,
         fit=fit_of_view(depth_m, rendered_m, mask, sequence, T_world_camera, model, renderer),
         too_far_share=too_far_share,
+        depth_digest=digest,
     )
 
 

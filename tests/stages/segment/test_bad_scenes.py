@@ -191,6 +191,14 @@ def test_an_object_too_large_to_be_one() -> None:
     assert warned(doubts, "2.8 m long") or warned(doubts, "2.9 m long")
 
 
+def test_a_depth_image_that_came_twice_is_one_view() -> None:
+    twice = recorded([FLOOR, OBJECT], AROUND.repeat(2, axis=0))
+    views = twice.views(twice.model())
+    assert len(views.views) == len({view.frame // 2 for view in views.views}) >= 10
+    again = [reason for _, reason in views.refused if "its depth image is that of view 0" in reason]
+    assert len(again) == len(views.views)
+
+
 def test_a_person_walking_through() -> None:
     def person(k: int) -> list[Callable[..., NDArray[np.float64]]]:
         x = -1.2 + 0.1 * k
