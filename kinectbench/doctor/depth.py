@@ -90,10 +90,9 @@ def check_intrinsics(probe: Probe) -> Iterator[Finding]:
     if off > OFF_CENTRE:
         what = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {size} images"
         turned = max(abs(camera.cy / camera.width - 0.5), abs(camera.cx / camera.height - 0.5))
-        swapped = f": cx and cy may be swapped, cx: {camera.cy:g}, cy: {camera.cx:g}"
-        yield Finding(
-            "principal_point", "warning", what, probe.where, advice + swapped * (turned < OFF_CENTRE)
-        )
+        swapped = f"; if cx and cy are swapped, `camera: {{cx: {camera.cy:g}, cy: {camera.cx:g}}}`"
+        centred = advice + swapped * (turned < OFF_CENTRE)
+        yield Finding("principal_point", "warning", what, probe.where, centred)
     view_deg = math.degrees(2 * math.atan(camera.width / (2 * camera.fx)))
     if not NARROWEST_DEG <= view_deg <= WIDEST_DEG:
         what = f"the field of view is {view_deg:.0f} degrees ({shown}, {size})"

@@ -53,8 +53,8 @@ def likely_cause(recording: Recording) -> tuple[str, bool]:
 
     Returns:
         The explanation, one line ("" if none of these faults is likely), and whether the poses prove it:
-            depth alone only shows that a scale is unlikely. Implausible intrinsics count as proven, unless
-            the poses fit: without the poses the result would be wrong, too.
+            depth alone only shows that a scale is unlikely. Implausible intrinsics count as proven if poses
+            are given and do not fit.
     """
     probe = probe_recording(recording)
     by_depth = [each for each in check_depth(probe) if each.name == "depth_scale"]
@@ -63,7 +63,10 @@ def likely_cause(recording: Recording) -> tuple[str, bool]:
         suspicion = "the depth's scale may be wrong" if each.name == "depth_scale" else "depth may be coded"
         return f"{each.where}: {suspicion}: {each.what}; {each.advice}{IN_CAMERA}", True
     for each in _of_intrinsics(probe, fit):
-        return f"{each.where}: {each.what}; {each.advice}; without the poses the object is wrong, too", True
+        said = f"{each.where}: {each.what}; {each.advice}"
+        return (
+            (said, False) if fit is None else (f"{said}; tracking without the poses does not mend it", True)
+        )
     edges = fit_edges(probe)
     of_poses = by_cause([*check_edges(probe, edges), *check_trajectory(probe, fit)], recording, edges, fit)
     for each in of_poses:
@@ -85,9 +88,14 @@ def _of_intrinsics(probe: Probe, fit: PoseFit | None) -> list[Finding]:
 class OffsetWatch:
     """Finds clock offsets from the frames that ingest reads anyway, so that none is read twice."""
 
-    def __init__(self, recording: Recording) -> None:
-        """Prepare to collect the frames that `inspect` would read."""
-        self._recording = recording
+    def __init__(self, recording: Recording, *, intrinsics_stated: bool = False) -> None:
+        """Prepare to collect the frames that `inspect` would read.
+
+        Args:
+            recording: the recording.
+            intrinsics_stated: whether the user states the intrinsics: then unlikely ones are no fault.
+        """
+        self._recording, self._stated = recording, intrinsics_stated
         self._gathering = ProbeBuilder(recording, frames_to_read(len(recording)), whole=0)
 
     def wants(self, index: int) -> bool:
@@ -109,7 +117,8 @@ class OffsetWatch:
 
     def camera_faults(self) -> list[str]:
         """Return the warnings about depth_scale and intrinsics, without paths, to be put into releases."""
-        return [f"{each.what}; {each.advice}" for each in self._findings if each.name in OF_CAMERA]
+        faults = {LENGTHS} if self._stated else OF_CAMERA
+        return [f"{each.what}; {each.advice}" for each in self._findings if each.name in faults]
 
     @cached_property
     def _findings(self) -> tuple[Finding, ...]:

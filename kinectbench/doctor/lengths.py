@@ -101,10 +101,10 @@ def stated_scale(recording: Recording) -> float:
 def check_lengths(probe: Probe, lengths: Lengths) -> Iterator[Finding]:
     """Report a depth scale or focal lengths with which the given poses fit much better.
 
-    Nothing is reported of implausible intrinsics (`check_intrinsics`): they explain the misfit, and other
-    lengths would only hide it.
+    Nothing is reported if another focal length fits and the intrinsics are implausible (`check_intrinsics`):
+    they explain the misfit, and other lengths would only hide it.
     """
-    if not lengths.implausible or any(check_intrinsics(probe)):
+    if not lengths.implausible or (lengths.focal != 1 and any(check_intrinsics(probe))):
         return
     recording = probe.recording
     parts, values = [], dict[str, float]()

@@ -98,7 +98,8 @@ def _ingest(work: Work[IngestSettings]) -> None:
     needed = work.settings.needs_trajectory
     watches = needed and not work.settings.own_pixels
     watched = recording if watches else replace(recording, given_trajectory=None)
-    watch = OffsetWatch(watched)
+    camera = work.settings.camera
+    watch = OffsetWatch(watched, intrinsics_stated=camera is not None and camera.states_intrinsics)
     partial, where = partial_sequence(), (work.folder, work.progress)
     write_sequence(recording, *where, needs_trajectory=needed, watch=watch, partial=partial)
 

@@ -96,7 +96,7 @@ class GateSettings(Settings):
         ge=0,
         le=100,
         description="most warnings about what was measured: several things, cut off, in pieces, without its "
-        "support, another floor, another size",
+        "support, another floor, another size, unlikely intrinsics",
     )
 
 

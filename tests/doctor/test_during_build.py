@@ -93,10 +93,13 @@ def test_implausible_intrinsics_are_doubted(poses: bool, tmp_path: Path) -> None
     recording = open_recording(with_swapped_centre(tmp_path / "r", poses))
     warnings = write_sequence(recording, tmp_path / "s", watch=OffsetWatch(recording))
     (doubt,) = CameraFile.read(tmp_path / "s").doubts
-    assert "the principal point (" in doubt and "cx and cy may be swapped" in doubt
+    assert "the principal point (" in doubt and "if cx and cy are swapped, `camera: {cx: 159.5" in doubt
     assert any(line.endswith(doubt) for line in warnings)
     cause, first = likely_cause(recording)
-    assert first and doubt in cause
+    assert first == poses and doubt in cause
+    stated = OffsetWatch(recording, intrinsics_stated=True)
+    assert write_sequence(recording, tmp_path / "t", watch=stated) == warnings
+    assert CameraFile.read(tmp_path / "t").doubts == ()  # whoever states them has looked at them
     # No other scale or focal length is advised: it would only hide the fault.
     assert not any(finding.name == "lengths_doubtful" for finding in inspect(recording.path)[0].findings)
 

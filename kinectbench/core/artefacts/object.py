@@ -33,9 +33,9 @@ FLOOR_CUT = "floor_cut: "
 # (chosen by hand).
 LEAST_UNDERSIDE_SHARE = 0.05
 # If more of the depth on an object contradicts its surface, the surface is wrong. Of 24 simulated objects at
-# most 0.02 % does, of a real cabinet and a chair 0.12 and 0.00 %; of the cabinet moved by 8 cm half-way 0.4
-# and 1.0 %, with swapped cx and cy 5 %, with focal lengths 10 to 15 % off 3 and 7 %, with poses that are
-# centimetres off 7 to 10 % (docs/evidence/ground-truth.md, The estimate).
+# most 0.01 % does, of a real cabinet and a chair 0.11 and 0.00 %; of the cabinet moved by 8 cm half-way 0.4
+# to 8 %, with wrong intrinsics 1.6 to 5 %, with poses that are centimetres off 7 to 8 %
+# (docs/evidence/ground-truth.md, The estimate).
 MAX_OFF_SHARE = 0.0025
 # Before the lines of `estimated_iou_reasons`, where an estimate is shown with its interval in brackets.
 REASONS_FOLLOW = "the interval in brackets is so wide because of"

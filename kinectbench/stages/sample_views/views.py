@@ -47,6 +47,11 @@ CUT_OFF, AT_BORDER = 0.02, 0.01
 FIT_FIGURES = tuple(field.name for field in fields(ViewFit) if field.name != "pixels")
 
 
+# A depth image that came twice has given poses of two stamps: at 30 Hz a hand moves by some cm between
+# them. An exact symmetric scene looks the same from farther apart, too.
+SAME_PLACE_M = 0.1
+
+
 @dataclass(frozen=True)
 class View:
     """One sampled view.
@@ -124,18 +129,14 @@ def sample_views(
     health = {row.frame: row for row in trajectory.health.per_frame} if trajectory.health else {}
     views: list[View] = []
     refused: list[tuple[int, str]] = []
-    names = dict[bytes, str]()
     look = partial(_look, sequence, trajectory, model, renderer, settings, segmentation)
     for seen in ahead(look, order):
-        reason = refusal(seen.fit, settings, pairs)
-        if not reason and seen.depth_digest in names:
-            reason = f"its depth image is that of view {names[seen.depth_digest]}"
+        reason = refusal(seen.fit, settings, pairs) or _came_before(seen, views)
         if reason:
             refused.append((seen.frame, reason))
             continue
         name, row = f"{len(views):03d}", health.get(seen.frame)
         mask = seen.mask if masks is None else override_mask(seen.mask, masks, name, seen.frame)
-        names[seen.depth_digest] = name
         blur, residual_m = (row.blur, row.residual_m) if row else (None, None)
         views.append(replace(seen, name=name, mask=mask, blur=blur, pose_residual_m=residual_m))
         if progress:
@@ -153,6 +154,16 @@ def sample_views(
     return Views(views, refused, warnings)
 
 
+def _came_before(seen: View, views: list[View]) -> str:
+    """Return why a frame is refused whose depth image an earlier view has, from the same place; or ""."""
+    for view in views:
+        if view.depth_digest == seen.depth_digest:
+            apart_m = view.alignment.T_world_camera[:3, 3] - seen.alignment.T_world_camera[:3, 3]
+            if np.linalg.norm(apart_m) < SAME_PLACE_M:
+                return f"its depth image is that of view {view.name}"
+    return ""
+
+
 def _look(
     sequence: Sequence,
     trajectory: Trajectory,
@@ -166,7 +177,7 @@ def _look(
     frame, why = chosen
     camera, floor, tolerance_m = sequence.camera, model.floor, segmentation.mask_tolerance_m
     depth_m = sequence.depth_m(frame)
-    digest = hashlib.blake2b(np.ascontiguousarray(depth_m)).digest()
+    digest = hashlib.blake2b(depth_m.tobytes()).digest()
     too_far_share = too_far_for_mm(depth_m)
     recorded = sequence.masks(frame) if sequence.masks and settings.recorded_masks else None
     if recorded is not None:

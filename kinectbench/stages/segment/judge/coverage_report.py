@@ -20,6 +20,7 @@ from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.core.voxels.surface_points import spacing_m
 from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor import GIVEN, Floor
 from kinectbench.stages.segment.find.object import Segmentation
@@ -30,9 +31,10 @@ from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
 COLUMNS = 160
 # A pixel moves if it is nearer than the scene by both; a frame, if this share of it does.
 NEARER_M, NEARER_SIGMAS, MOVING_SHARE = 0.1, 5.0, 0.02
-# Depth on the object contradicts its surface if it lies off it by this and as many sigmas. In such patches
-# objects of real and simulated recordings have hardly any (`MAX_OFF_SHARE`).
-OFF_M = 0.02
+# Depth on the object contradicts its surface if it lies off it by both, metres and spacings of the scene's
+# mesh, and by as many sigmas. In such patches objects have hardly any (`MAX_OFF_SHARE`). A mesh in voxels of
+# 20 mm wears thin parts away: its spacing is 28 mm, of the default ones 11 to 15 mm.
+OFF_M, OFF_SPACINGS = 0.02, 1.4
 # Speckle and edges are thinner than this many of the pixels looked at.
 THICK_PX = 3
 # A Kinect measures surfaces up to about this slant: a camera sees an upright side from this far around.
@@ -55,26 +57,28 @@ REMEDIES: Mapping[str, str] = {
 def contradictions(
     sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor, box: OrientedBox
 ) -> tuple[MovingPart, float]:
-    """Compare at most 40 good frames with the fused scene; return what moves, and what frames see through.
+    """Compare at most 40 good frames with the fused scene; find what moves and what contradicts the object.
 
     The pixels are sampled in about 160 columns. One moves if it is nearer than the scene by more than max(5
     sigma, 0.1 m), lies more than 0.1 m above the floor (which is measured badly at a grazing angle), and is
     in a patch at least three sampled pixels wide; a frame, if 2 % of its pixels do. What moves leaves no
     surface in the fused scene, because other frames saw through it.
 
-    One contradicts the object's surface if it lies behind it (a surface in `box`) or before it (as a point
-    in `box`) by more than max(5 sigma, 20 mm), and 20 mm above the floor, in such a patch, too. None does
-    unless the object was moved or changed, or poses or intrinsics are wrong.
+    One contradicts the object's surface if it lies behind it (a surface in `box`) or, where nothing moves,
+    before it (as a point in `box`) by more than max(5 sigma, 20 mm, 1.4 spacings of the scene's mesh), and 20
+    mm above the floor, in such a patch, too. Hardly any does unless the object was moved or changed, or
+    poses, intrinsics or depth are wrong.
 
     Returns:
-        The frames in which something moves; and the share of the depth on the object that contradicts it.
+        The frames in which something moves; and the share of the depth on the object that contradicts it, to
+        four digits.
     """
     good = trajectory.good_frames
     judged = some_frames(good)
     step_px = max(1, round(sequence.camera.width / COLUMNS))
     camera = sequence.camera.every(step_px)
     rays, renderer = camera.rays(), DepthRenderer(scene)
-    shares, on, off = list[float](), 0, 0
+    shares, on, off, least_m = list[float](), 0, 0, max(OFF_M, OFF_SPACINGS * spacing_m(scene))
     for frame, measured_m in zip(judged, sequence.depths_m(judged, step_px), strict=True):
         T_world_camera = trajectory.T_world_camera[frame]
         heights_m = floor.heights_m(measured_m, camera, T_world_camera)
@@ -82,17 +86,20 @@ def contradictions(
         both, sigmas_m = (measured_m > 0) & (scene_m > 0), NEARER_SIGMAS * depth_sigma_m(scene_m)
         nearer = both & (scene_m - measured_m > np.maximum(sigmas_m, NEARER_M))
         shares.append(float(_patches(nearer & (heights_m > NEARER_M)).mean()))
-        T_floor_camera, least_m = floor.T_floor_world @ T_world_camera, np.maximum(sigmas_m, OFF_M)
+        T_floor_camera, off_m = floor.T_floor_world @ T_world_camera, np.maximum(sigmas_m, least_m)
         seen, there = (
             both & _above_floor_in(box, transform_points(T_floor_camera, rays * depth_m[..., None]))
             for depth_m in (measured_m, scene_m)
         )
-        before, behind = seen & (scene_m - measured_m > least_m), there & (measured_m - scene_m > least_m)
-        on += int(there.sum())
-        off += int(_patches(before).sum()) + int(_patches(behind).sum())
+        if shares[-1] > MOVING_SHARE:  # somebody walks through: that leaves no surface
+            seen = there
+        else:
+            off += int(_patches(seen & (scene_m - measured_m > off_m)).sum())
+        off += int(_patches(there & (measured_m - scene_m > off_m)).sum())
+        on += int((seen | there).sum())
     moving: Int64 = judged[np.array(shares) > MOVING_SHARE]
     part = MovingPart(judged=len(judged), frames=tuple(moving.tolist()), largest_share=round(max(shares), 4))
-    return part, min(1.0, off / max(on, 1))
+    return part, round(off / max(on, 1), 4)
 
 
 def _above_floor_in(box: OrientedBox, points: Float64) -> Bools:
@@ -219,7 +226,7 @@ def _of_contradictions(off_share: float) -> list[str]:
         return []
     return [
         f"{off_share:.1%} of the depth on the object lies 2 cm and more off its surface, whose shape is "
-        "wrong there: the object was moved or changed, or poses or intrinsics are wrong; look at "
+        "wrong there: the object was moved or changed, or poses, intrinsics or depth are wrong; look at "
         "object/mesh.ply, and record it again, or correct them"
     ]
 
@@ -282,6 +289,6 @@ def coverage_report(
         towards_rad=np.radians(round(np.degrees(towards_rad), 1)),
         share=round(hidden_share, 4),
     )
-    shares = round(too_far, 4), round(off_share, 4)
+    shares = round(too_far, 4), off_share
     lines = tuple(warnings), choice_warnings
     return CoverageReport(len(good), figures, moving, max_depth_m, *shares, *lines, first_rad)

@@ -19,7 +19,7 @@ from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.select import fit_box
-from kinectbench.stages.segment.judge.quality import BOX_DECIMALS_M, BOX_DECIMALS_RAD
+from kinectbench.stages.segment.judge.quality import BOX_DECIMALS_M, BOX_DECIMALS_RAD, OF_REPORT
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.reference.mesh import Reference, read_reference
@@ -37,15 +37,7 @@ from kinectbench.stages.segment.solid.solid import SolidShape
 # that was itself fused from the recording lies at .006 mm, with an error of 2.5 mm.
 LEAST_NOISE = 0.05
 # Keys of the fused truth's quality that also hold for a reference: they describe frames, not the solid.
-OF_FRAMES = (
-    "selection",
-    "good_frames",
-    "unseen_side",
-    "moving",
-    "max_depth_m",
-    "beyond_share",
-    "behind_share",
-)
+OF_FRAMES = ("selection", *OF_REPORT)
 
 
 def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
