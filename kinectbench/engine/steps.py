@@ -99,7 +99,8 @@ def _ingest(work: Work[IngestSettings]) -> None:
     watches = needed and not work.settings.own_pixels
     watched = recording if watches else replace(recording, given_trajectory=None)
     camera = work.settings.camera
-    watch = OffsetWatch(watched, intrinsics_stated=camera is not None and camera.states_intrinsics)
+    stated = camera is not None and None not in (camera.fx, camera.fy, camera.cx, camera.cy)
+    watch = OffsetWatch(watched, intrinsics_stated=stated)
     partial, where = partial_sequence(), (work.folder, work.progress)
     write_sequence(recording, *where, needs_trajectory=needed, watch=watch, partial=partial)
 

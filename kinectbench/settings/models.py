@@ -65,11 +65,6 @@ class CameraSettings(Settings):
     sensor: str | None = Field(None, pattern="^NP[1-5]$", description="camera of YCB that is read")
     swap_red_blue: bool = Field(False, description="whether colour is stored with red and blue exchanged")
 
-    @property
-    def states_intrinsics(self) -> bool:
-        """Whether all four intrinsics are given here."""
-        return None not in (self.fx, self.fy, self.cx, self.cy)
-
 
 class BoxSettings(Settings):
     """An upright box around the object, in the floor frame (z up, floor at z = 0)."""
