@@ -184,6 +184,10 @@ def _list(common: Common) -> None:
     common.tell(rows, lines)
 
 
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
 def tell_recorded(common: Common, done: "Recorded", speed: float | None) -> None:
     """Print the outcome of a recording.
 
@@ -195,16 +199,19 @@ def tell_recorded(common: Common, done: "Recorded", speed: float | None) -> None
     counts = {"frames": done.frames, "missed": done.missed, "dropped": done.dropped}
     value = {"folder": str(done.folder), "device": done.device, **counts, "seconds": done.seconds}
     value |= {"clock_set_back": done.set_back, "failure": done.failure or None}
-    common.tell(value, [f"wrote {done.folder}: {done.frames} frames in {done.seconds:.1f} s"])
+    common.tell(value, [f"wrote {done.folder}: {_counted(done.frames, 'frame')} in {done.seconds:.1f} s"])
     number = f"of {done.frames + done.missed + done.dropped}"
     slower = "give a lower --speed to have them"
-    usb = "try another cable and port, and end programs that compute"
-    late = usb if speed is None else slower if speed > 1 else "`kinectbench inspect` names damaged ones"
+    usb = "try another cable and port, and close other programs"
+    look = "if some are damaged, `kinectbench inspect` names them"
+    late = usb if speed is None else slower if speed > 1 else look
     disk = "record to a faster one" if speed is None else slower
+    missed, dropped = _counted(done.missed, "frame"), _counted(done.dropped, "frame")
+    back = _counted(done.set_back, "time")
     warnings = {
-        f"{done.missed} frames never arrived ({number}; too late, or damaged); {late}": done.missed,
-        f"{done.dropped} frames were not written ({number}): the disk is too slow; {disk}": done.dropped,
-        f"the device's clock went back {done.set_back} times; stamps go on by this machine's": done.set_back,
+        f"{missed} never arrived ({number}; too late, or damaged); {late}": done.missed,
+        f"{dropped} could not be written ({number}): the disk is too slow; {disk}": done.dropped,
+        f"the device's clock went back {back}; stamps go on by this machine's": done.set_back,
     }
     said = [text for text, count in warnings.items() if count]
     said += [f"an observer failed: {words}" for words in done.observers]

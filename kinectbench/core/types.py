@@ -31,9 +31,10 @@ def no_progress(*_done: str | int) -> None:
 
 # The part of a benchmark to which a recording belongs.
 Split = Literal["train", "validation", "test"]
-# A person's statement on the underside of an object, which no camera saw, and how to find it out.
+# A person's statement on the underside of an object, which no camera saw, and what it means.
 Underside = Literal["closed", "open", "unseen"]
-CLOSED_MEANS, OPEN_MEANS = "turn it over, and the hand meets one face", "the hand goes in"
+CLOSED_MEANS = "no space behind it is open to the air"
+OPEN_MEANS = "a space behind it is open to the air"
 # How to read 16-bit depth: as it is; with its low 3 bits moved to the top; as the bits of a float16 in
 # metres; or as the distance along the ray.
 DepthCode = Literal["plain", "rotated", "float16", "ray_distance"]

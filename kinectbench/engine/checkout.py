@@ -102,13 +102,13 @@ class _Listing:
     Attributes:
         store: store of the benchmark's root.
         files: the recording's own files.
-        built: names of all files below `build/<recording>/`.
+        built: all files below `build/<recording>/`, by name.
         sources: name of the file for the hashes of the recording's files.
     """
 
     store: Store
     files: Sequence[StoredObject]
-    built: frozenset[str]
+    built: Mapping[str, StoredObject]
     sources: str
 
 
@@ -122,7 +122,7 @@ def store_of(job: Job) -> Store:
 def _listing(job: Job) -> _Listing:
     store = store_of(job)
     files = files_of_recording(store, job)
-    built = frozenset(each.name for each in store.objects(f"build/{job.recording.id}"))
+    built = {each.name: each for each in store.objects(f"build/{job.recording.id}")}
     if Path(job.recording.path).is_absolute() and not job.source.exists():
         kept = [name for name in built if name.startswith(f"build/{job.recording.id}/{SOURCES}/")]
         if len(kept) == 1:  # deleted after its build: what is stored is of these files
@@ -150,7 +150,7 @@ def _checkout(listing: _Listing, job: Job, known: Sources, upto: str) -> Checkou
     failed = f"build/{name}/{Failed.FILE}"
     if failed in listing.built:
         store.fetch(failed, job.build / Failed.FILE, MOST_FAILED_BYTES)
-    return Checkout(store, job, artefacts, current, listing.built, failed in listing.built)
+    return Checkout(store, job, artefacts, current, frozenset(listing.built), failed in listing.built)
 
 
 def fetch_named(store: Store, job: Job) -> None:
@@ -183,8 +183,8 @@ def name_there(store: Store, job: Job, key: str) -> str | None:
     return str(path)
 
 
-def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """Return the stages that are up to date in the store, and why the last run failed (None: it did not).
+def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredObject]]:
+    """Return the stages that are up to date in the store, why the last run failed (None), and what is built.
 
     The recording is not downloaded. If its files have not been hashed, no stage is known to be up to date. A
     missing recording, or a path that leads out of the store, counts as a failure.
@@ -194,29 +194,29 @@ def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None]:
         with scratch_folder() as root, named_as_there(listing.store, root):
             known = _of_known_files(listing, replace(job, root=root), STAGES[-1].name)
     except (RecordingError, SettingsError) as error:
-        return (), Failed(stage=None, error=str(error), code=error.code)
+        return (), Failed(stage=None, error=str(error), code=error.code), []
     name, failed = f"build/{job.recording.id}/{Failed.FILE}", None
     if name in listing.built:
         text = listing.store.read(name, MOST_FAILED_BYTES)
         failed = Failed.parse(text.decode("utf-8", errors="replace"), listing.store.place(name))
-    return () if known is None else known.current, failed
+    return () if known is None else known.current, failed, list(listing.built.values())
 
 
-def newest_there(job: Job, stage: str) -> Manifest | None:
-    """Return the manifest of the artefact of a stage that was stored last; None if it is damaged, or none is.
+def newest_there(job: Job, stage: str, built: Sequence[StoredObject]) -> Manifest | None:
+    """Return the manifest of the artefact of a stage that was stored last; None without one to read.
 
-    Raises:
-        StorageError: the store cannot be read.
+    Args:
+        job: the recording.
+        stage: name of the stage.
+        built: files of the store below `build/<recording>/`.
     """
     store = store_of(job)
-    listed = store.objects(f"build/{job.recording.id}/{stage}")
-    made = [each for each in listed if PurePosixPath(each.name).name == Manifest.FILE]
+    made = [each for each in built if PurePosixPath(each.name).match(f"{stage}/*/{Manifest.FILE}")]
     if not made:
         return None
     name = max(made, key=lambda each: each.modified_s).name
-    text = store.read(name).decode("utf-8", errors="replace")
     with contextlib.suppress(StorageError):
-        return Manifest.parse(text, store.place(name))
+        return Manifest.parse(store.read(name).decode("utf-8", errors="replace"), store.place(name))
     return None
 
 

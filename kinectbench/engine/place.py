@@ -13,7 +13,7 @@ from kinectbench.core import KILLED, StorageError
 from kinectbench.core.artefacts.manifest import Failed
 from kinectbench.core.artefacts.stored import StoredPart
 from kinectbench.core.store.address import url_of
-from kinectbench.core.store.store import in_parallel
+from kinectbench.core.store.store import StoredObject, in_parallel
 from kinectbench.core.types import NamedProgress
 from kinectbench.engine.artefact import whole_manifest
 from kinectbench.engine.failures import keep_failure, stored_failure
@@ -49,13 +49,13 @@ def build_at_its_place(
     return build_stored(job, upto, force, progress, limit_s=limit_s, hung=hung)
 
 
-def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None]:
-    """Return the stages that are up to date, and why the last run failed (None: it did not)."""
+def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredObject]]:
+    """Return the stages that are up to date, why the last run failed (None), and what a store has of it."""
     if url_of(job.root) is not None:
         from kinectbench.engine.checkout import status_there
 
         return status_there(job)
-    return tuple(current_stages(job.build, job)), stored_failure(job.build)
+    return tuple(current_stages(job.build, job)), stored_failure(job.build), []
 
 
 def keep_killed(job: Job, error: str) -> None:
@@ -118,7 +118,7 @@ def statuses(jobs: Iterable[Job]) -> list[RecordingStatus]:
 
 
 def _status(job: Job) -> RecordingStatus:
-    current, failed = status_of(job)
+    current, failed, built = status_of(job)
     left = [stage for stage in STAGES if stage.name not in current]
     state: State = "failed" if failed else "missing" if left else "done"
     return RecordingStatus(
@@ -126,13 +126,13 @@ def _status(job: Job) -> RecordingStatus:
         state=state,
         current=current,
         next=left[0].name if left else None,
-        differs=_differing_setting(job, left[0]) if left else None,
+        differs=_differing_setting(job, left[0], built) if left else None,
         error=failed.error if failed else None,
         code=failed.code if failed else None,
     )
 
 
-def _differing_setting(job: Job, stage: Stage) -> str | None:
+def _differing_setting(job: Job, stage: Stage, built: Sequence[StoredObject]) -> str | None:
     """Return the key of the first setting that a made stage has otherwise, as views.count; None if none has.
 
     A missing or damaged artefact, and one of another version of the stage, has no such setting. Of those in a
@@ -143,7 +143,7 @@ def _differing_setting(job: Job, stage: Stage) -> str | None:
     else:
         from kinectbench.engine.checkout import newest_there
 
-        manifest = newest_there(job, stage.name)
+        manifest = newest_there(job, stage.name, built)
     if manifest is None or manifest.stage_version != stage.version:
         return None
     key = next(_differing(manifest.settings, stage.settings(job)), None)

@@ -35,7 +35,10 @@ MOST_DELAY_S = 4e9
 # Depth up to this range is always fused, unless a person sets less: it contains most furniture (the rules for
 # solids were chosen with it).
 LEAST_RANGE_M = 3.0
-UNDERSIDE = f"closed: {CLOSED_MEANS}; open: {OPEN_MEANS}, as between a chair's aprons; unseen: nobody looked"
+UNDERSIDE = (
+    f"closed: {CLOSED_MEANS}; open: {OPEN_MEANS}, as between a chair's aprons; unseen: nobody looked. Turn "
+    "it over: if it is closed, the hand meets one face"
+)
 
 
 class CameraSettings(Settings):

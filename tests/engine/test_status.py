@@ -10,7 +10,13 @@ from small_benchmark import Run, copied, hashes
 from stored_benchmark import know_sources, put_benchmark
 from stores import s3, s3_server
 
+from kinectbench.core.artefacts.manifest import Manifest
+from kinectbench.core.store.attempts import MissingObjectError
+from kinectbench.core.store.store import Store, StoredObject
 from kinectbench.engine.pipeline import STAGE_NAMES
+from kinectbench.engine.place import statuses
+from kinectbench.engine.stages import Job
+from kinectbench.settings.file import load_benchmark
 
 __all__ = ["s3", "s3_server"]
 Command = Callable[..., Run]
@@ -93,3 +99,27 @@ def test_what_was_built_there_of_other_settings_is_told(
     told = command(tmp_path, *status, "--set", "views.count=2").out
     assert told.endswith("0 of 2 done, 0 failed, 0 missing, 2 of other settings\n")
     assert command(tmp_path, *status).out.endswith("0 of 2 done, 0 failed, 2 missing\n")
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_manifest_that_is_deleted_meanwhile_ends_nothing_and_what_is_built_is_listed_once(
+    small: Path, s3: str, monkeypatch: pytest.MonkeyPatch, lost: bool
+) -> None:
+    put_benchmark(small, s3, STAGE_NAMES[:1])
+    settings = load_benchmark(Path(s3) / "benchmark.yaml")
+    listed, objects, read = list[str](), Store.objects, Store.read
+
+    def seen(self: Store, below: str = "", *most: int) -> list[StoredObject]:
+        listed.append(below)
+        return objects(self, below, *most)
+
+    def gone(self: Store, name: str, *most: int) -> bytes:
+        if lost and name.endswith(Manifest.FILE):
+            raise MissingObjectError(f"{name}: is gone")
+        return read(self, name, *most)
+
+    monkeypatch.setattr(Store, "objects", seen)
+    monkeypatch.setattr(Store, "read", gone)
+    rows = statuses(Job(settings, each, Path(s3)) for each in settings.recordings)
+    assert [(row.state, row.next, row.differs) for row in rows] == [("missing", "ingest", None)] * 2
+    assert sorted(name for name in listed if name.startswith("build")) == ["build/chair", "build/table"]

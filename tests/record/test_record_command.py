@@ -143,14 +143,14 @@ def test_missed_frames_are_told(
     done = Recorded(tmp_path / "out", "replay", 9, 1, 0, 0, 1.0)
     monkeypatch.setattr("kinectbench.cli.record._recorded", lambda *_: done)
     run = command(tmp_path, "record", "out", "--from", str(source), "--speed", speed)
-    assert "1 frames never arrived" in run.err and ("give a lower --speed" in run.err) == advised
+    assert "1 frame never arrived" in run.err and ("give a lower --speed" in run.err) == advised
 
 
 @pytest.mark.parametrize(
     ("speed", "remedies"),
     [
-        (None, ("try another cable and port", "record to a faster one")),
-        (1.0, ("`kinectbench inspect` names damaged ones", "give a lower --speed")),
+        (None, ("another cable and port, and close other programs", "record to a faster one")),
+        (1.0, ("if some are damaged, `kinectbench inspect` names them", "give a lower --speed")),
         (1000.0, ("give a lower --speed", "give a lower --speed")),
     ],
 )
@@ -160,7 +160,7 @@ def test_lost_frames_are_told_with_their_share_and_the_remedy(
     tell_recorded(Common(), Recorded(Path("out"), "it", 2, 5, 3, 0, 1.0), speed)
     never, dropped = capsys.readouterr().err.replace("\n", " ").split("warning: ")[1:]
     assert "5 frames never arrived (of 10;" in never and remedies[0] in never
-    assert "3 frames were not written (of 10)" in dropped and remedies[1] in dropped
+    assert "3 frames could not be written (of 10)" in dropped and remedies[1] in dropped
 
 
 def test_killed_at_random_moments_it_is_readable_to_the_last_second(tmp_path: Path, source: Path) -> None:

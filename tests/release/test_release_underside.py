@@ -59,14 +59,15 @@ def recording(word: Underside | None, share: float | None = None) -> RecordingIn
 def test_one_line_says_whose_word_it_is(words: tuple[Underside | None], begins: str, rests: bool) -> None:
     line = underside_line({str(number): recording(word) for number, word in enumerate(words)})
     assert line.startswith(begins) and (line == "") == (begins == "") and "\n" not in line
-    assert (RESTS in line) == rests == ("the word of whoever recorded it" in line)
+    assert (RESTS in line) == rests == (" by the word of whoever recorded it" in line)
     assert (CLOSED_MEANS in line) == rests
 
 
 def test_settings_cards_and_messages_explain_the_words_alike() -> None:
     solid = np.ones((3, 3, 3), bool)
     (line,) = _underside_question(replace(shape_of(solid), underside=solid), "unseen")
-    assert f"`underside: closed` ({CLOSED_MEANS})" in line and f"`underside: open` ({OPEN_MEANS})" in line
+    assert f"`underside: closed` if {CLOSED_MEANS}, " in line and f"`underside: open` if {OPEN_MEANS}" in line
+    assert "space behind it is open to the air" in CLOSED_MEANS and "hand meets one face" in UNDERSIDE
     assert f"closed: {CLOSED_MEANS}; open: {OPEN_MEANS}" in UNDERSIDE
 
 

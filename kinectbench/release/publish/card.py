@@ -102,9 +102,8 @@ def underside_line(recordings: Mapping[str, RecordingInfo]) -> str:
     line = f"Underside, as stated of {by_word.total()} recording{'s' * (by_word.total() > 1)}: {counts}."
     if by_word["closed"]:
         line += (
-            f" `closed` ({CLOSED_MEANS}) is the word of whoever "
-            "recorded it, no measurement, and the ground truth rests on it: what could be seen from below "
-            "only counts as known and solid."
+            f" It is `closed` ({CLOSED_MEANS}) by the word of whoever recorded it, no measurement, and the "
+            "ground truth rests on it: what could be seen from below only counts as known and solid."
         )
     return line
 

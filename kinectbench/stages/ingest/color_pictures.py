@@ -10,10 +10,14 @@ from kinectbench.stages.ingest.images import DamagedImageError, decode_unchanged
 from kinectbench.stages.ingest.netpbm import BETWEEN, HEAD_BYTES
 
 BMP_MAGIC, PPM_MAGIC = b"BM", b"P6"
-PPM_HEAD = re.compile(PPM_MAGIC + BETWEEN + rb"(\d{1,6})" + BETWEEN + rb"(\d{1,6})" + BETWEEN + rb"\d{1,5}\s")
+PPM_HEAD = re.compile(
+    PPM_MAGIC + BETWEEN + rb"(\d{1,6})" + BETWEEN + rb"(\d{1,6})" + BETWEEN + rb"(\d{1,5})\s"
+)
 # Where a BMP begins its second header, whose first number is its length; of the oldest kind it is 12, and the
 # sides are then of 16 bits (Microsoft's BITMAPCOREHEADER and BITMAPINFOHEADER).
 BMP_INFO, BMP_CORE_BYTES = 14, 12
+# Largest value of a channel of 8 bits, and the largest that a PPM may state (netpbm.sourceforge.net).
+WHITE, MOST_WHITE = 255, 65535
 
 
 def as_png(data: bytes, name: str) -> bytes:
@@ -28,26 +32,27 @@ def as_png(data: bytes, name: str) -> bytes:
     """
     if not data.startswith((BMP_MAGIC, PPM_MAGIC)):
         return data
-    width, height = size_px = _size_px(data)
-    if not width * height:
+    width, height, white = _head(data)
+    if not width * height or not 0 < white <= MOST_WHITE:
         raise DamagedImageError(f"{name}: the head of the image is damaged")
     if is_too_large(width, height):
         raise DamagedImageError(f"{name}: {width}x{height} are more pixels than an image may have")
     pixels = decode_unchanged(data, name)
-    if pixels.shape[1::-1] != size_px:
+    if pixels.shape[1::-1] != (width, height):
         raise DamagedImageError(f"{name}: the image is damaged")
-    bytes_of = pixels if pixels.dtype == np.uint8 else (pixels.astype(np.uint16) >> 8).astype(np.uint8)
-    return encode_png(np.asarray(bytes_of[..., :3] if bytes_of.ndim == 3 else bytes_of, np.uint8), fast=True)
+    if white != WHITE:
+        pixels = np.minimum((pixels.astype(np.uint32) * WHITE + white // 2) // white, WHITE)
+    return encode_png(np.asarray(pixels[..., :3] if pixels.ndim == 3 else pixels, np.uint8), fast=True)
 
 
-def _size_px(data: bytes) -> tuple[int, int]:
-    """Return width and height that the head of a BMP or PPM states, pixels; (0, 0) if it states none."""
+def _head(data: bytes) -> tuple[int, int, int]:
+    """Return width and height that the head of a BMP or PPM states, pixels, and the largest value, or 0s."""
     if data.startswith(PPM_MAGIC):
         match = PPM_HEAD.match(data[:HEAD_BYTES])
-        return (int(match[1]), int(match[2])) if match else (0, 0)
+        return (int(match[1]), int(match[2]), int(match[3])) if match else (0, 0, 0)
     try:
         (length,) = struct.unpack_from("<I", data, BMP_INFO)
         width, height = struct.unpack_from("<HH" if length == BMP_CORE_BYTES else "<ii", data, BMP_INFO + 4)
     except struct.error:
-        return 0, 0
-    return max(width, 0), abs(height)
+        return 0, 0, 0
+    return max(width, 0), abs(height), WHITE

@@ -43,8 +43,10 @@ FARTHEST_M = 50.0
 # Between neighbours whose high bytes differ by one, depth in two channels mostly changes by less than
 # SMALL_STEP, because surfaces are smooth. In a false-colour picture the channels are not related like this.
 SMALL_STEP, SMALL_SHARE, LEAST_STEPS = 64, 0.8, 16
-# Signature of OpenEXR (its file layout).
+# Signature of OpenEXR (its file layout), and how its Python package reads a channel of a file {f}; OpenCV's
+# packages are built without it.
 EXR_MAGIC = b"v/1\x01"
+READ_EXR = "OpenEXR.File({f}, separate_channels=True).channels().popitem()[1].pixels"
 # Signature of HDF5 (its file format specification, III.A).
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 # Errors of h5py on damaged files: by its documentation only OSError, KeyError and ValueError; RuntimeError
@@ -69,6 +71,7 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
         OddImageError: the image is intact, but not a depth image, or in EXR.
         RecordingError: the image is in HDF5, and h5py is not installed.
     """
+    _refuse_exr(data, name)
     if _is_array(data, name):
         return _as_depth(_array(data, name), name)
     if data[:4] in TIFF_MAGICS:
@@ -89,6 +92,7 @@ def decode_depth_file(data: bytes, name: str, channels: Channels | None = None) 
 
 def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
     """Return width and height of a depth image, pixels; raise errors as `decode_depth_file` does."""
+    _refuse_exr(data, name)
     if _is_array(data, name):
         height, width = _array(data, name).shape
         return width, height
@@ -96,13 +100,16 @@ def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
         return _tiff_size_px(data, name)
     if is_netpbm(data, name):
         return netpbm_head(data, name)[:2]
+    return image_header(data, name)[1:]
+
+
+def _refuse_exr(data: bytes, name: str) -> None:
     if data.startswith(EXR_MAGIC):
         raise OddImageError(
-            f"{name}: EXR images are not read: write each as .npy in metres, which OpenCV (cv2.imread) does "
-            "with OPENCV_IO_ENABLE_OPENEXR=1 in the environment",
+            f"{name}: EXR images are not read: write each as .npy in metres; in Python "
+            f"`{READ_EXR.format(f='path')}` reads one, after `pip install OpenEXR`",
             advice="",
         )
-    return image_header(data, name)[1:]
 
 
 def _is_array(data: bytes, name: str) -> bool:

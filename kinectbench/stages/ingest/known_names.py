@@ -36,27 +36,35 @@ def in_order(folder: Path, names: Collection[str]) -> Iterator[Path]:
 
 def first_named(folder: Path, names: Collection[str]) -> Path | None:
     """Return the first file of `in_order`; None if there is none."""
-    return next((file for file in in_order(folder, names) if file.is_file()), None)
+    return first_file(folder / name for name in names)
 
 
 def first_file(candidates: Iterable[Path]) -> Path | None:
-    """Return the first file of several paths, as `in_any_case` finds each; None if none exists."""
-    found = (in_any_case(file.parent, file.name) for file in candidates)
+    """Return the first file of several paths, or of these as `in_any_case` finds each; None without one."""
+    files = list(candidates)
+    found = chain(files, (in_any_case(file.parent, file.name) for file in files))
     return next((file for file in found if file.is_file()), None)
 
 
 def visible(folder: Path, *patterns: str) -> list[Path]:
     """List files in a folder that match a pattern, in any case, without hidden files.
 
+    They are in the order of the patterns, and of each pattern those in its own case come last.
+
     Args:
         folder: a folder; of anything else the list is empty.
         patterns: as `fnmatch` reads them.
     """
 
-    def matches(name: str) -> bool:
-        return any(fnmatchcase(name.lower(), each.lower()) for each in patterns) and not name.startswith(".")
+    def matches(name: str) -> list[bool]:
+        found = [fnmatchcase(name.lower(), each.lower()) for each in patterns]
+        return found if any(found) and not name.startswith(".") else []
 
-    return list(listed_paths(folder, wanted=matches)) if folder.is_dir() else []
+    def rank(file: Path) -> tuple[int, bool, str]:
+        kind = matches(file.name).index(True)
+        return kind, fnmatchcase(file.name, patterns[kind]), file.name
+
+    return sorted(listed_paths(folder, wanted=matches), key=rank) if folder.is_dir() else []
 
 
 def clashing(folder: Path, known: Iterable[str]) -> list[str]:
@@ -107,7 +115,7 @@ def _by_lower(folder: Path) -> dict[str, list[str]]:
     return _listed(folder, folder.stat().st_mtime_ns) if folder.is_dir() else {}
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=16)
 def _listed(folder: Path, mtime_ns: int) -> dict[str, list[str]]:
     """Do as `_by_lower`; a folder that has not changed since, by its `mtime_ns`, is listed once."""
     names = [entry.name for entry in islice(scanned(folder), LOOKED_AT + 1)]

@@ -42,7 +42,7 @@ CONVERTED = {
 NAMED = {
     ".h5": (b"\x89HDF\r\n\x1a\n", r"\.h5 is not read: .*h5py\.File"),
     ".mat": (b"MATLAB", r"\.mat is not read: .*scipy\.io\.loadmat"),
-    ".exr": (b"v/1\x01", r"EXR images are not read.*OPENCV_IO_ENABLE_OPENEXR"),
+    ".exr": (b"v/1\x01", r"EXR images are not read.*`import OpenEXR, numpy; numpy\.save"),
     ".pkl": (b"\x80\x04", r"\.pkl is not read: write it as 16-bit PNG in mm"),
     ".ply": (b"ply\n", "clouds of points: export the depth images"),
     ".png.gz": (gzip.compress(png(MM)), r"\.gz is not read: unpack them"),

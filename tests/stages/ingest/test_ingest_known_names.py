@@ -12,7 +12,7 @@ from raising import raises
 
 from kinectbench.core.errors import RecordingError
 from kinectbench.stages.ingest.intrinsics_files import LIKE_INTRINSICS
-from kinectbench.stages.ingest.known_names import first_named, in_any_case
+from kinectbench.stages.ingest.known_names import first_file, first_named, in_any_case, visible
 from kinectbench.stages.ingest.readers import find_recordings, open_recording
 from kinectbench.stages.ingest.readers.folder_images import color_images
 from kinectbench.stages.ingest.readers.phone_images import ConfidenceRecording
@@ -75,6 +75,29 @@ def test_two_names_that_differ_in_case_alone_are_ambiguous(tmp_path: Path) -> No
         pytest.skip("this file system does not tell them apart")
     with raises(RecordingError, "recording.no-intrinsics", match=r"(CAMERA|Camera)\.json holds the camera"):
         open_recording(folder)
+
+
+def test_an_exact_name_comes_before_another_case_of_an_earlier_one(tmp_path: Path) -> None:
+    for name in ("1.PNG", "1.jpg"):
+        (tmp_path / name).touch()
+    for names in (["1.png", "1.jpg"], ["1.jpg", "1.png"]):
+        assert first_file(tmp_path / name for name in names) == tmp_path / "1.jpg"
+    (tmp_path / "1.jpg").unlink()
+    assert first_file([tmp_path / "1.png", tmp_path / "1.jpg"]) == tmp_path / "1.PNG"
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_files_are_listed_in_one_order_whatever_the_disk_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, turn: int
+) -> None:
+    there = ["1.png", "1.npy", "1.PNG", "1.NPY"]
+    order = [tmp_path / name for name in (*there[turn:], *there[:turn])]
+    monkeypatch.setattr(
+        "kinectbench.stages.ingest.known_names.listed_paths",
+        lambda folder, wanted: (file for file in order if wanted(file.name)),
+    )
+    names = [file.name for file in visible(tmp_path, "*.npy", "*.png")]
+    assert names == ["1.NPY", "1.npy", "1.PNG", "1.png"]  # of one stem, the last is kept
 
 
 def test_misspelled_names_are_told_with_the_nearest(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from kinectbench.core import printable, read_head, scanned
-from kinectbench.stages.ingest.depth_files import SUFFIXES, depth_size_px
+from kinectbench.stages.ingest.depth_files import READ_EXR, SUFFIXES, depth_size_px
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_IMAGES, LEAST_SIDE_PX
 from kinectbench.stages.ingest.recording import read_image_file
@@ -34,7 +34,7 @@ CONVERT = f"write it {AS_READ}"
 # Kind -> how to read a file {f} as an array in Python.
 READ_BY = {
     ".jp2": "cv2.imread({f}, -1)",
-    ".exr": "cv2.imread({f}, -1)",
+    ".exr": READ_EXR,
     ".mat": 'scipy.io.loadmat({f})["depth"]',
     ".h5": 'h5py.File({f})["depth"][:]',
     ".hdf5": 'h5py.File({f})["depth"][:]',
@@ -163,8 +163,7 @@ def conversion(listed: Listed, file: Path) -> str:
     read = template.format(f=repr(name))
     imported = read.split(".")[0]
     modules = "numpy" if imported == "numpy" else f"{imported.replace('scipy', 'scipy.io')}, numpy"
-    before = 'import os; os.environ["OPENCV_IO_ENABLE_OPENEXR"] = "1"; ' if kind == ".exr" else ""
-    line = f"{before}import {modules}; numpy.save({f'depth/{file.stem}.npy'!r}, {read})"
+    line = f"import {modules}; numpy.save({f'depth/{file.stem}.npy'!r}, {read})"
     return f"{CONVERT}, such as by `{line}`"
 
 

@@ -179,7 +179,7 @@ def _underside_question(shape: SolidShape, underside: Underside) -> tuple[str, .
         return ()
     return (
         f"{share:.0%} of the solid is a guess that one word decides: say in benchmark.yaml "
-        f"`underside: closed` ({CLOSED_MEANS}), and it is known; or `underside: open` ({OPEN_MEANS})",
+        f"`underside: closed` if {CLOSED_MEANS}, and it is known; or `underside: open` if {OPEN_MEANS}",
     )
 
 
