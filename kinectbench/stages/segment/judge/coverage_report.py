@@ -54,7 +54,7 @@ REMEDIES: Mapping[str, str] = {
 }
 
 
-def contradictions(
+def frames_against_scene(
     sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor, box: OrientedBox
 ) -> tuple[MovingPart, float]:
     """Compare at most 40 good frames with the fused scene; find what moves and what contradicts the object.
@@ -263,7 +263,7 @@ def coverage_report(
     center = np.array(chosen.box.center_m)
     gap_rad, towards_rad, hidden_share = unseen_side(T_floor_camera, center)
     first_rad = float(np.arctan2(*(T_floor_camera[0, :2, 3] - center[:2])[::-1]))
-    moving, off_share = contradictions(sequence, trajectory, scene, chosen.floor, chosen.box)
+    moving, off_share = frames_against_scene(sequence, trajectory, scene, chosen.floor, chosen.box)
     choice_warnings = (*_of_floor(chosen.floor), *chosen.warnings)
     warnings = [*_of_trajectory(trajectory), *_of_contradictions(off_share), *choice_warnings]
     if hidden_share > 0:
@@ -289,6 +289,5 @@ def coverage_report(
         towards_rad=np.radians(round(np.degrees(towards_rad), 1)),
         share=round(hidden_share, 4),
     )
-    shares = round(too_far, 4), off_share
-    lines = tuple(warnings), choice_warnings
-    return CoverageReport(len(good), figures, moving, max_depth_m, *shares, *lines, first_rad)
+    found = figures, moving, max_depth_m, round(too_far, 4), off_share, tuple(warnings), choice_warnings
+    return CoverageReport(len(good), *found, first_rad)
