@@ -177,7 +177,8 @@ def test_folder_round_trip(chair: Chair, views: Views, tmp_path: Path) -> None:
     write_views(some, chair.recorded.sequence, tmp_path)
     again = read_views(tmp_path)
     for one, other in zip(some.views, again, strict=True):
-        assert_same_fields(one, other, STORED_ROUNDED)
+        assert one.depth_digest and not other.depth_digest  # views that are read are not chosen again
+        assert_same_fields(replace(one, depth_digest=b""), other, STORED_ROUNDED)
         depth_mm = read_picture(tmp_path / f"{one.name}.depth.png", cv2.IMREAD_UNCHANGED)
         assert depth_mm.dtype == np.uint16
         assert np.abs(depth_mm / 1000 - chair.recorded.sequence.depth_m(one.frame)).max() <= 0.00051
