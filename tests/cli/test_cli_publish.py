@@ -57,7 +57,7 @@ def test_a_warning_is_printed_once_and_a_replaced_release_is_named(
     assert again.status == 0 and any("chair: pairs" in line for line in again.progress)
     lines = [line for line in again.err.splitlines() if not line.startswith("note: chair: built with")]
     assert not [line for line in lines if line.startswith(("chair: ", "table: "))]
-    for text in ("the solid begins 0.39 m above the floor", "nobody looked into the opening at the side"):
+    for text in ("the solid begins 0.39 m above the floor", "nobody looked into the opening at the bottom"):
         assert sum(text in line for line in lines) == 1, (text, again.err)
     (note,) = [line for line in lines if "replaced" in line]
     assert note == (
