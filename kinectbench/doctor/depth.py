@@ -89,10 +89,10 @@ def check_intrinsics(probe: Probe) -> Iterator[Finding]:
             return
     if off > OFF_CENTRE:
         what = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the middle of {size} images"
-        turned = max(abs(camera.cy / camera.width - 0.5), abs(camera.cx / camera.height - 0.5))
+        off_if_swapped = max(abs(camera.cy / camera.width - 0.5), abs(camera.cx / camera.height - 0.5))
         swapped = f"; if cx and cy are swapped, `camera: {{cx: {camera.cy:g}, cy: {camera.cx:g}}}`"
-        centred = advice + swapped * (turned < OFF_CENTRE)
-        yield Finding("principal_point", "warning", what, probe.where, centred)
+        remedy = advice + (swapped if off_if_swapped < OFF_CENTRE else "")
+        yield Finding("principal_point", "warning", what, probe.where, remedy)
     view_deg = math.degrees(2 * math.atan(camera.width / (2 * camera.fx)))
     if not NARROWEST_DEG <= view_deg <= WIDEST_DEG:
         what = f"the field of view is {view_deg:.0f} degrees ({shown}, {size})"

@@ -46,8 +46,9 @@ def written(release: Release, folder: Path, count: int) -> str:
         (folder / "views" / each).symlink_to(release.folder / "views" / name)
     warnings = [f"{each}: doubtful" for each in names]
     settings = parse_benchmark("{name: many, recordings: [{id: a, path: a, category: c}]}", "settings")
-    preview.write_preview(folder, settings, targets, infos, warnings, [])
-    return (folder / "index.html").read_text()
+    page = preview.preview_text(folder, settings, targets, infos, warnings, [])
+    (folder / "index.html").write_text(page)
+    return page
 
 
 def test_few_recordings_have_no_script_and_no_list(release: Release, tmp_path: Path) -> None:

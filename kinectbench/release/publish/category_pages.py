@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from kinectbench.core import write_below
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.core.images import data_uri
@@ -18,22 +17,6 @@ from kinectbench.settings.models import BenchmarkSettings
 # Every second of 256 cells is shown: 128 pixels, 2 kB as a JPEG of this quality. A page of ten thousand
 # objects takes 40 of the 64 MB that a page may have.
 STEP, QUALITY = 2, 75
-
-
-def write_category_pages(
-    folder: Path,
-    settings: BenchmarkSettings,
-    targets: Sequence[Target],
-    infos: Mapping[str, RecordingInfo],
-    held_back: Sequence[str],
-    isolated: Sequence[str] = (),
-) -> None:
-    """Write a page for each category of a release; the pair files must be there already.
-
-    The arguments are those of `category_texts`.
-    """
-    for name, text in category_texts(folder, settings, targets, infos, held_back, isolated):
-        write_below(folder / name, text.encode())
 
 
 def category_texts(

@@ -23,7 +23,7 @@ from kinectbench.core.pages import png_uri, render_page
 from kinectbench.core.turntable import FRAMES, QUALITY, turntable
 from kinectbench.core.types import Bools, Float64, Rgb
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair, unpack
-from kinectbench.release.contents import OBJECT_FILES, PREVIEW
+from kinectbench.release.contents import OBJECT_FILES
 from kinectbench.release.publish.card import quality_words
 from kinectbench.release.publish.object_glb import colored_scene
 from kinectbench.release.publish.view_pictures import depth_with_mask
@@ -45,21 +45,6 @@ BLUR_CELLS = 2
 NO_PICTURE = "data:"
 CAPTIONS = ("depth and mask", "partial, as seen", "full, as seen", "full, from the right", "slice")
 CAPTIONS_HELD_BACK = ("depth and mask", "partial, as seen", "partial, from the right")
-
-
-def write_preview(
-    folder: Path,
-    settings: BenchmarkSettings,
-    targets: Sequence[Target],
-    infos: Mapping[str, RecordingInfo],
-    warnings: Sequence[str],
-    held_back: Sequence[str],
-    build: Path | None = None,
-    isolated: Sequence[str] = (),
-) -> None:
-    """Write index.html of a release whose pairs and views are written; see `preview_text`."""
-    text = preview_text(folder, settings, targets, infos, warnings, held_back, build, isolated)
-    (folder / PREVIEW).write_text(text, encoding="utf-8")
 
 
 def preview_text(

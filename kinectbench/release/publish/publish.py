@@ -3,11 +3,12 @@
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from kinectbench._version import __version__
-from kinectbench.core import ReleaseError, replaced_folder
+from kinectbench.core import ReleaseError, replaced_folder, write_below
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, PublishOptions, ReleaseInfo
 from kinectbench.core.artefacts.provenance import (
     THRESHOLDS_JSON,
@@ -18,15 +19,15 @@ from kinectbench.core.artefacts.provenance import (
 )
 from kinectbench.core.artefacts.targets import Target
 from kinectbench.core.artefacts.views import PairsFile
-from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, VIEW_IMAGES, refuse_large
+from kinectbench.release.contents import CHANGELOG, DATASHEET, MOST_FILES, PREVIEW, VIEW_IMAGES, refuse_large
 from kinectbench.release.own_folder import refuse_other_content
 from kinectbench.release.publish.attribution import changelog_text
-from kinectbench.release.publish.category_pages import write_category_pages
+from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.gate import Gate, first_lines, gate
 from kinectbench.release.publish.held_back import SAID_OF_TRUTH
 from kinectbench.release.publish.isolate import SETTINGS_KEYS, Isolated, isolate, refuse_framing
-from kinectbench.release.publish.preview import write_preview
+from kinectbench.release.publish.preview import preview_text
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
 from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
@@ -213,8 +214,10 @@ def _write(
     refuse_large(folder)  # before other files are made of these
     bare = alone if options.hold_back else ()
     write_view_pictures(folder, [target for target in targets if target.recording not in bare])
-    write_preview(folder, settings, targets, infos, warnings, options.hold_back, build, bare)
-    write_category_pages(folder, settings, targets, infos, options.hold_back, bare)
+    given = folder, settings, targets, infos
+    index = PREVIEW, preview_text(*given, warnings, options.hold_back, build, bare)
+    for name, text in chain([index], category_texts(*given, options.hold_back, bare)):
+        write_below(folder / name, text.encode())
     scenes = build if settings.publish.color else None
     identity = write_small_files(head, folder, targets, infos, warnings, scenes)
     refuse_large(folder)

@@ -9,6 +9,7 @@ from kinectbench.core import is_too_large
 from kinectbench.stages.ingest.images import DamagedImageError, decode_unchanged, encode_png
 from kinectbench.stages.ingest.netpbm import BETWEEN, HEAD_BYTES
 
+# Signatures of a BMP (Microsoft's BITMAPFILEHEADER, bfType) and of a binary PPM (netpbm.sourceforge.net).
 BMP_MAGIC, PPM_MAGIC = b"BM", b"P6"
 PPM_HEAD = re.compile(
     PPM_MAGIC + BETWEEN + rb"(\d{1,6})" + BETWEEN + rb"(\d{1,6})" + BETWEEN + rb"(\d{1,5})\s"
