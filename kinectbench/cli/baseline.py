@@ -8,6 +8,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import SOME_FAILED, Common, Predictions, takes
+from kinectbench.cli.progress_bars import progress_bar
 
 
 def _known_baselines(incomplete: str) -> list[str]:
@@ -37,7 +38,7 @@ def baseline_command(
     check_baseline_names(names or ())
     release, rows = find_release(common)
     folder = out or common.beside("predictions")
-    with console.progress_bar("baseline") as progress:
+    with progress_bar("baseline") as progress:
         written = write_baselines(release, folder, names, common.workers, progress)
     common.tell_written(*(folder / name for name in written))
     return exit_status(rows)
@@ -65,7 +66,7 @@ def check_command(common: Common, predictions: Predictions) -> int:
     for given, methods in found.items():
         for name, folder in methods.items():
             method = read_in_camera(folder)
-            with console.progress_bar(f"check {name}") as progress:
+            with progress_bar(f"check {name}") as progress:
                 if method is None:
                     faults, lines = check_grids(release, folder, progress)
                 else:

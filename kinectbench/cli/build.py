@@ -13,6 +13,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build_warnings import tell_unknown_categories, tell_warnings, unused_inputs
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Command, Common, Ids, takes
+from kinectbench.cli.progress_bars import progress_bar, recording_bars
 from kinectbench.core import SettingsError, listed, printable, require_extra
 from kinectbench.core.store.address import url_of
 
@@ -262,7 +263,7 @@ def build_jobs(
     from kinectbench.engine.summary import BuiltRecording
 
     slots = executor.slots if executor else lambda: min(processes, len(chosen))
-    with console.recording_bars(len(chosen), slots) as watcher:
+    with recording_bars(len(chosen), slots) as watcher:
         outcomes = build_all(
             chosen,
             upto,
@@ -373,5 +374,5 @@ def release_here(benchmark: Path) -> Path:
         return benchmark
     from kinectbench.release.fetch import cached_release
 
-    with console.progress_bar("fetch") as progress:
+    with progress_bar("fetch") as progress:
         return cached_release(url, progress)

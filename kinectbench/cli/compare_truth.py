@@ -8,6 +8,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, chosen_jobs, exit_status
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common, Ids, takes
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import KinectBenchError, SettingsError
 
 if TYPE_CHECKING:
@@ -54,7 +55,7 @@ def compare_truth_command(
     built = [row.recording for row in rows if not row.error]
     found: dict[str, tuple[ComparedMesh, ReferenceFile]] = {}
     failed = []
-    with console.progress_bar("compare-truth") as progress:
+    with progress_bar("compare-truth") as progress:
         for done, name in enumerate(built, 1):
             try:
                 found[name] = compare_reference(common.root / "build" / name, paths[name])

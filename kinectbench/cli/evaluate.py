@@ -8,6 +8,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_jobs, exit_status
 from kinectbench.cli.common import Common, takes
+from kinectbench.cli.progress_bars import progress_bar
 
 
 @takes("config", "overrides", "as_json")
@@ -33,7 +34,7 @@ def evaluate_command(
     if status and not (build.build / "sequence").is_dir():
         return status
     target = out or folder_beside(build.build)
-    with console.progress_bar("evaluate") as progress:
+    with progress_bar("evaluate") as progress:
         result = evaluate_recording(build.build, build.truth, target, align=align, progress=progress)
     if common.as_json:
         console.say_json(evaluation_json(result))

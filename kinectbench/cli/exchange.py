@@ -9,6 +9,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import SOME_FAILED, Common, takes
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import SettingsError
 
 # Each layout is a module `release/exchange/<layout>.py` with a function `export_<layout>`.
@@ -40,7 +41,7 @@ def export_command(
         return _export_views(common, out, method)
     write = getattr(import_module(f"kinectbench.release.exchange.{layout}"), f"export_{layout}")
     release, rows = find_release(common)
-    with console.progress_bar("export") as progress:
+    with progress_bar("export") as progress:
         pairs = write(release, out, progress)
     if layout == "bop" and not any(name.endswith(COLOR.suffix) for name in release.sums):
         console.lines("note", [f"the release has no colour images: {HOW_TO_PUBLISH}"], "cyan")
@@ -54,7 +55,7 @@ def _export_views(common: Common, out: Path, method: str | None) -> int:
     from kinectbench.scoring.adapters.registry import export_for
 
     release, rows = find_release(common)
-    with console.progress_bar("export") as progress:
+    with progress_bar("export") as progress:
         if method is None:
             views, notes = export_rgbd(release, out, progress)
         else:
@@ -79,7 +80,7 @@ def adapt_command(
 
     release, rows = find_release(common)
     folder = out or common.beside("predictions") / method
-    with console.progress_bar("adapt") as progress:
+    with progress_bar("adapt") as progress:
         count, problems = write_adapted(release, method, output, folder, progress)
     result = {"folder": str(folder), "predictions": count, "problems": console.at_most(problems)}
     common.tell(result, [f"adapted {count} predictions: {folder}"])
@@ -109,7 +110,7 @@ def import_command(
 
     if layout == "redwood10" and views is not None:
         raise SettingsError("--views: only with `--layout recgan`")
-    with console.progress_bar("import") as progress:
+    with progress_bar("import") as progress:
         if layout == "recgan":
             pairs = import_recgan(folder, out, progress, views)
         else:

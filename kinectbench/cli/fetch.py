@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from kinectbench.cli import console
 from kinectbench.cli.common import Common, refuse_in_release, takes
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import SettingsError
 from kinectbench.core.store.address import shown, url_of
 
@@ -77,7 +77,7 @@ def _fetch_release(
     part = ReleasePart(split, tuple(category or ()), views)
     folder = out or Path(url.rpartition("/")[2])
     refuse_in_release(folder, makes_release=True)
-    with console.progress_bar("fetch") as progress:
+    with progress_bar("fetch") as progress:
         fetched = fetch_release(url, folder, None if part == ReleasePart() else part, progress)
     result = {
         "release": str(fetched.folder),

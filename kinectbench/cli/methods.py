@@ -10,6 +10,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import SOME_FAILED, Common, takes
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import SettingsError, listed, printable
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def train_command(
     if unknown := unknown_objects(releases, settings.training.leave_out):
         warning = f"training.leave_out: {listed(map(printable, unknown))}: in no release that was given"
         console.lines(f"{settings.name}: note", [warning], "cyan")
-    with console.progress_bar(f"train {settings.name}") as progress:
+    with progress_bar(f"train {settings.name}") as progress:
         state = run(
             settings,
             releases,
@@ -146,7 +147,7 @@ def predict_command(
         say(line)
     failed = list[str]()
     how_to: dict[str, Any] = {"threshold": threshold, "precision": chosen, "splits": splits, "device": where}
-    with console.progress_bar(f"predict {trained.config.name}") as progress:
+    with progress_bar(f"predict {trained.config.name}") as progress:
         how_to |= {"progress": progress, "say": say, "failed": failed.append}
         written = run(trained, benchmark, out or common.beside("predictions"), **how_to)
     console.lines(f"{trained.config.name}: error", console.by_mistake(failed), "red")
@@ -181,13 +182,13 @@ def _score(
     from kinectbench.networks.score_predicted import as_written, score_predicted
     from kinectbench.report.gallery import loaded_cells
 
-    with console.progress_bar(f"predict and score {trained.config.name}") as progress:
+    with progress_bar(f"predict and score {trained.config.name}") as progress:
         table = score_predicted(
             trained, release, run, splits=splits, surface=surface, device=device, progress=progress
         )
     tell_problems([table])
     table.write(folder)
-    with console.progress_bar("gallery") as progress:
+    with progress_bar("gallery") as progress:
         # The few views that a page shows are predicted again: all predictions would not fit in memory.
         cells = loaded_cells(
             release,

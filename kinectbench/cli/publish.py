@@ -17,6 +17,7 @@ from kinectbench.cli.build import (
 )
 from kinectbench.cli.build_warnings import tell_unknown_categories, tell_warnings
 from kinectbench.cli.common import SOME_FAILED, Common, Ids, takes
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import IN_USE, ReleaseError, SettingsError, printable, read_plain_text
 from kinectbench.core.store.address import is_web, require_usable, shown, unusable, url_of
 
@@ -170,7 +171,7 @@ def _putting(to: str) -> "Callable[[Path], tuple[str, PutSummary]]":
     target = store_at(to)
 
     def put(folder: Path) -> "tuple[str, PutSummary]":
-        with console.progress_bar("put") as progress:
+        with progress_bar("put") as progress:
             return target.url, put_release(folder, target, progress)
 
     return put
@@ -184,7 +185,7 @@ def _put_on_hub(folder: Path, name: str) -> "PutSummary":
     from kinectbench.release.hub import put_on_hub
     from kinectbench.release.published import listed_files
 
-    with console.progress_bar("check") as progress:
+    with progress_bar("check") as progress:
         sums = listed_files(folder, progress)
     return put_on_hub(folder, name, sums)
 
@@ -193,7 +194,7 @@ def _packed(release: Path, out: Path) -> Path:
     """Pack a release as a zip file in the folder `out`, with a progress bar; return the file's path."""
     from kinectbench.release.publish.archive import write_archive
 
-    with console.progress_bar("pack") as progress:
+    with progress_bar("pack") as progress:
         return write_archive(release, out, progress)
 
 
@@ -209,7 +210,7 @@ def _publish_there(common: Common, recordings: list[str], options: "PublishOptio
     """Publish a benchmark whose build is in a store to the same store, with a progress bar."""
     from kinectbench.release.publish.stored import publish_stored
 
-    with console.progress_bar("publish") as progress:
+    with progress_bar("publish") as progress:
         return publish_stored(chosen_jobs(common, recordings), common.force, options, progress)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, SOME_FAILED, Common
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import KinectBenchError, StorageError, listed_below
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ def fetch_recipe(
         if stream:
             return _stream(common, recipe, scans)
         try:
-            with console.progress_bar("fetch") as progress:
+            with progress_bar("fetch") as progress:
                 rows = recipe.fetch_all(scans, progress)
         except (NoRoomError, StoreGoneError):
             recipe.add_to_benchmark([scan for scan in scans if (recipe.out / recipe.place(scan)).exists()])

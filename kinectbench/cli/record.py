@@ -12,6 +12,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, on_interrupt, takes
+from kinectbench.cli.progress_bars import frames_counted
 from kinectbench.core import CaptureError, SettingsError
 from kinectbench.engine.interrupts import interrupt_answered
 
@@ -90,7 +91,7 @@ def _recorded(
 
     done = None
     try:
-        with _guide(port, guided, out) as guide, console.frames_counted(f"record {out}") as progress:
+        with _guide(port, guided, out) as guide, frames_counted(f"record {out}") as progress:
             done = record(
                 camera,
                 out,

@@ -12,6 +12,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import CANNOT_BE_USED, DEFAULT_CONFIG, Common, takes
+from kinectbench.cli.progress_bars import step_shown
 from kinectbench.core import NAME, RESULTS, SettingsError, listed, replaced_file, scanned
 
 if TYPE_CHECKING:
@@ -190,17 +191,19 @@ def inspect_command(
     camera = settings_from_options(CameraSettings, camera_settings, overrides or [], "camera")
     path = DEFAULT_CONFIG.parent / known.path if known else Path(recording)
     given = camera if camera_settings or overrides else None
-    diagnosis, look = look_over(
-        path,
-        given,
-        mode=known.trajectory_mode if known else None,
-        fusion=Common().settings.fusion if known else None,
-        own_pixels=known is not None and known.segment_by is not None,
-        plane_world=known.plane_world if known else None,
-        boxed=known is not None and known.box is not None,
-        tracking=Common().settings.tracking if known else TrackingSettings(),
-        follow_links=follow_links or (known is not None and known.follow_links),
-    )
+    with step_shown("inspect") as step:
+        diagnosis, look = look_over(
+            path,
+            given,
+            mode=known.trajectory_mode if known else None,
+            fusion=Common().settings.fusion if known else None,
+            own_pixels=known is not None and known.segment_by is not None,
+            plane_world=known.plane_world if known else None,
+            boxed=known is not None and known.box is not None,
+            tracking=Common().settings.tracking if known else TrackingSettings(),
+            follow_links=follow_links or (known is not None and known.follow_links),
+            step=step,
+        )
     if look is None and not path.exists():
         found = tuple(
             replace(each, advice=_near(path.as_posix() if known else recording, ids=not known))

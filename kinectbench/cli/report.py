@@ -10,6 +10,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_recordings, exit_status, release_here
 from kinectbench.cli.common import Baselines, Common, Ids, takes
+from kinectbench.cli.progress_bars import recording_bars
 from kinectbench.core import SettingsError
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def write_page(
         page, warnings = page_of_release(release, scores, out, baselines)
     else:
         shown = [r for r in common.settings.recordings if not ids or r.id in ids]
-        with console.recording_bars() as progress:
+        with recording_bars() as progress:
             page, warnings = page_of_benchmark(
                 common.settings.model_copy(update={"recordings": shown}),
                 common.root,

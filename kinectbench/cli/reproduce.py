@@ -9,6 +9,7 @@ from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release
 from kinectbench.cli.common import Common, takes
 from kinectbench.cli.methods import Device
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import SettingsError, printable
 
 if TYPE_CHECKING:
@@ -56,9 +57,9 @@ def reproduce_command(
     folder, where = common.root / "reproduce" / protocol, chosen_device(device)
     for name in packaged_methods():
         trained = open_trained(PACKAGED / name, where)
-        with console.progress_bar(f"predict {name}") as progress:
+        with progress_bar(f"predict {name}") as progress:
             predict(trained, release, folder / "predictions", device=where, progress=progress)
-    with console.progress_bar("score") as progress:
+    with progress_bar("score") as progress:
         tables = score_methods(
             release,
             folder / "predictions",

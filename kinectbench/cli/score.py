@@ -10,6 +10,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import exit_status, find_release, release_here
 from kinectbench.cli.common import SOME_FAILED, Baselines, Common, takes
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.cli.report import write_page
 from kinectbench.core import SettingsError
 
@@ -84,7 +85,7 @@ def score_command(
     folder = out or common.beside("scores")
     tables = _tables(common, release, predictions, folder, known, of_one)
     if gallery and not (predictions is None and in_space(tables)):
-        with console.progress_bar("gallery") as progress:
+        with progress_bar("gallery") as progress:
             write_galleries(release, predictions, tables, folder, upsampling, common.workers, progress)
     beside = baselines_of(release, folder, tables, upsampling, common.workers) if baselines else []
     page = write_page(common, release if common.benchmark else None, folder, baselines=baselines)
@@ -108,7 +109,7 @@ def _score_part(
         raise SettingsError("score --shard: not with --close: predictions in the camera frame have no parts")
     folder = out or common.beside("scores")
     given = {name: value for name, value in options.items() if name not in ("save_thresholds", "close")}
-    with common.executor() as executor, console.progress_bar("count") as progress:
+    with common.executor() as executor, progress_bar("count") as progress:
         failed = count_methods(
             open_release(release_here(common.benchmark)),
             predictions,
@@ -182,7 +183,7 @@ def _recheck(
         raise SettingsError(f"--recheck {scores}: holds {len(paths)} tables; name one")
     read_table(paths[0])  # before the benchmark is built
     release, rows = find_release(common)
-    with console.progress_bar("recheck") as progress:
+    with progress_bar("recheck") as progress:
         differences = recheck(
             release,
             paths[0],
@@ -218,7 +219,7 @@ def _tables(
     from kinectbench.scoring.predictions import lines_without, split_methods
     from kinectbench.scoring.score import score_methods
 
-    with common.executor() as executor, console.progress_bar("score") as progress:
+    with common.executor() as executor, progress_bar("score") as progress:
         if predictions is None:
             tables = score_baselines(release, folder, jobs=common.workers, progress=progress, **known)
         else:
@@ -272,7 +273,7 @@ def baselines_of(
         console.lines("baselines: note", [line], "cyan")
         return []
     protocols, names = (spatial or tables)[0].settings.protocols, [t.method for t in tables if is_baseline(t)]
-    with console.progress_bar("baselines") as progress:
+    with progress_bar("baselines") as progress:
         return baselines_beside(
             release,
             folder,

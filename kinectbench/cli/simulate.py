@@ -8,6 +8,7 @@ import typer
 
 from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
+from kinectbench.cli.progress_bars import recording_bars
 from kinectbench.core import SettingsError
 
 PRESET = "orbit-v1"
@@ -58,7 +59,7 @@ def simulate_command(
         return
     if out is not None and is_truth(truth_folder(out)):
         console.lines("note", [f"{out}: replaces the simulated recording that is there"], "yellow")
-    with console.recording_bars() as progress:
+    with recording_bars() as progress:
         written = simulate_named(
             out,
             preset,

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from kinectbench.cli import console
 from kinectbench.cli.common import Common, takes
+from kinectbench.cli.progress_bars import recording_bars
 
 
 @takes("overrides", "jobs", "as_json", makes_release=True)
@@ -42,7 +42,7 @@ def synthesize_command(
     }
     values = {key: value for key, value in given.items() if value is not None}
     settings = settings_from_options(SynthesisSettings, values, common.overrides or (), "synthesis")
-    with console.recording_bars() as progress:
+    with recording_bars() as progress:
         report = make_all(
             settings, out, common.workers, lambda what, done, total: progress(str(out), what, done, total)
         )

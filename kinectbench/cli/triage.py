@@ -5,6 +5,7 @@ from textwrap import shorten
 from kinectbench.cli import console
 from kinectbench.cli.build import SHOWN_RECORDINGS, build_recordings, built, exit_status
 from kinectbench.cli.common import Common, Ids, takes
+from kinectbench.cli.progress_bars import progress_bar
 
 # Limit in letters of a reason in the table, so that it fits beside the decision; the page has the full text.
 REASON = 60
@@ -32,7 +33,7 @@ def triage_command(common: Common, ids: Ids = None) -> int:
         page.parent.mkdir(exist_ok=True)
         with replaced_file(page.parent / result.FILE) as temporary:
             temporary.write_text(result.text(), encoding="utf-8")
-        with console.progress_bar("triage") as progress:
+        with progress_bar("triage") as progress:
             write_triage_page(settings.name, result, root / "build", page, progress)
     console.lines("warning", [pair.line for pair in result.same_object], "yellow")
     shown = [

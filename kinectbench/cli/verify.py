@@ -9,6 +9,7 @@ import typer
 from kinectbench.cli import console
 from kinectbench.cli.build import build_jobs
 from kinectbench.cli.common import CANNOT_BE_USED, Common, takes
+from kinectbench.cli.progress_bars import progress_bar
 from kinectbench.core import SettingsError, printable
 from kinectbench.core.store.address import shown, url_of
 
@@ -37,8 +38,9 @@ def verify_command(
 ) -> int:
     """Re-check every byte and every pair of a release; with --rebuild make the pairs again and compare."""
     from kinectbench.engine.scratch import scratch_folder
-    from kinectbench.release.check.verify import reservations, verify_checksums
+    from kinectbench.release.check.reservations import reservations
     from kinectbench.release.check.verify import verify as find_problems
+    from kinectbench.release.check.verify import verify_checksums
 
     if checksums and rebuild is not None:
         raise SettingsError(
@@ -53,7 +55,7 @@ def verify_command(
             # The scratch folder holds the lock that marks it as in use.
             folder = stack.enter_context(scratch_folder()) / "release"
             problems = [] if checksums else _brought(url, folder)
-        with console.progress_bar("verify") as progress:
+        with progress_bar("verify") as progress:
             if url is not None and checksums:
                 problems = verify_checksums(url, folder, progress)
             else:
@@ -70,7 +72,7 @@ def _brought(url: str, folder: Path) -> list[str]:
     from kinectbench.release.check.verify import EXTRA
     from kinectbench.release.fetch import mirror_release
 
-    with console.progress_bar("fetch") as progress:
+    with progress_bar("fetch") as progress:
         others = mirror_release(url, folder, progress)
     return [EXTRA.format(printable(name, 200)) for name in others]
 

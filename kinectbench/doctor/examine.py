@@ -1,7 +1,7 @@
 """Run all checks of a recording (the command `inspect`), even if its intrinsics are missing or unusable."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -98,6 +98,7 @@ def inspect(
     plane_world: Vector4 | None = None,
     boxed: bool = False,
     tracking: TrackingSettings | None = None,
+    step: Callable[[str], None] = lambda _: None,
 ) -> tuple[Diagnosis, Probe | None]:
     """Run all checks of a recording, and return its diagnosis.
 
@@ -112,10 +113,12 @@ def inspect(
         plane_world: (4,) the plane that the object stands on, from benchmark.yaml; None: not set.
         boxed: whether benchmark.yaml has a box around the object: no floor is needed.
         tracking: settings to grade a given trajectory as a build does; None: the trajectory is not graded.
+        step: is called with the name of each step, before it.
 
     Returns:
         The diagnosis, and the probe (None if the recording cannot be opened).
     """
+    step("reading frames")
     recording, findings = _open_anyhow(path, settings, follow_links=follow_links)
     if recording is None:
         return Diagnosis({"path": str(path), "format": None}, gravest_first(findings)), None
@@ -133,11 +136,13 @@ def inspect(
     findings += early
     facts = _facts(probe)
     if probe.frames and not HOPELESS & {finding.name for finding in early}:
+        step("comparing frames, colour and poses")
         more, findings = _examined(probe, ground, findings, fusion, own_pixels=own_pixels)
         facts |= more
         # Unusable poses, or poses of a still camera, are not graded.
         hopeless = any(finding.severity == "stops" or finding.name in NO_MOTION for finding in findings)
         if recording.given_trajectory is not None and tracking is not None and not hopeless:
+            step("grading the given poses")
             findings += [_by_own_pixels(probe)] if own_pixels else check_grade(probe, tracking, mode)
     if guessed:
         findings = [replace(f, advice=GUESSED) if f.name in BY_INTRINSICS else f for f in findings]

@@ -13,6 +13,7 @@ from small_benchmark import Run
 
 from kinectbench.cli import console
 from kinectbench.cli.common import Common
+from kinectbench.cli.progress_bars import PlainLines, progress_bar, step_shown
 from kinectbench.cli.wide_table import WideTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Release
@@ -51,10 +52,23 @@ def test_a_message_is_one_line_whatever_is_in_it(
     console.lines("error", [message], "red")
     console.recording_lines("r\nerror", "warning", [message], "yellow")
     console.say(message)
-    watcher = console.PlainLines()
+    watcher = PlainLines()
     watcher.say(message)
     check(terminal.getvalue(), 3)
     check(capsys.readouterr().out, 1)
+
+
+def test_a_log_has_the_step_of_a_command_if_it_has_had_no_line_for_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown = io.StringIO()
+    monkeypatch.setattr(console, "err", console.SafeConsole(file=shown, width=80))
+    with step_shown("inspect") as step:
+        step("reading frames")
+        assert shown.getvalue() == ""
+        monkeypatch.setattr("kinectbench.cli.progress_bars.LOG_EVERY_S", 0.0)
+        step("comparing frames")
+    assert shown.getvalue() == "[   0 s] inspect: comparing frames\n"
 
 
 def test_a_flood_of_messages_is_cut(terminal: io.StringIO, capsys: pytest.CaptureFixture[str]) -> None:
@@ -139,7 +153,7 @@ def test_colours_and_progress_of_ours_are_left(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(console, "err", made)
     console.lines("error", ["a"], "red")
     assert "\x1b[31m" in shown.getvalue()
-    with console.progress_bar("score") as update:
+    with progress_bar("score") as update:
         update(1, 2)
     assert "\x1b[?25" in shown.getvalue()
 

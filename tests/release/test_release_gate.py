@@ -13,6 +13,7 @@ from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.artefacts.object import MEASUREMENT_WARNINGS
 from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.errors import ReleaseError
+from kinectbench.release.check.reservations import reservations
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.gate import WITHHELD, gate
 from kinectbench.release.publish.publish import publish
@@ -140,6 +141,19 @@ def test_the_release_says_what_was_left_out_and_what_was_let_pass(tmp_path: Path
     assert "estimated IoU 0.45" in content["recordings"][NAME]["poor"][0]
     assert "poor" not in content["recordings"][NAMES[1]]
     assert f"- {NAME} is published all the same (--allow-poor)" in (tmp_path / "wide/README.md").read_text()
+    assert verify(tmp_path / "wide") == []
+    assert reservations(tmp_path / "wide") == [f"published below its own limits: {NAME}"]
+
+
+def test_what_the_gate_says_of_a_recording_is_not_said_twice(tmp_path: Path) -> None:
+    build = tmp_path / "build"
+    write_build(build)
+    twice = "the walls are measured twice; record again, slowly"
+    built(build, warnings=[twice, "it hangs; stand it up"], doubts=[twice])
+    summary = publish(settings(max_doubts=2), build, tmp_path / "out", NAMES)
+    lines = [line for line in summary.warnings if "walls are measured twice" in line]
+    assert lines == [f"{NAME} is published, and a person should look at it: the walls are measured twice"]
+    assert f"{NAME}: it hangs; stand it up" in summary.warnings
 
 
 def test_a_poor_recording_without_a_pair_is_left_out_and_the_release_verifies(tmp_path: Path) -> None:

@@ -15,8 +15,9 @@ from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.targets import parse_targets
 from kinectbench.core.voxels.npz import load_arrays, packed_npz_bytes
 from kinectbench.release.check.rebuild import LocalRecording, differences, find_sources, rebuild_plan
+from kinectbench.release.check.reservations import reservations
 from kinectbench.release.check.text_check import text_problems
-from kinectbench.release.check.verify import reservations, verify
+from kinectbench.release.check.verify import verify
 from kinectbench.release.opening import open_contents
 from kinectbench.release.publish.publish import publish
 from kinectbench.settings.models import BenchmarkSettings
@@ -99,7 +100,7 @@ def test_of_other_versions_no_text_is_compared(
     seal(folder)
     monkeypatch.setattr("kinectbench.release.check.text_check.__version__", "99")
     assert verify(folder) == []
-    monkeypatch.setattr("kinectbench.release.check.verify.__version__", "99")
+    monkeypatch.setattr("kinectbench.release.check.reservations.__version__", "99")
     assert reservations(folder) == [f"no text was written again: kinectbench {__version__} wrote them"]
 
 

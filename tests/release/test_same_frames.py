@@ -9,6 +9,7 @@ import pytest
 from raising import raises
 from synthetic_release import RECORDINGS, synthetic_settings, write_build, write_json
 
+from kinectbench.core.artefacts.sequence import SKETCH_DIGESTS, CameraFile
 from kinectbench.core.errors import ReleaseError
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.publish.same_frames import refuse_same_frames
@@ -33,6 +34,17 @@ def write_sources(folder: Path, frames: range, size: int = 100) -> None:
         files[f"depth/{number}.png"] = [size, 0, sha256(f"{number}".encode()).hexdigest()]
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "sources.json", files)
+
+
+def write_sketch(folder: Path, frames: range) -> None:
+    """camera.json of a sequence of these frames."""
+    digests = sorted(sha256(f"{number}".encode()).hexdigest()[:16] for number in frames)
+    head = CameraFile(
+        format_version=2, width=4, height=3, fx=5.0, fy=5.0, cx=1.5, cy=1.0, depth_scale=1000.0,
+        color_registered=True, depth_sketch=tuple(digests[:SKETCH_DIGESTS]),
+    )  # fmt: skip
+    (folder / "sequence").mkdir(parents=True, exist_ok=True)
+    head.write(folder / "sequence")
 
 
 def lines(build: Path, own: Mapping[str, Mapping[str, Any]] = {}) -> list[str]:
@@ -68,6 +80,30 @@ def test_one_object_of_several_of_a_recording(tmp_path: Path) -> None:
         write_sources(tmp_path / name, range(200))
     with raises(ReleaseError, "release.object-in-two-splits"):
         lines(tmp_path, {TOO: {"box": BOX}, VALIDATION: {"box": BOX}})
+
+
+@pytest.mark.parametrize(
+    ("frames", "same"),
+    [
+        (range(600), True),  # a bag of what the other has as images
+        (range(0, 600, 2), True),  # every second frame
+        (range(200, 260), True),  # a part
+        (range(500, 1100), False),  # fewer than half
+        (range(1000, 1600), False),
+        (range(0), False),  # nothing measured
+    ],
+)
+def test_the_same_frames_in_other_files(frames: range, same: bool, tmp_path: Path) -> None:
+    write_sources(tmp_path / TEST, range(600))
+    write_sources(tmp_path / VALIDATION, range(9000, 9001))
+    write_sketch(tmp_path / TEST, range(600))
+    write_sketch(tmp_path / VALIDATION, frames)
+    if same:
+        with raises(ReleaseError, "release.object-in-two-splits"):
+            lines(tmp_path)
+    else:
+        assert lines(tmp_path) == []
+    assert lines(tmp_path, {VALIDATION: {"box": BOX}}) == []
 
 
 def test_a_recording_of_one_file(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from kinectbench.core.types import Int64
 AGAIN = "delete the folder and run `kinectbench ingest` again"
 
 
+# Number of digests in `CameraFile.depth_sketch`: 32 are equal if two recordings share half of their frames.
+SKETCH_DIGESTS = 64
 # How the warning about each frame begins that could not be read.
 DAMAGED_FRAME = "frame left out: "
 
@@ -45,6 +47,11 @@ class CameraFile(Stored):
         default=(), description="Evidence that depth_scale or intrinsics are wrong; absent: nothing."
     )
     trajectory_error: str = Field(default="", description='Why the given trajectory is not used, or "".')
+    depth_sketch: tuple[str, ...] = Field(
+        default=(),
+        description="The smallest 64 of the digests (BLAKE2b, 8 bytes, hexadecimal) of its depth images in "
+        "whole millimetres.",
+    )
     up_world: tuple[float, float, float] | None = Field(
         default=None,
         description="Unit vector: up by gravity, in the frame of the given trajectory; absent: not known.",

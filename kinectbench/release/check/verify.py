@@ -9,7 +9,6 @@ from typing import cast
 
 import numpy as np
 
-from kinectbench._version import __version__
 from kinectbench.core import PairError, ReleaseError, StorageError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import (
@@ -38,7 +37,7 @@ from kinectbench.release.check.object_check import object_problems, recording_of
 from kinectbench.release.check.pair_check import input_problems, pair_problems
 from kinectbench.release.check.text_check import text_problems
 from kinectbench.release.check.truth_check import TruthCheck
-from kinectbench.release.check.view_check import StatedView, image_names, no_decoder, view_lines
+from kinectbench.release.check.view_check import StatedView, view_lines
 from kinectbench.release.contents import AGAIN, GLB, OBJECT_FILES, SURFACES, VIEW_IMAGES, Contents
 from kinectbench.release.fetch import stored_hashes
 from kinectbench.release.opening import open_contents
@@ -129,37 +128,6 @@ def verify_checksums(url: str, folder: Path, progress: Progress = no_progress) -
         }
         lines = [*map(_extra, others), *damaged.values()]
         return lines + _identity(contents, text, damaged)[1]
-
-
-def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
-    """Return a message for each check that `verify` could not make on a release without faults.
-
-    The arguments are those of `verify`.
-
-    Raises:
-        ReleaseError: benchmark.json or SHA256SUMS cannot be read.
-    """
-    with open_contents(path) as contents:
-        info = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
-        sums = parse_sums(contents.text(SHA256SUMS), SHA256SUMS)
-    clauses = list[str]()
-    if info.package_version != __version__ and info.settings.recordings and not checksums_only:
-        clauses.append(f"no text was written again: kinectbench {printable(info.package_version)} wrote them")
-    if info.benchmark_sha256_version is None:
-        clauses.append(
-            "its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"
-        )
-    pairs = [name for name in sums if name.startswith("pairs/")]
-    without = sum(not sums.keys() >= set(image_names(name)) for name in pairs)
-    if checksums_only or not pairs:
-        return clauses
-    if without < len(pairs) and (missing := no_decoder()):
-        clauses.append(f"no partial was compared with its view's depth: {missing}")
-    elif without:
-        clauses.append(
-            f"{without} of {len(pairs)} partials were compared with no depth, which is not published"
-        )
-    return clauses
 
 
 def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:

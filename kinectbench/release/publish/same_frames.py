@@ -1,16 +1,22 @@
-"""Find recordings that are declared twice under two ids, which could put test data into the training data."""
+"""Find recordings that are declared twice under two ids, which could put test data into the training data.
+
+Files are compared, and depth images, so that a bag and a folder of the same frames are found, too.
+"""
 
 import heapq
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 from kinectbench.core import ReleaseError
-from kinectbench.core.artefacts.manifest import SourceFile, Sources
+from kinectbench.core.artefacts.manifest import Sources
+from kinectbench.core.artefacts.sequence import SKETCH_DIGESTS, CameraFile
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
-# Two recordings hold the same frames if at least this share of the smaller one's bytes is in equal files.
-# Single files, such as empty frames or intrinsics, are equal in many recordings. Chosen by hand.
+# Two recordings hold the same frames if at least this share of the smaller one's bytes is in equal files, or
+# of its depth images. Single files, such as intrinsics, are equal in many recordings. Chosen by hand.
 SAME_SHARE = 0.5
 # This many files of each recording, those with the smallest hashes, are looked up in all other recordings. If
 # two recordings share half of the smaller one's files, none is found in one of 65,000 cases (2^-16).
@@ -28,24 +34,25 @@ def _same_frames(
 
     Args:
         settings: the benchmark's settings.
-        build: the folder with a subfolder for each recording; one without sources.json (imported pairs) is
-            skipped.
+        build: the folder with a subfolder for each recording; one without sources.json and sequence (imported
+            pairs) is skipped.
         recordings: ids of recordings.
     """
     by_id = settings.by_id()
     chosen_by = {name: _chosen_by(by_id[name]) for name in recordings}
     holders = defaultdict[tuple[str, str], list[str]](list)
     for name in recordings:
-        for digest in _looked_for(_files(build / name)):
+        for digest in _Contents.read(build / name).looked_for():
             holders[digest, chosen_by[name]].append(name)
     order, found = {name: place for place, name in enumerate(recordings)}, set[tuple[int, int]]()
     for name in recordings:
-        files = _files(build / name)
-        near = {other for file in files.values() for other in holders.get((file.sha256, chosen_by[name]), ())}
+        own = _Contents.read(build / name)
+        digests = own.file_sizes.keys() | own.depth_sketch
+        near = {other for digest in digests for other in holders.get((digest, chosen_by[name]), ())}
         for other in near - {name}:
             a, b = sorted((order[name], order[other]))
             others = by_id[other].object_name != by_id[name].object_name
-            if others and (a, b) not in found and _shared(files, _files(build / other)) >= SAME_SHARE:
+            if others and (a, b) not in found and _same(own, _Contents.read(build / other)):
                 found.add((a, b))
     for a, b in sorted(found):
         yield by_id[recordings[a]], by_id[recordings[b]]
@@ -72,26 +79,53 @@ def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Seq
     return lines
 
 
-def _files(folder: Path) -> Mapping[str, SourceFile]:
-    """Return {name: size and hash} of a recording's files from sources.json; {} if it is missing."""
-    sources = Sources.read_if_there(folder)
-    return {} if sources is None else sources.files
+@dataclass(frozen=True)
+class _Contents:
+    """What a recording consists of.
 
-
-def _looked_for(files: Mapping[str, SourceFile]) -> list[str]:
-    """Return the `LOOKED_FOR` smallest hashes of a recording's large files, to look up in other recordings.
-
-    A file is large if it has at least the mean size, so that it is an image or the bag.
+    Attributes:
+        file_sizes: {SHA-256 of a file: its bytes}; {} without sources.json.
+        depth_sketch: the smallest digests of its depth images; none if it was built before there were any.
     """
-    mean = sum(file.size for file in files.values()) / max(1, len(files))
-    return heapq.nsmallest(LOOKED_FOR, {file.sha256 for file in files.values() if file.size >= mean})
+
+    file_sizes: Mapping[str, int]
+    depth_sketch: frozenset[str]
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read the contents of the recording that is built in `folder`."""
+        sources, head = Sources.read_if_there(folder), CameraFile.read_if_there(folder / "sequence")
+        files = {} if sources is None else sources.files
+        sizes = {file.sha256: file.size for file in files.values()}
+        return cls(sizes, frozenset(() if head is None else head.depth_sketch))
+
+    def looked_for(self) -> list[str]:
+        """Return the digests to look up in other recordings: the smallest of large files, and the sketch.
+
+        A file is large if it has at least the mean size, so that it is an image or the bag.
+        """
+        mean = sum(self.file_sizes.values()) / max(1, len(self.file_sizes))
+        large = (digest for digest, size in self.file_sizes.items() if size >= mean)
+        return [*heapq.nsmallest(LOOKED_FOR, large), *self.depth_sketch]
 
 
-def _shared(files: Mapping[str, SourceFile], others: Mapping[str, SourceFile]) -> float:
-    """Return what share of the smaller recording's bytes is in files that both recordings have."""
-    sizes, others_sizes = ({file.sha256: file.size for file in each.values()} for each in (files, others))
-    equal = sum(size for digest, size in sizes.items() if digest in others_sizes)
-    return equal / max(1, min(sum(sizes.values()), sum(others_sizes.values())))
+def _same(one: _Contents, other: _Contents) -> bool:
+    """Whether two recordings hold the same frames."""
+    sizes, others = one.file_sizes, other.file_sizes
+    equal = sum(size for digest, size in sizes.items() if digest in others)
+    in_files = equal / max(1, min(sum(sizes.values()), sum(others.values())))
+    return max(in_files, _shared_depth(one.depth_sketch, other.depth_sketch)) >= SAME_SHARE
+
+
+def _shared_depth(one: Set[str], other: Set[str]) -> float:
+    """Estimate from two sketches which share of the smaller recording's depth images both have.
+
+    Up to its largest digest, a full sketch has all digests of its recording (k minimum values: Beyer et al.,
+    On Synopses for Distinct-Value Estimation Under Multiset Operations, SIGMOD 2007).
+    """
+    complete_to = min((max(each) for each in (one, other) if len(each) >= SKETCH_DIGESTS), default="g")
+    a, b = ({digest for digest in each if digest <= complete_to} for each in (one, other))
+    return len(a & b) / max(1, min(len(a), len(b)))
 
 
 def _chosen_by(recording: RecordingSettings) -> str:

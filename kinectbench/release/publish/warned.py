@@ -7,6 +7,7 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.release.publish.attribution import reasons_against_distribution
 from kinectbench.release.publish.rebuilt import rebuilt_line
+from kinectbench.release.triage.rules import END_OF_WARNING
 from kinectbench.settings.models import BenchmarkSettings
 
 SHOWN_VIEWS = 6  # most views of a recording in a warning
@@ -67,9 +68,13 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
 
 
 def _of_quality(infos: Mapping[str, RecordingInfo]) -> Iterator[str]:
-    """Yield a line for each recording with quality warnings: the first warning, and how many follow."""
+    """Yield a line for each recording with quality warnings: the first warning, and how many follow.
+
+    What the lines of the gate say of a recording is not repeated.
+    """
     for name, info in infos.items():
-        warnings = info.quality.warnings
+        of_gate = "; ".join((*info.poor, *info.look))
+        warnings = [line for line in info.quality.warnings if line.split(END_OF_WARNING, 1)[0] not in of_gate]
         more = f" (and {len(warnings) - 1} more)" if len(warnings) > 1 else ""
         if warnings:
             yield f"{name}: {warnings[0]}{more}"

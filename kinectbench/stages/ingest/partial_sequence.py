@@ -86,7 +86,7 @@ def go_on_from(partial: PartialSequence, writer: SequenceWriter) -> None:
                     _same_file(before.folder / name, writer.folder / name)
     except OSError:  # files are gone or the disk is full: writing them reports it
         return
-    writer.rows, writer.taken = before.rows, before.taken
+    writer.rows, writer.taken, writer.depth_digests = before.rows, before.taken, before.depth_digests
     writer.checks = before.checks
     writer.checks.recording = recording
 

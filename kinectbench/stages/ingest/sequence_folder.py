@@ -10,6 +10,7 @@ given_trajectory.txt  TUM text, camera to world; only if the recording has one
 
 from dataclasses import asdict, dataclass
 from hashlib import blake2b
+from heapq import nsmallest
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from kinectbench.core import (
     read_plain,
     storage_errors,
 )
-from kinectbench.core.artefacts.sequence import AGAIN, CameraFile, FrameRow, FramesFile
+from kinectbench.core.artefacts.sequence import AGAIN, SKETCH_DIGESTS, CameraFile, FrameRow, FramesFile
 from kinectbench.core.sequence import Sequence, UpSample
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_text
@@ -82,7 +83,7 @@ def write_sequence(
         warnings.append(f"{problem}; it is ignored")
     if watch:
         warnings += watch.warnings()
-    head = _head(recording, len(rows), warnings, watch.camera_faults() if watch else [], problem)
+    head = _head(recording, writer, warnings, watch.camera_faults() if watch else [], problem)
     with storage_errors(folder):
         head.write(folder)
         FramesFile(rows=tuple(rows)).write(folder)
@@ -108,9 +109,13 @@ def _show_stored(writer: SequenceWriter, watch: Watch) -> None:
 
 
 def _head(
-    recording: Recording, frames: int, warnings: list[str], faults: list[str], trajectory_error: str
+    recording: Recording,
+    writer: SequenceWriter,
+    warnings: list[str],
+    faults: list[str],
+    trajectory_error: str,
 ) -> CameraFile:
-    """Return the content of camera.json for `frames` frames; empty optional keys are left out."""
+    """Return the content of camera.json after the last frame; empty optional keys are left out."""
     calibrated = recording.color_calibration is not None
     others: dict[str, Any] = {} if recording.up_world is None else {"up_world": recording.up_world}
     if faults:
@@ -124,9 +129,10 @@ def _head(
         color_registered=recording.color_registered or calibrated,
         registered_by="recording" if recording.color_registered else "calibration" if calibrated else None,
         source_format=recording.format,
-        frames=frames,
+        frames=len(writer.rows),
         warnings=tuple(warnings),
         trajectory_error=trajectory_error,
+        depth_sketch=tuple(nsmallest(SKETCH_DIGESTS, writer.depth_digests)),
         **others,
     )
 

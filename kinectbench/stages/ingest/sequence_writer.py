@@ -3,10 +3,12 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import blake2b
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from kinectbench.core import RecordingError, storage_errors
 from kinectbench.core.artefacts.sequence import FrameRow
@@ -49,6 +51,7 @@ class SequenceWriter:
         folder: folder of the sequence.
         checks: checks of the frames taken so far.
         rows: rows of frames.json, one for each frame written so far.
+        depth_digests: of each depth image written so far that has any measurement.
         taken: number of frames taken from the recording, damaged ones included.
     """
 
@@ -64,6 +67,7 @@ class SequenceWriter:
         self.folder = folder
         self.checks = FrameChecks(recording)
         self.rows: list[FrameRow] = []
+        self.depth_digests: set[str] = set()
         self.taken = 0
         self._register = onto_depth(recording)
 
@@ -77,12 +81,14 @@ class SequenceWriter:
         # Readers are not thread-safe: a video or a database has a position. Damage is recorded only here, in
         # the order of the frames, because later frames are checked ahead.
         checked = _checked_frames(self.checks, range(self.taken, count), progress)
-        for packed in ahead(partial(_packed, self._register), checked):
+        for packed in ahead(partial(_packed, self._register, self.checks.recording.depth_scale), checked):
             self.taken += 1
             if isinstance(packed, _Damaged):
                 self.checks.leave_out(packed.why, packed.advice)
                 continue
             self.rows.append(_write_packed(packed, len(self.rows), self.folder))
+            if packed.depth_digest is not None:
+                self.depth_digests.add(packed.depth_digest)
             if watch:
                 watch.see(packed.index, packed.frame)
 
@@ -127,6 +133,7 @@ class _Checked:
         color_suffix: suffix of the frame's colour image; None if it has none.
         written: the frame to write, with colour registered to depth.
         depth: packed depth.
+        depth_digest: of the depth image; None if it has no measurement.
     """
 
     index: int
@@ -134,6 +141,7 @@ class _Checked:
     color_suffix: str | None
     written: RawFrame
     depth: bytes = b""
+    depth_digest: str | None = None
 
 
 def _checked_frames(
@@ -153,22 +161,31 @@ def _checked_frames(
 
 
 def _packed(
-    register: Callable[[RawFrame], RawFrame] | None, checked: _Checked | _Damaged
+    register: Callable[[RawFrame], RawFrame] | None, depth_scale: float, checked: _Checked | _Damaged
 ) -> _Checked | _Damaged:
     """Encode depth, and register colour; without registration, decode colour once to detect damage."""
     if isinstance(checked, _Damaged):
         return checked
     frame = checked.frame
-    depth = encode_depth(frame.depth)
+    packed = replace(checked, depth=encode_depth(frame.depth), depth_digest=_digest(frame.depth, depth_scale))
     try:
         if register is not None:
             suffix = checked.color_suffix and ".png"
-            return replace(checked, depth=depth, written=register(frame), color_suffix=suffix)
+            return replace(packed, written=register(frame), color_suffix=suffix)
         if frame.color is not None:
             decode_color_bgr(frame.color[1], f"colour of {frame.name}")
     except DamagedImageError as error:
         return _Damaged(str(error), advice_on(error))
-    return replace(checked, depth=depth)
+    return packed
+
+
+def _digest(depth: NDArray[np.uint16], depth_scale: float) -> str | None:
+    """Return a digest of a depth image in whole millimetres, so that files of other units have the same.
+
+    It is None if nothing is measured.
+    """
+    depth_mm = np.rint(depth * np.float32(1000 / depth_scale)).astype(np.int32)
+    return blake2b(depth_mm.tobytes(), digest_size=8).hexdigest() if depth.any() else None
 
 
 def _write_packed(checked: _Checked, index: int, folder: Path) -> FrameRow:

@@ -1,6 +1,7 @@
 """The same frames in every container that is read give the same pairs, byte for byte."""
 
 from dataclasses import dataclass
+from hashlib import blake2b
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from read_pictures import decoded_picture
 from typed import present
 
+from kinectbench.core.artefacts.sequence import CameraFile
 from kinectbench.core.geometry import Camera, Grid, OrientedBox, TriangleMesh, rigid
 from kinectbench.core.geometry.mesh import BOX_FACES
 from kinectbench.core.sequence import Sequence
@@ -96,6 +98,8 @@ def wrapped(source: Source, name: str, root: Path) -> Sequence:
 def test_every_container_gives_the_same_pairs(source: Source, name: str, tmp_path: Path) -> None:
     sequence = wrapped(source, name, tmp_path)
     assert len(sequence) == FRAMES and sequence.camera == CAMERA
+    # By this, `publish` finds that two files hold the same frames.
+    assert CameraFile.read(tmp_path / "sequence").depth_sketch == depth_sketch(source.frames)
     for i, frame in enumerate(source.frames):
         np.testing.assert_array_equal(sequence.depth_m(i), frame.depth_m)
         rgb = sequence.color_rgb(i)
@@ -110,6 +114,11 @@ def test_every_container_gives_the_same_pairs(source: Source, name: str, tmp_pat
     # By one trajectory and one object: all that a pair takes from its recording are the depth and the camera.
     made = make_pair(source.view, sequence, source.shape, PairSettings())
     assert made.pair is not None and pair_bytes(made.pair) == source.pair
+
+
+def depth_sketch(frames: list[Stored]) -> tuple[str, ...]:
+    depths_mm = (np.rint(1000 * frame.depth_m).astype(np.int32) for frame in frames)
+    return tuple(sorted(blake2b(depth.tobytes(), digest_size=8).hexdigest() for depth in depths_mm))
 
 
 @dataclass(frozen=True)

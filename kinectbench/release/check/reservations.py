@@ -1,0 +1,45 @@
+"""What has to be added when `verify` calls a release faultless."""
+
+from pathlib import Path
+
+from kinectbench._version import __version__
+from kinectbench.core import listed, printable
+from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
+from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
+from kinectbench.release.check.view_check import image_names, no_decoder
+from kinectbench.release.opening import open_contents
+
+
+def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
+    """Return a message for each check that `verify` could not make on a release without faults.
+
+    One more names the recordings that were published although they do not keep the limits.
+
+    The arguments are those of `verify`.
+
+    Raises:
+        ReleaseError: benchmark.json or SHA256SUMS cannot be read.
+    """
+    with open_contents(path) as contents:
+        info = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
+        sums = parse_sums(contents.text(SHA256SUMS), SHA256SUMS)
+    clauses = list[str]()
+    if poor := [name for name, recording in info.recordings.items() if recording.poor]:
+        clauses.append(f"published below its own limits: {printable(listed(poor), 300)}")
+    if info.package_version != __version__ and info.settings.recordings and not checksums_only:
+        clauses.append(f"no text was written again: kinectbench {printable(info.package_version)} wrote them")
+    if info.benchmark_sha256_version is None:
+        clauses.append(
+            "its benchmark_sha256 is of version 1: of the files alone, not of what benchmark.json says"
+        )
+    pairs = [name for name in sums if name.startswith("pairs/")]
+    without = sum(not sums.keys() >= set(image_names(name)) for name in pairs)
+    if checksums_only or not pairs:
+        return clauses
+    if without < len(pairs) and (missing := no_decoder()):
+        clauses.append(f"no partial was compared with its view's depth: {missing}")
+    elif without:
+        clauses.append(
+            f"{without} of {len(pairs)} partials were compared with no depth, which is not published"
+        )
+    return clauses
