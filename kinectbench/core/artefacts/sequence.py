@@ -49,8 +49,7 @@ class CameraFile(Stored):
     trajectory_error: str = Field(default="", description='Why the given trajectory is not used, or "".')
     depth_sketch: tuple[str, ...] = Field(
         default=(),
-        description="The smallest 64 of the digests (BLAKE2b, 8 bytes, hexadecimal) of its depth images in "
-        "whole millimetres.",
+        description="The 64 smallest digests (BLAKE2b) of depth images, in millimetres.",
     )
     up_world: tuple[float, float, float] | None = Field(
         default=None,
