@@ -184,10 +184,12 @@ def name_there(store: Store, job: Job, key: str) -> str | None:
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredObject]]:
-    """Return the stages that are up to date in the store, why the last run failed (None), and what is built.
+    """Return the status of a recording in a store, without downloading the recording.
 
-    The recording is not downloaded. If its files have not been hashed, no stage is known to be up to date. A
-    missing recording, or a path that leads out of the store, counts as a failure.
+    Returns:
+        Names of the stages that are up to date (none if the recording's files have not been hashed); why the
+        last run failed, None if it did not; and the stored files below `build/<recording>/`. A missing
+        recording, or a path that leads out of the store, counts as a failure.
     """
     try:
         listing = _listing(job)
@@ -203,7 +205,7 @@ def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredO
 
 
 def newest_there(job: Job, stage: str, built: Sequence[StoredObject]) -> Manifest | None:
-    """Return the manifest of the artefact of a stage that was stored last; None without one to read.
+    """Return the manifest of a stage's latest stored artefact; None if there is no readable one.
 
     Args:
         job: the recording.

@@ -177,7 +177,7 @@ class Cluster:
             return ""
 
     def slots(self) -> int:
-        """Return the number of worker threads, as of at most a second ago."""
+        """Return the number of worker threads, at most a second old."""
         self._look()
         return self._slots
 

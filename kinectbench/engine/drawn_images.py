@@ -31,9 +31,9 @@ def views_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
 
 
 def views_shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
-    """Return the views that show a recorded frame, each under the two keys by which a mask may name it.
+    """Return the views that show a recorded frame, each under two keys, because a mask may name either.
 
-    The keys are (number of the view, False) and (index of its frame, True).
+    The keys are (number of the view, False) and (index of the view's frame, True).
     """
     shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
     return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}

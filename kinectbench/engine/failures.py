@@ -25,7 +25,10 @@ OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
 
 
 def stored_failure(build: Path) -> Failed | None:
-    """Return why the last run of `build/<recording>/` failed; None if it succeeded or that is unreadable."""
+    """Return why the last run of a recording failed; None if it succeeded, or if failed.json is unreadable.
+
+    `build` is `build/<recording>/`.
+    """
     try:
         return Failed.read_if_there(build)
     except (OSError, StorageError):

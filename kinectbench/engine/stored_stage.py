@@ -108,7 +108,8 @@ def fetch_file(
         recording: id of the recording.
         artefact: an artefact that the store holds.
         name: name of the file.
-        names: listing of `build/<recording>/`; if it has the file just once, the manifest is not read.
+        names: a listing of `build/<recording>/`, which often saves a request: the file's place in the store
+            is read from it instead of from the manifest, if it has one such file.
     """
     where, folder = stored_folder(recording, artefact), _made(artefact.folder)
     if name == Manifest.FILE:
