@@ -90,7 +90,6 @@ def cluster(address: str) -> Iterator["Cluster"]:
 
 
 def _check_scheduler_file(address: str) -> None:
-    """Raise an error unless the address is the path of a scheduler file."""
     option = f"--cluster {printable(address, 200)}"
     if not Path(address).is_file():
         missing = "no such file; " if address.endswith(".json") else ""

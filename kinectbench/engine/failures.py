@@ -98,7 +98,6 @@ def _would_repeat(failure: BaseException) -> bool:
 
 
 def _chain(failure: BaseException) -> Iterator[BaseException]:
-    """Yield an error and its chain of causes and contexts."""
     each: BaseException | None = failure
     while each is not None:
         yield each

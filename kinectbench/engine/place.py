@@ -70,7 +70,7 @@ def keep_killed(job: Job, error: str) -> None:
 
 
 def for_elsewhere(job: Job) -> Job:
-    """Return the job with an absolute root, for processes that run in another working folder."""
+    """Return the job with an absolute root, for processes with another working folder."""
     return replace(job, root=job.root.absolute()) if url_of(job.root) is None else job
 
 

@@ -70,7 +70,7 @@ def make_folder(folder: Path) -> None:
             folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise StorageError(
-            f"{folder}: the way to it holds a file; choose another folder", what="no-way"
+            f"{folder}: a parent of it is a file; choose another folder", what="no-way"
         ) from None
 
 

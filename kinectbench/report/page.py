@@ -41,8 +41,8 @@ class Groups:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """The parts of a page that accompany the score tables.
+class ScoreExtras:
+    """What a page shows with the score tables: groups of equal methods, and galleries of predictions.
 
     Attributes:
         groups: groups of methods that cannot be distinguished.
@@ -55,7 +55,7 @@ class Beside:
     truths: Mapping[str, PairTruth] = field(default_factory=dict)
 
 
-NOTHING_BESIDE = Beside()
+NO_EXTRAS = ScoreExtras()
 
 
 def write_report(
@@ -64,7 +64,7 @@ def write_report(
     scores: Sequence[ScoreTable],
     out: Path,
     progress: NamedProgress = no_progress,
-    beside: Beside = NOTHING_BESIDE,
+    extras: ScoreExtras = NO_EXTRAS,
     released: ReleaseInfo | None = None,
 ) -> Path:
     """Write the page of a benchmark; the same input gives the same bytes.
@@ -76,7 +76,7 @@ def write_report(
         scores: a table for each method; may be empty. Methods of the same name are called `net`, `net #2`.
         out: the HTML file to write, in whole or not at all.
         progress: called with (recording, done, total) before each recording, and finally ("", total, total).
-        beside: groups and galleries of the score tables, in the same order.
+        extras: groups and galleries of the score tables, in the same order.
         released: benchmark.json of a release without a local build; its settings are shown. None: `settings`
             are shown.
 
@@ -107,7 +107,7 @@ def write_report(
         "recordings": recordings,
         "turntable_frames": turntable.FRAMES,
         "listed": listed,
-        "scores": _scores(scores, beside, many_recordings=max(len(settings.recordings), len(pairs)) > SHOWN),
+        "scores": _scores(scores, extras, many_recordings=max(len(settings.recordings), len(pairs)) > SHOWN),
         "published": [tables.published_table(of) for of in published],
         "synthetic": bool(published) and published[0].views is not None,
         "published_source": f"{PUBLISHED_IN}. {PARAMETERS_LINE}",
@@ -146,27 +146,27 @@ def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingP
     return many.listing(rows, [part.settings.id for part in shown])
 
 
-def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bool) -> dict[str, object]:
+def _scores(scores: Sequence[ScoreTable], extras: ScoreExtras, *, many_recordings: bool) -> dict[str, object]:
     """Return the values for the page's section on scores."""
     names = method_names(scores)
     parsed = [t.model_copy(update={"method": name}) for t, name in zip(scores, names, strict=True)]
     protocols = tables.protocols(parsed)
-    # The protocol of the charts and the gallery; "" without scores.
+    # Protocol of the charts and the gallery; "" without scores.
     primary = protocols[0] if protocols else next((r.heading for t in parsed for r in t.rows), "")
     objects = tables.truth_of_objects(parsed, primary)
     ordered = tables.best_first(parsed, primary)
-    galleries = {table.method: gallery for table, gallery in zip(parsed, beside.galleries, strict=False)}
+    galleries = {table.method: gallery for table, gallery in zip(parsed, extras.galleries, strict=False)}
     in_order = [galleries.get(table.method) for table in ordered]
-    gallery, left_out = gallery_json(ordered, in_order, beside.truths, primary, many=many_recordings)
+    gallery, left_out = gallery_json(ordered, in_order, extras.truths, primary, many=many_recordings)
     groups = {
         protocol: {names[index]: letters for index, letters in of.items()}
-        for protocol, of in beside.groups.letters.items()
+        for protocol, of in extras.groups.letters.items()
     }
     return {
         # Hashes of the benchmarks that the predictions were scored against; normally one.
         "hashes": sorted({table.benchmark_sha256 for table in parsed if table.benchmark_sha256}),
         "tables": [tables.protocol_table(parsed, p, groups.get(p)) for p in protocols],
-        "groups": beside.groups,
+        "groups": extras.groups,
         "details": tables.details(ordered),
         "space": space_table(ordered),
         "detail_names": list(tables.DETAILS),

@@ -343,7 +343,6 @@ def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[Objec
 
 
 def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
-    """Group the rows of pairs by object: return {object: its rows}."""
     groups: dict[str, list[ScoreRow]] = {}
     for row in rows:
         groups.setdefault(row.object, []).append(row)

@@ -166,7 +166,7 @@ def quality_of(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityF
 
 
 def as_of_baseline(settings: ScoreSettings) -> ScoreSettings:
-    """Return the settings with the version of the baselines, which makes a table that of a baseline."""
+    """Return the settings with the baselines' version, by which a table is recognised as a baseline's."""
     return settings.model_copy(update={"baseline_version": VERSIONS["baselines"]})
 
 

@@ -212,7 +212,7 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
         return []
     compared = dict[str, Agreement]()
     for file in files[:: max(len(files) // LOOKED_AT, 1)][:LOOKED_AT]:
-        with contextlib.suppress(PredictionError):  # `score` reports why it cannot be scored
+        with contextlib.suppress(PredictionError):  # reported by `score`
             if (found := view_agreement(release, file, method)) is not None:
                 compared[file.name] = found
     slips, notes = _judged(compared, method)
@@ -243,7 +243,7 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
     if far := [name for name, one in others.items() if one.is_large]:
         notes.append(
             f"{len(far)} predictions are farther from their depth than {LARGE:.0%} of what the view "
-            f"measured, such as {far[0]}; no usual slip of unit or axes explains it"
+            f"measured, such as {far[0]}; no usual error of unit or axes explains it"
         )
     return problems, notes
 

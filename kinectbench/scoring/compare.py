@@ -210,8 +210,8 @@ def find_methods(paths: Sequence[Path]) -> list[Path]:
     below = [file.parent for path in paths if path.is_dir() for file in sorted(path.glob(f"*/{SCORES_JSON}"))]
     if len(files) == 1 and below and files[0].parent in paths:
         raise SettingsError(
-            f"compare: {files[0]} is of one method, and is read instead of those below it: delete it if it "
-            "is an old one, or move it into a folder of its own; or name "
+            f"compare: {files[0]} has the scores of one method, and hides those in subfolders: delete it if "
+            "it is old, or move it into a folder of its own; or name "
             f"{' '.join(map(str, below[:MOST_NAMED]))}"
         )
     return files

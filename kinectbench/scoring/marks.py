@@ -34,7 +34,7 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
 
 
 def _baseline(table: ScoreTable) -> str:
-    """Return a mark if the table is a baseline's. Only in older tables, its name tells."""
+    """Return a mark if the table is a baseline's; older tables are recognised by the method's name."""
     by_name = table.settings.baseline_version is None and table.method.lower() in BASELINE_NAMES
     return "baseline" if table.baseline or table.settings.of_baseline or by_name else ""
 

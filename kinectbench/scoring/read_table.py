@@ -138,7 +138,6 @@ def _is_list(value: object) -> TypeGuard[Sequence[object]]:
 
 
 def _close(one: object, other: object) -> bool:
-    """Return whether two values are equal up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
     return bool(one == other)

@@ -27,7 +27,7 @@ class Request:
         missing: "error" or "empty": how a missing prediction is treated.
         upsampling: "half-pixel" or "corner-aligned".
         close: how open meshes and points are made solid; None if they are not.
-        jobs: number of processes on this machine, or what counts on other machines (an executor).
+        jobs: number of processes on this machine, or an executor for other machines.
         in_parts: whether only one part of the pairs is counted (`count_methods`).
     """
 
@@ -78,8 +78,8 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
     Args:
         request: the options.
         folder: the method's predictions; without a method.json they are in the pairs' grid.
-        of_several: whether other methods are scored too. Then protocols that do not fit this method are no
-            error: the method is left out.
+        of_several: whether other methods are scored too. If so, a method that the protocols do not fit is
+            left out, and raises no error.
 
     Raises:
         SettingsError: an option does not apply to predictions in the method's frame (camera, or the pair's

@@ -1,4 +1,4 @@
-"""Count a method's pairs: validation pairs first, as the thresholds are chosen on them."""
+"""Count a method's pairs (see `pair_result`): validation pairs first, to choose the thresholds on them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -199,7 +199,7 @@ class _Silent:
 def _by_recording(
     executor: Executor, jobs: Sequence[PairJob], keep: Callable[[PairJob, PairResult | str], None]
 ) -> None:
-    """Count pairs by an executor; a task is a whole recording, as a single pair would take too little time.
+    """Count pairs by an executor, one recording per task, because a single pair takes too little time.
 
     `keep` is called with each job and its result.
     """

@@ -97,16 +97,15 @@ def score(
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
     _refuse_many_rows(len(release.split("test")), counting.protocols)
     rounds = Rounds(release, counting, journal, jobs, progress)
-    table = _counted(release, asked, method, rounds, describe(counting, missing), here)
+    table = _counted_table(release, asked, method, rounds, describe(counting, missing), here)
     if table.complete:
         journal.remove()
     return _with_warnings(table, predictions, asked, release)
 
 
-def _counted(
+def _counted_table(
     release: Release, asked: Plan, method: str, rounds: Rounds, how: ScoreSettings, jobs: int
 ) -> ScoreTable:
-    """Count the pairs and make the table."""
     outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
     failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}

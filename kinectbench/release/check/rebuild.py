@@ -70,7 +70,7 @@ class RebuildPlan:
         settings: the release's settings for the recordings to rebuild, with this machine's paths.
         targets: the pairs to compare.
         notes: one line for each version that differs here, and each reason why pairs are not compared.
-        other_terms: one line for each licence or source that the benchmark.yaml here states otherwise.
+        other_terms: one line for each licence or source that differs in the benchmark.yaml on this machine.
     """
 
     settings: BenchmarkSettings
@@ -191,7 +191,7 @@ def _settings(
 def _other_terms(
     metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
 ) -> Iterator[str]:
-    """Yield a line for each licence or source that the benchmark.yaml here states otherwise."""
+    """Yield a line for each licence or source that differs in the benchmark.yaml on this machine."""
     for name in sorted(wanted):
         for key in ("license", "source"):
             stated, here = getattr(metadata.recordings[name], key), getattr(sources[name], key)
@@ -229,7 +229,6 @@ def _stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
 
 
 def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
-    """Return {recording: its entry in lineage.json}; empty if the file is missing."""
     if LINEAGE_JSON not in contents.entries:
         return {}
     return Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
@@ -238,7 +237,7 @@ def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
 def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
     """Yield a line for each rebuilt file or pair that differs from the published one, or is missing.
 
-    If objects, images and pairs are the same, all else that `publish` makes of them is compared, too.
+    If all objects, images and pairs are equal, the other files that `publish` makes are compared, too.
 
     Args:
         contents: the release.

@@ -106,7 +106,6 @@ def _file_sets(folder: Path) -> list[dict[str, object]]:
 
 
 def _targets(columns: Sequence[str]) -> dict[str, object]:
-    """Return Croissant's RecordSet of targets.csv."""
     return {
         "@type": "cr:RecordSet",
         "@id": "targets",

@@ -61,8 +61,8 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
     """
     if settings.pairs.framing != "view":
         raise SettingsError(
-            "--isolate: with pairs.framing 'object' the cube of a pair tells how long the shape is and where "
-            "its middle lies; set `pairs: {framing: view}` in benchmark.yaml (or `--set pairs.framing=view`)"
+            "--isolate: with pairs.framing 'object', size and place of a pair's cube reveal the shape; "
+            "set `pairs: {framing: view}` in benchmark.yaml (or `--set pairs.framing=view`)"
         )
 
 

@@ -188,7 +188,6 @@ def _drawn(folder: Path, target: Target, held_back: bool) -> list[str]:
 
 
 def _png(picture: NDArray[np.uint8]) -> str:
-    """Return an RGB picture (height, width, 3) as a `data:` URL of a PNG."""
     return png_uri(png(picture[..., ::-1]))
 
 

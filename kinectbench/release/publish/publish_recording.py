@@ -56,7 +56,7 @@ class Built:
         recording: the recording's settings.
         folder: `build/<recording>/`.
         hidden: whether the recording's truth is held back.
-        most_named: most files that lineage.json lists one by one; for more files it has a single hash.
+        most_named: largest number of files that lineage.json lists one by one; of more, it has one hash.
         only: with `--isolate`, the name in the build of the only published view; None: all are published.
     """
 
@@ -351,7 +351,6 @@ def _stage(folder: Path, hidden: bool) -> LineageStage:
 
 
 def _copy_built(source: Path, target: Path) -> None:
-    """Copy one built file's bytes."""
     if not source.is_file():
         raise ReleaseError(f"{source}: missing; run the build again", what="not-built")
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Estimate the IoU that an attacker reaches who rebuilds held-back truth from an object's public views.
+"""Estimate how well an attacker can rebuild held-back truth from an object's public views, as an IoU.
 
 Anybody can register the views with each other. No registration finds better poses than the true ones, so a
 solid carved from the views at their true poses shows about what an attack can reach.

@@ -39,9 +39,9 @@ from kinectbench.settings.models import BenchmarkSettings
 def stated_warnings(
     info: ReleaseInfo, settings: BenchmarkSettings, targets: Sequence[Target], card_text: str
 ) -> list[str]:
-    """Return the warnings of a release of recordings as they follow from its files, without advice.
+    """Return the warnings of a release of recordings, derived from its files, without advice.
 
-    That two recordings hold the same frames follows from no file: these lines are the card's own.
+    Lines on recordings with the same frames cannot be derived, so they are taken from the card.
 
     Args:
         info: content of benchmark.json.

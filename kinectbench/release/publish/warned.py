@@ -70,7 +70,7 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
 def _of_quality(infos: Mapping[str, RecordingInfo]) -> Iterator[str]:
     """Yield a line for each recording with quality warnings: the first warning, and how many follow.
 
-    What the lines of the gate say of a recording is not repeated.
+    Warnings that the gate's lines already state are left out.
     """
     for name, info in infos.items():
         of_gate = "; ".join((*info.poor, *info.look))

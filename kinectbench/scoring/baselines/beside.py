@@ -30,10 +30,9 @@ def baselines_beside(
 ) -> list[ScoreTable]:
     """Score every baseline that the release allows; `score` gives the same for a baseline's prediction files.
 
-    Tables are kept in `out/baselines/<name>/scores.json`, or under `camera` in
-    `out/baselines/<name>+camera/`. A kept table is used again if the release, the settings and the versions
-    of counting and of the baselines are the same. As a check, a few of its rows are computed again; they must
-    agree. Thresholds are chosen per baseline on the validation split; without that split they are 0.5.
+    Tables are stored in `out/baselines/<name>/scores.json`, or for the protocol `camera` in
+    `out/baselines/<name>+camera/`. A table of an earlier run is reused if it is still valid (`kept_tables`).
+    Thresholds are chosen per baseline on the validation split; without that split they are 0.5.
 
     Args:
         release: the release that is scored.
@@ -43,7 +42,7 @@ def baselines_beside(
         upsampling: "half-pixel" or "corner-aligned".
         without: names of baselines that are left out.
         jobs: number of processes.
-        progress: called with (pairs done, pairs in all); not called if all tables are kept tables.
+        progress: called with (pairs done, pairs in all); not called if all tables are reused.
 
     Returns:
         A table for each baseline.

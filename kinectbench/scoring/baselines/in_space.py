@@ -89,7 +89,7 @@ def thresholds_of_baselines(
     jobs: int = 1,
     upsampling: str = HALF_PIXEL,
 ) -> dict[str, Thresholds]:
-    """Return {baseline: its thresholds, chosen on all validation pairs by what it predicts of them}.
+    """Return {baseline: its thresholds, chosen on its predictions for all validation pairs}.
 
     Args:
         release: the release that is predicted.
@@ -118,7 +118,7 @@ def space_baselines_that_differ(
     *,
     every: bool = False,
 ) -> set[str]:
-    """Score some views again; return the baselines whose tables have other rows for them.
+    """Score some views again; return the baselines whose tables have other rows for these views.
 
     Args:
         release: the release that was predicted.

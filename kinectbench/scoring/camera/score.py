@@ -121,14 +121,14 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
 def left_out_table(
     release: Release, method: str, protocols: tuple[str, ...], missing: Missing, reason: str
 ) -> ScoreTable:
-    """Return the table of a method that is left out when several are scored: all views fail for one reason.
+    """Return the table of a method that cannot be scored under the protocols: all views fail for one reason.
 
     Args:
         release: the release that was predicted.
         method: the method's name.
         protocols: the requested protocols.
         missing: "error" or "empty"; only stated in the table's settings.
-        reason: why every view fails (`unfit`).
+        reason: why the protocols do not fit, as `unfit` returns it.
     """
     test = pairs_to_score(release, validation=False, solid=False)
     failures, settings = dict.fromkeys(test, reason), settings_in_space(protocols, missing)

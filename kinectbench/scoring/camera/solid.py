@@ -37,7 +37,7 @@ class Solid:
 
 
 def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
-    """Make a mesh that is used as a shape's solid; None if none can be made.
+    """Return the mesh that `solid_in` turns into the solid of an open shape; None if there is none.
 
     Args:
         shape: an open mesh, or points.
