@@ -192,7 +192,7 @@ def has_sizes(
     """
     of_size, of_sha256 = map(SourceFile._fields.index, ("size", "sha256"))
     try:
-        rows = Sources.unchecked(cache)  # the hash vouches for the rows
+        rows = Sources.unchecked(cache)  # compared with the hash below
     except (OSError, ValueError, RecursionError):
         return True
     try:

@@ -125,7 +125,7 @@ def _listing(job: Job) -> _Listing:
     built = {each.name: each for each in store.objects(f"build/{job.recording.id}")}
     if Path(job.recording.path).is_absolute() and not job.source.exists():
         kept = [name for name in built if name.startswith(f"build/{job.recording.id}/{SOURCES}/")]
-        if len(kept) == 1:  # deleted after its build: what is stored is of these files
+        if len(kept) == 1:  # the scan was deleted after this build
             return _Listing(store, files, built, kept[0])
     return _Listing(store, files, built, sources_name(job, files))
 

@@ -163,7 +163,7 @@ class Scorer:
             threshold = None if thresholds is None else thresholds.of[target.category]
             path = self._release.pair_path(target)
             result = count_job(PairJob(target, path, None, threshold, self._counting))
-            assert isinstance(result, PairResult)  # no file was read that could be wrong
+            assert isinstance(result, PairResult)  # an empty grid has no faults
             grids[target] = result
         return grids
 

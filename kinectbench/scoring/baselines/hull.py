@@ -53,7 +53,6 @@ def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
     far = np.linspace(-0.5, count - 0.5, PIXELS)
     cells = np.arange(count)
     hit = np.zeros((PIXELS, PIXELS), np.bool_)
-    # Plane by plane.
     filled = transposed(partial.view(np.uint8).reshape(-1, count)).reshape(partial.shape).view(np.bool_)
     for k, plane in enumerate(filled):
         # Where the rays that end at `far` on the last plane cross this plane.
