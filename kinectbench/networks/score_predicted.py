@@ -18,7 +18,7 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.api import Scorer
 from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.dataset import Dataset
-from kinectbench.scoring.declared import method_lines
+from kinectbench.scoring.method_json import method_lines
 from kinectbench.scoring.packed_prediction import CODES, LEVELS, packed, unpacked
 
 

@@ -16,7 +16,7 @@ from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.stages import Job
-from kinectbench.report import charts, many, tables
+from kinectbench.report import charts, recording_list, tables
 from kinectbench.report.gallery import PairTruth, gallery_json
 from kinectbench.report.recording import RecordingPart, collect
 from kinectbench.report.space_table import space_table
@@ -89,14 +89,14 @@ def write_report(
     """
     recordings = [] if build is None else _recordings(settings, build, progress)
     listed = None if build is None else _listed(settings, build, recordings)
-    plain, left_out = many.shortened(
+    plain, left_out = recording_list.shortened(
         (released.settings if released else settings).model_dump(mode="json", exclude_none=True)
     )
     pairs = [len(r.tiles) for r in recordings]
     if released:
         pairs = [r.pairs for r in released.recordings.values()]
     elif listed:
-        pairs = [int(row[many.PAIRS]) for row in listed.rows]
+        pairs = [int(row[recording_list.PAIRS]) for row in listed.rows]
     published = _published(scores)
     shown = {
         "settings": settings,
@@ -142,8 +142,11 @@ def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingP
     """Return the list of all recordings if the page shows only some in detail, else None."""
     if len(shown) == len(settings.recordings):
         return None
-    rows = [many.recording_row(Job(settings, r, build.parent), build / r.id) for r in settings.recordings]
-    return many.listing(rows, [part.settings.id for part in shown])
+    rows = [
+        recording_list.recording_row(Job(settings, r, build.parent), build / r.id)
+        for r in settings.recordings
+    ]
+    return recording_list.listing(rows, [part.settings.id for part in shown])
 
 
 def _scores(scores: Sequence[ScoreTable], extras: ScoreExtras, *, many_recordings: bool) -> dict[str, object]:
@@ -172,7 +175,7 @@ def _scores(scores: Sequence[ScoreTable], extras: ScoreExtras, *, many_recording
         "detail_names": list(tables.DETAILS),
         "more_is_better": tables.MORE_IS_BETTER,
         "objects": objects,
-        "listed_objects": many.object_listing(objects),
+        "listed_objects": recording_list.object_listing(objects),
         "methods": ordered,
         "protocol": primary,
         "legend": [(charts.series_class(i), table.method) for i, table in enumerate(ordered)],

@@ -8,18 +8,18 @@ from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.gallery import Gallery, read_gallery, write_gallery
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, SCORES_JSON, ScoreTable
 from kinectbench.core.types import NamedProgress, Progress, no_progress
-from kinectbench.release.publish.current import scoring_folder
+from kinectbench.release.publish.publish_if_stale import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
 from kinectbench.report.page import Groups, ScoreExtras, write_report
 from kinectbench.report.space_gallery import space_cells
 from kinectbench.report.space_table import is_baseline
 from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, too_small
-from kinectbench.scoring.declared import read_in_camera
-from kinectbench.scoring.of_release import not_of_release
+from kinectbench.scoring.method_json import read_in_camera
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.protocols import PROTOCOLS
 from kinectbench.scoring.read_table import read_table
+from kinectbench.scoring.release_contradictions import release_contradictions
 from kinectbench.scoring.uncertainty import smallest_p
 from kinectbench.settings.models import BenchmarkSettings, PairSettings, RecordingSettings
 
@@ -307,7 +307,7 @@ def _of_release(
     """
     score_files, warnings = [], []
     for file in files:
-        problem = next(not_of_release(file.table, release), None)
+        problem = next(release_contradictions(file.table, release), None)
         if problem is None:
             score_files.append(file)
         elif refuse:

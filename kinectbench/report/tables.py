@@ -23,7 +23,7 @@ from kinectbench.core.artefacts.scores import (
 from kinectbench.report.figures import per_cent, text_of
 from kinectbench.scoring.averages import extremes
 from kinectbench.scoring.baselines.registry import BASE_RATE
-from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.caveats import marks_of
 from kinectbench.scoring.published import LABEL, REAL, PublishedTable
 
 PROTOCOL_NOTES = {

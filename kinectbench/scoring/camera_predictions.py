@@ -16,7 +16,6 @@ from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
 from kinectbench.scoring.closed_mesh import closed_mesh, open_because, refuse_mesh
-from kinectbench.scoring.declared import method_problems
 from kinectbench.scoring.depth_agreement import (
     LARGE,
     SCENE,
@@ -26,8 +25,9 @@ from kinectbench.scoring.depth_agreement import (
     beyond_share,
     likeliest,
 )
+from kinectbench.scoring.equal_predictions import Held, content_of, same_lines
+from kinectbench.scoring.method_json import method_problems
 from kinectbench.scoring.predictions import NO_PREDICTION, stray_files
-from kinectbench.scoring.sameness import Held, content_of, same_lines
 from kinectbench.scoring.strays import stray_lines
 
 # Number of predictions that `score` compares with their depth (chosen here).

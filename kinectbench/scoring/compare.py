@@ -13,8 +13,8 @@ from kinectbench.core.artefacts.score_marks import BASELINE
 from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.scoring.averages import ObjectMeans
 from kinectbench.scoring.comparable import check_same, comparable_means, complete_ones, left_out_lines
-from kinectbench.scoring.letters import MOST_GROUPS, letters
 from kinectbench.scoring.protocols import PRIMARY
+from kinectbench.scoring.significance_letters import MOST_GROUPS, significance_letters
 from kinectbench.scoring.uncertainty import (
     MAX_EXACT,
     bootstrap_interval,
@@ -308,9 +308,11 @@ def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str)
 
 
 def _groups(means: Mapping[str, float], differences: Sequence[Difference], metric: str) -> dict[str, str]:
-    """Return {method: its letters (see `letters`)}, in the order of `means`."""
+    """Return {method: its letters}, in the order of `means`."""
     best_first = sorted(means, key=lambda name: means[name], reverse=metric in SHARES)
-    by_name = letters(best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA})
+    by_name = significance_letters(
+        best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA}
+    )
     return {name: by_name[name] for name in means}
 
 

@@ -9,7 +9,7 @@ from kinectbench.core import SettingsError, require_extra
 from kinectbench.core.artefacts.score_figures import CLOSINGS
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.executor import Executor
-from kinectbench.scoring.declared import read_in_camera, read_method
+from kinectbench.scoring.method_json import read_in_camera, read_method
 from kinectbench.scoring.predictions import check_folder, declared_folders
 from kinectbench.scoring.protocols import check_protocols, protocols_in_space, space_alone
 from kinectbench.scoring.rounds import Missing

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from pathlib import PurePosixPath
 
 from kinectbench.core import printable
-from kinectbench.scoring.declared import NAMED
+from kinectbench.scoring.method_json import NAMED
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 # Mesh formats that are not supported; a file with such a suffix in a prediction's place is reported.

@@ -49,9 +49,9 @@ from kinectbench.release.publish.attribution import common_license, license_text
 from kinectbench.release.publish.gate import left_out_line, look_line, poor_line
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.isolate import isolated_line
-from kinectbench.release.publish.rebuilt import rebuilt_line
+from kinectbench.release.publish.previews import row_picture, rows_text
+from kinectbench.release.publish.reconstruction_attack import attack_line
 from kinectbench.release.publish.schemas import schema_problems
-from kinectbench.release.publish.view_pictures import row_picture, rows_text
 from kinectbench.settings.yaml_nodes import compose, items
 
 # Files of an object that are published even if its truth is held back.
@@ -236,7 +236,7 @@ def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
         return
     sentences = {
         "isolated": isolated_line(metadata.isolated) if metadata.isolated else None,
-        "rebuilt_iou": None if metadata.isolated else rebuilt_line(metadata.recordings),
+        "rebuilt_iou": None if metadata.isolated else attack_line(metadata.recordings),
     }
     for key, line in sentences.items():
         if line and line not in text:

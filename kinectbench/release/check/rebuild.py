@@ -27,7 +27,7 @@ from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording
 from kinectbench.core.types import FileArray
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES, packed_count, pair_values
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.release.check.remade import AGAIN, remade_differences
+from kinectbench.release.check.republish_check import AGAIN, republished_differences
 from kinectbench.release.check.text_check import release_settings
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents, most_bytes
 from kinectbench.release.publish.small_files import data_package_versions
@@ -250,7 +250,7 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
         differs = True
         yield line
     if not differs:
-        yield from remade_differences(contents, plan.settings, plan.targets, build)
+        yield from republished_differences(contents, plan.settings, plan.targets, build)
 
 
 def _built_differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:

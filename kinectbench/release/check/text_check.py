@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.provenance import LINEAGE_JSON, PRIVACY_JSON, Li
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.release.contents import CARD, Contents, release_json
 from kinectbench.release.publish.gate import ADVICE
-from kinectbench.release.publish.preview import NO_PICTURE
+from kinectbench.release.publish.index_page import NO_PICTURE
 from kinectbench.release.publish.texts import release_facts, release_texts, stated_warnings
 from kinectbench.settings.models import BenchmarkSettings
 

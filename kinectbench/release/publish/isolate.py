@@ -20,7 +20,7 @@ from kinectbench.core.types import MM_PER_M
 from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.release.publish.held_back import DECIMALS
-from kinectbench.release.publish.rebuilt import PosedView
+from kinectbench.release.publish.reconstruction_attack import PosedView
 from kinectbench.settings.models import BenchmarkSettings
 
 Row = TypeVar("Row", PairRow, ViewRow)

@@ -29,10 +29,10 @@ from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.croissant import described
 from kinectbench.release.publish.datasheet import datasheet
 from kinectbench.release.publish.gate import gate_lines, left_out_line
-from kinectbench.release.publish.preview import preview_text
+from kinectbench.release.publish.index_page import preview_text
+from kinectbench.release.publish.release_warnings import release_warnings
 from kinectbench.release.publish.same_frames import TWICE
 from kinectbench.release.publish.small_files import Head, about_release
-from kinectbench.release.publish.warned import release_warnings
 from kinectbench.settings.models import BenchmarkSettings
 
 

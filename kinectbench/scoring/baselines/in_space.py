@@ -11,6 +11,7 @@ from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.camera.grid import grid_result
@@ -20,7 +21,6 @@ from kinectbench.scoring.camera.view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.counts import tally
 from kinectbench.scoring.pair_result import drawn
 from kinectbench.scoring.read_table import differing
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks

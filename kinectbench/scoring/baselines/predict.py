@@ -17,9 +17,9 @@ from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pair_values
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.base_rates import SOURCES, base_rates
 from kinectbench.scoring.baselines.inputs import Inputs, read_training, up_in_grid
 from kinectbench.scoring.baselines.registry import BASE_RATE, BASELINES, LEARNED
-from kinectbench.scoring.references import SOURCES, base_rates
 from kinectbench.scoring.workers import run_tasks
 
 SPLITS: tuple[Split, ...] = ("test", "validation")

@@ -6,9 +6,9 @@ from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import as_of_baseline
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.predict import possible_baselines
 from kinectbench.scoring.pair_result import Counting
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.thresholds import FROM_FILE
 
 
@@ -54,7 +54,7 @@ def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[st
     if not table.complete or table.method not in possible_baselines(release):
         return False
     # Imported late: slow to load, and few methods have the name of a baseline.
-    from kinectbench.scoring.baselines.counted import baselines_that_differ
+    from kinectbench.scoring.baselines.in_grids import baselines_that_differ
     from kinectbench.scoring.baselines.in_space import space_baselines_that_differ, thresholds_of_baselines
 
     if not (table.threshold_source or "").startswith(FROM_FILE):

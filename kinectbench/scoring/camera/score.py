@@ -27,9 +27,9 @@ from kinectbench.scoring.camera_predictions import (
     missing_in_camera,
     strays_in_camera,
 )
-from kinectbench.scoring.declared import method_lines
-from kinectbench.scoring.from_rows import from_rows
-from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.caveats import marks_of
+from kinectbench.scoring.derived_values import derived_values
+from kinectbench.scoring.method_json import method_lines
 from kinectbench.scoring.rounds import Missing, pairs_to_score
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, SEARCHED, Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
@@ -197,7 +197,7 @@ def table_in_space(
     digests = {target: result.digest for target, result in results.items()} | dict(validation)
     without = frozenset(empty)
     predicted = sum(target.name not in without for target in validation)
-    derived = from_rows(rows, settings.protocols, {}, quality, not failures)
+    derived = derived_values(rows, settings.protocols, {}, quality, not failures)
     table = ScoreTable(
         method=method,
         benchmark_sha256=release.benchmark_sha256,

@@ -6,7 +6,7 @@ from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.score_marks import ACCOUNTED, Mark
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.scoring.references import BASELINE_NAMES
+from kinectbench.scoring.base_rates import BASELINE_NAMES
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHOD_SOURCE, POOLED_SOURCE
 
 # Maximum number of names in a mark.

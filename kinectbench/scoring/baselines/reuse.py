@@ -28,13 +28,13 @@ class Scoring:
     differ: Callable[..., Iterable[str]]
 
 
-def kept_tables(
+def reusable_tables(
     folders: Mapping[str, Path],
     release: Release,
     scoring: Scoring,
     jobs: int,
     *,
-    beside: bool,
+    for_comparison: bool,
 ) -> dict[str, ScoreTable]:
     """Return the stored tables that are still valid, {baseline: its table}.
 
@@ -46,19 +46,22 @@ def kept_tables(
         release: the release that is scored.
         scoring: how baselines are scored now.
         jobs: number of processes.
-        beside: whether the tables were stored for comparison with methods, by `baselines_beside`.
+        for_comparison: whether `comparison_baselines` stored the tables.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
     """
-    kept = {name: _kept(folder, name, release, scoring.settings, beside) for name, folder in folders.items()}
+    kept = {
+        name: _kept(folder, name, release, scoring.settings, for_comparison)
+        for name, folder in folders.items()
+    }
     tables = {name: table for name, table in kept.items() if table is not None}
     wrong = set(scoring.differ(release, tables, jobs=jobs)) if tables else set()
     return {name: table for name, table in tables.items() if name not in wrong}
 
 
 def _kept(
-    folder: Path, name: str, release: Release, settings: ScoreSettings, beside: bool
+    folder: Path, name: str, release: Release, settings: ScoreSettings, for_comparison: bool
 ) -> ScoreTable | None:
     """Return a baseline's table if it is readable, and of this release and these settings; else None."""
     try:
@@ -66,6 +69,6 @@ def _kept(
     except StorageError:  # there is none, or it is damaged or contradicts itself
         return None
     made = (table.method, table.baseline, table.benchmark_sha256, table.settings)
-    same = made == (name, beside, release.benchmark_sha256, settings)
+    same = made == (name, for_comparison, release.benchmark_sha256, settings)
     by_file = (table.threshold_source or "").startswith("file:")
     return table if same and not by_file and (table.complete or table.failures) else None

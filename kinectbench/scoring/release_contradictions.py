@@ -16,7 +16,7 @@ from kinectbench.scoring.protocols import EVERY_VOXEL, PRIMARY
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE
 
 
-def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
+def release_contradictions(table: ScoreTable, release: Release) -> Iterator[str]:
     """Yield a sentence for each value in a table that contradicts the release.
 
     Args:

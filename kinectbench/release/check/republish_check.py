@@ -25,13 +25,13 @@ from kinectbench.release.contents import (
 )
 from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.gate import gate
+from kinectbench.release.publish.index_page import preview_text
 from kinectbench.release.publish.object_glb import write_glbs
-from kinectbench.release.publish.preview import preview_text
+from kinectbench.release.publish.previews import write_view_pictures
 from kinectbench.release.publish.privacy import scrubbed
 from kinectbench.release.publish.publish import MOST_NAMED_FILES
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
 from kinectbench.release.publish.texts import stated_warnings
-from kinectbench.release.publish.view_pictures import write_view_pictures
 from kinectbench.settings.models import BenchmarkSettings
 
 AGAIN = "differs when made again"
@@ -41,7 +41,7 @@ AS_BUILT = (*OBJECT_FILES, *VIEW_IMAGES, ".npz", ROWS)
 OF_FILES = ("files", "files_sha256")
 
 
-def remade_differences(
+def republished_differences(
     contents: Contents, settings: BenchmarkSettings, targets: Sequence[Target], build: Path
 ) -> Iterator[str]:
     """Yield a line for each figure, picture or page that differs when recordings are published again.

@@ -14,15 +14,15 @@ from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table, rows_of
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
-from kinectbench.scoring.baselines.kept import Scoring, kept_tables
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
+from kinectbench.scoring.baselines.reuse import Scoring, reusable_tables
 from kinectbench.scoring.camera.score import settings_in_space
 from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, drawn, surfaces
 from kinectbench.scoring.protocols import space_alone
 from kinectbench.scoring.read_table import differing, read_table
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import check_words
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
@@ -46,8 +46,8 @@ def score_baselines(
 ) -> list[ScoreTable]:
     """Score every baseline that a release allows, write `out/<name>/scores.json`, and return the tables.
 
-    Tables of an earlier run in `out` are reused if they are still valid (`kept_tables`). No prediction files
-    are written; `write_baselines` and `score_methods` would give the same tables, with hashes of such files.
+    Valid tables of an earlier run in `out` are reused (`reusable_tables`). No prediction files are written;
+    `write_baselines` and `score_methods` would give the same tables, with hashes of such files.
 
     Args:
         release: the release that is predicted.
@@ -74,7 +74,7 @@ def score_baselines(
     in_space = space_alone(protocols, upsampling)
     scoring = scoring_of(in_space or counting_of(release, protocols, upsampling, surface), names)
     folders = {} if thresholds_file else {name: out / name for name in scoring.names}
-    tables = kept_tables(folders, release, scoring, jobs, beside=False)
+    tables = reusable_tables(folders, release, scoring, jobs, for_comparison=False)
     if wanted := [name for name in scoring.names if name not in tables]:
         made = scoring.make(release, wanted, thresholds_file=thresholds_file, jobs=jobs, progress=progress)
         for table in made:
