@@ -40,7 +40,7 @@ def views_shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
 
 
 def picture_digests(pictures: Mapping[str, bytes], sequence: Sequence, frame: int) -> set[str]:
-    """Return the digests of a frame's pictures, as they are and with the recorded colour file instead."""
+    """Return two digests of a frame's pictures: as they are, and with the recorded file as colour image."""
     _, color = sequence.frames.color_encoded(frame) or ("", b"")
     return {
         picture_digest(each) for each in (pictures, {**pictures, "color.jpg": color} if color else pictures)

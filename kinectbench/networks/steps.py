@@ -11,8 +11,8 @@ from torch.optim import Adam
 from kinectbench.core import KinectBenchError
 from kinectbench.networks.config import LossSettings, MethodSettings
 from kinectbench.networks.data import Batch
+from kinectbench.networks.distributed import average_buffers, average_gradients
 from kinectbench.networks.network import Network
-from kinectbench.networks.processes import average_buffers, average_gradients
 from kinectbench.networks.recae import RecAE
 from kinectbench.networks.recgan import RecGAN, discriminator_loss
 

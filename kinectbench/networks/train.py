@@ -24,7 +24,13 @@ from kinectbench.networks.data import (
     training_targets,
     validation_pairs,
 )
-from kinectbench.networks.processes import agreed, chosen_device, joined_processes, mean_of_all, wait_for_all
+from kinectbench.networks.distributed import (
+    agreed,
+    chosen_device,
+    joined_processes,
+    mean_of_all,
+    wait_for_all,
+)
 from kinectbench.networks.registry import make_network
 from kinectbench.networks.run_folder import (
     State,

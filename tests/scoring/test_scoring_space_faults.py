@@ -14,7 +14,7 @@ from small_benchmark import run_here
 from kinectbench.core.errors import PredictionError, ReleaseError
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring import camera_predictions
-from kinectbench.scoring.camera import score as camera_score
+from kinectbench.scoring.camera import score_camera_method as camera_score
 from kinectbench.scoring.camera import surface
 from kinectbench.scoring.camera_predictions import check_camera
 from kinectbench.scoring.camera_shape import CameraShape, write_shape

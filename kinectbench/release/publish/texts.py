@@ -17,7 +17,6 @@ from kinectbench.release.contents import (
     PREVIEW,
     READING,
 )
-from kinectbench.release.publish.about import datacite, day_by
 from kinectbench.release.publish.attribution import (
     changelog_text,
     citation_text,
@@ -27,6 +26,7 @@ from kinectbench.release.publish.attribution import (
 from kinectbench.release.publish.card import card, reading
 from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.croissant import described
+from kinectbench.release.publish.datacite import datacite, day_by
 from kinectbench.release.publish.datasheet import datasheet
 from kinectbench.release.publish.gate import gate_lines, left_out_line
 from kinectbench.release.publish.index_page import preview_text

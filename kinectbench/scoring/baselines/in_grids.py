@@ -19,7 +19,7 @@ from kinectbench.scoring.baselines.in_space import space_baselines, space_baseli
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
 from kinectbench.scoring.baselines.reuse import Scoring, reusable_tables
-from kinectbench.scoring.camera.score import settings_in_space
+from kinectbench.scoring.camera.score_camera_method import settings_in_space
 from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, drawn, surfaces
 from kinectbench.scoring.protocols import space_alone
 from kinectbench.scoring.read_table import differing, read_table

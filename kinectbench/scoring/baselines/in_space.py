@@ -14,10 +14,10 @@ from kinectbench.scoring.assemble import as_of_baseline
 from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
-from kinectbench.scoring.camera.grid import grid_result
-from kinectbench.scoring.camera.score import rows_of_view, settings_in_space, table_in_space
+from kinectbench.scoring.camera.score_camera_method import rows_of_view, settings_in_space, table_in_space
+from kinectbench.scoring.camera.score_grid_view import grid_result
+from kinectbench.scoring.camera.score_view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.camera.truth import files_of, read_space_truth
-from kinectbench.scoring.camera.view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.counts import tally
 from kinectbench.scoring.pair_result import drawn
 from kinectbench.scoring.read_table import differing

@@ -18,8 +18,8 @@ from kinectbench.core.types import Progress
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import quality_of
+from kinectbench.scoring.camera.score_view import Asked, ViewJob, ViewResult, asked_rows, score_view
 from kinectbench.scoring.camera.truth import files_of
-from kinectbench.scoring.camera.view import Asked, ViewJob, ViewResult, asked_rows, score_view
 from kinectbench.scoring.camera_predictions import (
     CameraPredictionFile,
     depth_warnings,
