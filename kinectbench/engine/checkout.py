@@ -231,7 +231,7 @@ def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], repo
 def fetch_files(
     store: Store, root: Path, listed: Sequence[StoredObject], done: Callable[[int], None] = lambda count: None
 ) -> None:
-    """Download files to the same names below a folder; hidden files are skipped."""
+    """Download files into a folder, under their names in the store; hidden files are skipped."""
     seen = [each for each in listed if not _hidden(each.name)]
     try:
         files = [(each.name, below(root, each.name), each.size) for each in seen]

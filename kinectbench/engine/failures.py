@@ -41,7 +41,7 @@ def would_fail_again(failed: Failed) -> bool:
 
 
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
-    """Return the stored failure if the same stage failed with the same inputs, so that it would fail again.
+    """Return the stored failure if making the artefact would fail again: same stage, same inputs.
 
     Args:
         build: `build/<recording>/`.

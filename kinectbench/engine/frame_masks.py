@@ -1,4 +1,4 @@
-"""Masks for all frames of a recording: the user's, the recording's own, or those of a turntable."""
+"""Masks for all frames of a recording: by the user, by the recording itself, or found on a turntable."""
 
 from pathlib import Path
 

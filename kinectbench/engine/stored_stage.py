@@ -157,7 +157,7 @@ def _parsed(text: bytes, place: str, artefact: Artefact) -> Manifest:
 
 
 def _parts(manifest: Manifest) -> tuple[list[str], list[str]]:
-    """Return the names of an artefact's files: those packed into a tar, and those stored separately."""
+    """Return the names of an artefact's files: (files packed into a tar, files stored separately)."""
     names = sorted(manifest.files)
     if manifest.stage not in PACKED:
         return [], names

@@ -92,7 +92,7 @@ def _flat(values: dict[str, object], before: str = "") -> Iterator[tuple[str, ob
 
 
 def prepare_folder(folder: Path, config: MethodSettings) -> None:
-    """Create the folder and write the configuration; if it has one already, check that it is the same.
+    """Create the folder and write the configuration; if the folder has one, check that it is equal.
 
     Raises:
         SettingsError: the folder holds a training with another configuration, or its configuration cannot be

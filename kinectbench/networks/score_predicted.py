@@ -1,4 +1,4 @@
-"""Score a trained network without writing predictions: each view is counted as soon as it is predicted."""
+"""Score a trained network without writing predictions: each view is scored as soon as it is predicted."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

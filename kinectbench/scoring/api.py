@@ -96,7 +96,7 @@ class Scorer:
             self._thresholds = thresholds_for(thresholds_file, test)
 
     def update(self, pair_id: str, prediction: NDArray[np.generic]) -> None:
-        """Count one prediction; a second prediction for the same pair replaces the first.
+        """Score one prediction; a second prediction for the same pair replaces the first.
 
         Args:
             pair_id: `<recording>/<view>` of the test or validation split.

@@ -249,7 +249,7 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
 
 
 def missing_in_camera(name: str) -> str:
-    """Return the line that a prediction is missing, with the accepted file names."""
+    """Return the message for a missing prediction; it states the accepted file names."""
     return f"{name}: {NO_PREDICTION} {name}{', '.join(SUFFIXES)}"
 
 

@@ -156,7 +156,7 @@ def agreement(
 
 
 def remedy(slip: str, method: MethodFile) -> str:
-    """Return what to declare in method.json to correct an error: `unit` and `axes`, or `T_camera_prediction`.
+    """Return the declaration for method.json that corrects an error: unit and axes, or T_camera_prediction.
 
     Args:
         slip: the error, in the words that `typical_errors` yields.

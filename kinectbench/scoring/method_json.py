@@ -1,4 +1,4 @@
-"""Read method.json of a folder of predictions, and check what it declares."""
+"""Read method.json of a folder of predictions, and check its declarations."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -149,7 +149,7 @@ def _readable(folder: Path) -> Iterator[None]:
 
 
 def missing_line(target: Target) -> str:
-    """Return the line that a target has no file, with the accepted file names."""
+    """Return the message for a target without a file; it states the accepted file names."""
     return f"{target.name}: {NO_PREDICTION} {target.name}.npy, .npz, .ply or .obj"
 
 

@@ -103,7 +103,7 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
 
 
 def _refuse_elsewhere(request: Request, what: str) -> None:
-    """Raise an error if `what` (a plural noun for the message) is scored in parts or on other machines."""
+    """Raise an error if the options ask for parts or other machines; `what` is a plural noun, the subject."""
     if request.in_parts:
         raise SettingsError(f"{what} are not scored in parts; leave out --shard")
     if not isinstance(request.jobs, int):

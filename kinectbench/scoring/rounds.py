@@ -119,12 +119,12 @@ def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) ->
 
 @dataclass(frozen=True)
 class Rounds:
-    """Counts pairs, those of the validation split first, then those of the test split.
+    """Computes the voxel counts of predictions: first on the validation split, then on the test split.
 
     Attributes:
         release: the release that is scored.
-        counting: how pairs are counted, the same for all.
-        journal: keeps the counts on disk until all are complete.
+        counting: the options of counting.
+        journal: stores the counts on disk until all are complete.
         jobs: number of processes on this machine, or the executor that counts on other machines.
         progress: called with (pairs done, pairs in all).
     """

@@ -278,7 +278,7 @@ def _built_differences(contents: Contents, plan: RebuildPlan, build: Path) -> It
 
 
 def _source_difference(row: LineageRecording, recording: str, build: Path) -> Iterator[str]:
-    """Yield a line if the recording's files here are not those whose hashes are in lineage.json.
+    """Yield a line if the hashes of the recording's files on this machine differ from lineage.json.
 
     `row` is the recording's entry in lineage.json; `build` is its folder here, with the hashes of its files.
     """

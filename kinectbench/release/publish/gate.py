@@ -213,7 +213,7 @@ def would_be_left_out(settings: BenchmarkSettings, build: Path, pairs: Mapping[s
 
 
 def _decided(rows: Iterable[Judged], recordings: Sequence[str], allow_poor: bool) -> Gate:
-    """Return the decision on judged recordings; `recordings` gives the order of those published."""
+    """Return the decision on judged recordings; published ones keep the order of `recordings`."""
     published, poor = list[str](), dict[str, tuple[tuple[str, ...], str]]()
     failed, refused, rejected = dict[str, str](), dict[str, tuple[str, ...]](), dict[str, str]()
     look, not_built = dict[str, tuple[str, ...]](), 0

@@ -28,9 +28,9 @@ TWICE = "hold the same frames and count as two objects"
 def _same_frames(
     settings: BenchmarkSettings, build: Path, recordings: Sequence[str]
 ) -> Iterator[tuple[RecordingSettings, RecordingSettings]]:
-    """Yield every two recordings that have the same frames but name different objects.
+    """Yield pairs of recordings that have the same frames but name different objects.
 
-    If their boxes, picks or masks differ, they do select different objects, and are not yielded.
+    Recordings with different boxes, picks or masks select different objects, and are not yielded.
 
     Args:
         settings: the benchmark's settings.
@@ -59,7 +59,7 @@ def _same_frames(
 
 
 def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> list[str]:
-    """Return a line for every two recordings that have the same frames but name different objects.
+    """Return a line for each pair of recordings that have the same frames but name different objects.
 
     Raises:
         ReleaseError: two such recordings are in different splits.

@@ -28,7 +28,7 @@ def comparison_baselines(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> list[ScoreTable]:
-    """Score every baseline that the release allows; `score` gives the same for a baseline's prediction files.
+    """Score every baseline that the release allows, for comparison with a method.
 
     Tables are stored in `out/baselines/<name>/scores.json`, or for the protocol `camera` in
     `out/baselines/<name>+camera/`. Valid tables of an earlier run are reused (`reusable_tables`). Thresholds

@@ -1,4 +1,4 @@
-"""Score baselines in memory, pair by pair; prediction files of the baselines would give the same tables."""
+"""Score baselines in memory under the grid protocols; prediction files would give the same tables."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
