@@ -176,7 +176,7 @@ class Cluster:
             return ""
 
     def slots(self) -> int:
-        """Return the number of worker threads, at most a second old."""
+        """Return the number of worker threads; it may be a second old."""
         self._look()
         return self._slots
 

@@ -1,8 +1,8 @@
 """A stage's artefact in a store: `build/<recording>/<stage>/<fingerprint>/`, written once and never changed.
 
-The manifest is written last; a folder without one does not count. The files lie beside it, in a folder named
-by a hash of their content. If two machines make different bytes for a stage, the first manifest names the
-folder that counts, and nothing is mixed. The many small files of a sequence, of views and of pairs form one
+The files are in a folder beside the manifest, named by a hash of their content. The manifest is written last;
+without it, the artefact does not exist. If two machines make different bytes for a stage, the first manifest
+decides which of their folders is valid. The many small files of a sequence, of views and of pairs form one
 tar; JSON files are stored separately.
 """
 

@@ -81,8 +81,7 @@ class Comparison:
         differences: one for every pair of methods in every scope.
         notes: one line each: which methods are left out, which scopes are too small to distinguish methods,
             how many pairs are left out, and the caveats of each method's scores.
-        too_small: {scope: a sentence that says so} for scopes with too few objects to distinguish any two
-            methods.
+        too_small: {scope: a sentence}, for scopes with too few objects to distinguish any two methods.
         standings: {method: "reported", or "verified" with date and version}.
         left_out: names of methods that are not compared because some of their pairs are not scored.
         truth_unknown_share: {scope: share of the true shapes that is not known}; the share is None for older

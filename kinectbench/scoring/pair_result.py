@@ -116,7 +116,7 @@ class PairJob:
 
 
 def count_job(job: PairJob) -> PairResult | str:
-    """Read one pair's prediction and truth, and count them; return the reason if this is impossible.
+    """Read and count one pair; if its prediction cannot be scored, return the reason instead.
 
     Raises:
         ReleaseError: the truth is missing, or differs from the published one.

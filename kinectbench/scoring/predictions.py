@@ -110,7 +110,7 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
 def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
     """Return the unexpected files in a folder, relative to it, sorted; hidden files are left out.
 
-    A link to a folder is listed like a file, unless files in it are expected: those are checked one by one.
+    A link to a folder is listed like a file, unless it has the name of a folder with expected files.
 
     Raises:
         PredictionError: the folder has more than `MOST_FILES` files, or a folder cannot be listed.

@@ -23,8 +23,7 @@ def hull(inputs: Inputs) -> Bools:
 def carved_hull(inputs: Inputs) -> Bools:
     """Return the convex hull of `partial_256`, minus observed free space: (256, 256, 256) bool.
 
-    It is the strongest bound that one view gives without a shape prior. It may still contain unseen free
-    space.
+    This is the tightest solid that one view gives without a shape prior. It may contain unseen free space.
     """
     carved: Bools = filled_hull(inputs.partial) & ~unpack(inputs.pair.seen) | inputs.partial
     return carved
