@@ -154,15 +154,15 @@ def views(folder: Path) -> Rgb:
 
 def pairs(build: Path) -> Rgb:
     """Three pairs: partial (blue) above the full shape, as `report` draws them, larger."""
-    from kinectbench.report import looks
+    from kinectbench.report import page_pictures
 
-    looks.TILE_PX = 300
+    page_pictures.TILE_PX = 300
     plane = json.loads((build / "object" / "floor.json").read_text())["plane_world"]
     tiles = []
     for path in sorted((build / "pairs").glob("*.npz"))[::17][:3]:
         pair = read_pair(path)
         up_grid = pair.T_world_grid[:3, :3].T @ np.array(plane[:3])
-        drawn = looks.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)
+        drawn = page_pictures.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)
         tiles.append(np.concatenate([drawn[:, :300], drawn[:, 300:]], axis=0))
     return sheet(tiles, 3)
 

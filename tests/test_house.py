@@ -139,7 +139,7 @@ RAW = {
     "release/publish/privacy.py": "any model's content, scrubbed",
     "release/publish/schemas.py": "JSON schemas",
     "release/publish/small_files.py": "Croissant",
-    "release/publish/view_pictures.py": "rows as ImageFolder reads them",
+    "release/publish/previews.py": "rows as ImageFolder reads them",
     "record/folder.py": "camera.json of a recording, as TUM folders have it",
     "record/guide/process.py": "what the guide's page asks for",
     "report/gallery.py": "text in the page",

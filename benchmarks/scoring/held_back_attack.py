@@ -30,7 +30,7 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import PairInput, read_input, read_pair
-from kinectbench.release.publish.rebuilt import (
+from kinectbench.release.publish.reconstruction_attack import (
     PosedView,
     every_fourth,
     read_posed_view,

@@ -24,8 +24,8 @@ from figures import Figure, arguments, at_most, run, stated
 from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.artefacts.score_figures import CLOSINGS, IN_SPACE
 from kinectbench.release.release import Release, open_release
+from kinectbench.scoring.camera.score_view import ViewJob, ViewResult, score_view
 from kinectbench.scoring.camera.truth import files_of
-from kinectbench.scoring.camera.view import ViewJob, ViewResult, score_view
 from kinectbench.scoring.camera_predictions import CameraPredictionFile, find_files
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
 from kinectbench.scoring.workers import run_tasks

@@ -24,9 +24,9 @@ from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.processes import submit_all, worker_pool
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.pair_result import PairJob, count_job
 from kinectbench.scoring.read_table import read_table
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.score import counting_of, score
 from kinectbench.scoring.thresholds import Thresholds
 

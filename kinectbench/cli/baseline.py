@@ -53,7 +53,7 @@ def check_command(common: Common, predictions: Predictions) -> int:
     note says how many predictions are constant, or the same for several views.
     """
     from kinectbench.scoring.camera_predictions import check_camera
-    from kinectbench.scoring.declared import read_in_camera
+    from kinectbench.scoring.method_json import read_in_camera
     from kinectbench.scoring.predictions import check_folder, check_grids, lines_without, split_methods
 
     if common.benchmark is None:

@@ -20,8 +20,8 @@ from kinectbench.core.store.address import url_of
 if TYPE_CHECKING:
     from kinectbench.engine.executor import Executor
     from kinectbench.engine.pipeline import Outcome
-    from kinectbench.engine.place import RecordingStatus
     from kinectbench.engine.stages import Job
+    from kinectbench.engine.status import RecordingStatus
     from kinectbench.engine.summary import BuiltRecording, RecordingSummary
     from kinectbench.release.release import Release
 
@@ -129,7 +129,7 @@ def shard_jobs(common: Common, ids: list[str] | None) -> "list[Job]":
 
 def tell_status(common: Common, ids: list[str] | None) -> int:
     """Print which recordings are built, failed or missing; return 3 unless all are built."""
-    from kinectbench.engine.place import in_words, statuses
+    from kinectbench.engine.status import in_words, statuses
 
     rows = statuses(shard_jobs(common, ids))
     left = [row for row in rows if row.state != "done"]
@@ -336,8 +336,12 @@ def find_release(common: Common) -> "tuple[Release, list[BuiltRecording]]":
         The release, and the results of `build_recordings`; these are empty if the release existed.
     """
     from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON
-    from kinectbench.engine.place import statuses
-    from kinectbench.release.publish.current import already_published, publish_if_stale, scoring_folder
+    from kinectbench.engine.status import statuses
+    from kinectbench.release.publish.publish_if_stale import (
+        already_published,
+        publish_if_stale,
+        scoring_folder,
+    )
     from kinectbench.release.release import open_release
 
     if common.benchmark is not None:

@@ -104,7 +104,7 @@ def gc_command(
 ) -> None:
     """List files in a store's build/ that no manifest names, left by killed runs; --delete removes them."""
     from kinectbench.core.store.store import Store
-    from kinectbench.engine.unnamed import remove, unnamed
+    from kinectbench.engine.orphans import find_orphans, remove_orphans
 
     url = url_of(common.place)
     if url is None:
@@ -114,8 +114,8 @@ def gc_command(
             what="bad-url",
         )
     store = Store(url)
-    lost = unnamed(store, young=everything)
-    removed = remove(store, lost) if delete else 0
+    lost = find_orphans(store, young=everything)
+    removed = remove_orphans(store, lost) if delete else 0
     size = f"{len(lost)} file{'s' * (len(lost) != 1)}, {sum(each.size for each in lost) / 1e6:.1f} MB"
     names = [f"{each.name} ({each.size} bytes)" for each in lost[:SHOWN]]
     more = [f"and {len(lost) - SHOWN} more"] if len(lost) > SHOWN else []

@@ -123,9 +123,9 @@ def predict_command(
     from kinectbench.networks.registry import require_torch
 
     require_torch()
+    from kinectbench.networks.distributed import chosen_device
     from kinectbench.networks.predict import PRECISIONS, SPLITS, notes, run_of
     from kinectbench.networks.predict import predict as run
-    from kinectbench.networks.processes import chosen_device
     from kinectbench.networks.trained import folder_of, open_trained
     from kinectbench.release.release import open_release
 

@@ -143,7 +143,7 @@ def _tell_left_out(common: Common, rows: "list[BuiltRecording]") -> None:
 def _publish_here(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
     """Publish to this machine; print a note if another release was replaced."""
     from kinectbench.core.artefacts.benchmark import ReleaseInfo
-    from kinectbench.release.publish.current import publish_if_stale
+    from kinectbench.release.publish.publish_if_stale import publish_if_stale
 
     try:
         before = ReleaseInfo.read_if_there(common.root / "benchmark")
@@ -208,7 +208,7 @@ def _status(rows: "list[BuiltRecording]", summary: "PublishSummary") -> int:
 
 def _publish_there(common: Common, recordings: list[str], options: "PublishOptions") -> "PublishSummary":
     """Publish a benchmark whose build is in a store to the same store, with a progress bar."""
-    from kinectbench.release.publish.stored import publish_stored
+    from kinectbench.release.publish.publish_stored import publish_stored
 
     with progress_bar("publish") as progress:
         return publish_stored(chosen_jobs(common, recordings), common.force, options, progress)

@@ -37,8 +37,8 @@ def reproduce_command(
 
     require_torch()
     from kinectbench.core import replaced_file
+    from kinectbench.networks.distributed import chosen_device
     from kinectbench.networks.predict import predict
-    from kinectbench.networks.processes import chosen_device
     from kinectbench.networks.trained import FOLDER as PACKAGED
     from kinectbench.networks.trained import open_trained, packaged_methods
     from kinectbench.report.paper_table import PROTOCOL, SHELL, paper_markdown, paper_tables

@@ -215,7 +215,7 @@ def _tables(
     `known` are options for predictions and baselines, `of_one` options only for predictions. Scores are
     written to `folder`.
     """
-    from kinectbench.scoring.baselines.counted import score_baselines
+    from kinectbench.scoring.baselines.in_grids import score_baselines
     from kinectbench.scoring.predictions import lines_without, split_methods
     from kinectbench.scoring.score import score_methods
 
@@ -261,7 +261,7 @@ def baselines_of(
     """
     from kinectbench.core.artefacts.score_columns import ROWS_IN_JSON
     from kinectbench.report.space_table import is_baseline
-    from kinectbench.scoring.baselines.beside import baselines_beside
+    from kinectbench.scoring.baselines.for_comparison import comparison_baselines
 
     spatial = in_space(tables)
     if spatial and not any("camera" in table.settings.protocols for table in spatial):
@@ -274,7 +274,7 @@ def baselines_of(
         return []
     protocols, names = (spatial or tables)[0].settings.protocols, [t.method for t in tables if is_baseline(t)]
     with progress_bar("baselines") as progress:
-        return baselines_beside(
+        return comparison_baselines(
             release,
             folder,
             protocols=protocols,

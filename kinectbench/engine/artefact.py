@@ -26,8 +26,8 @@ from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources, T
 from kinectbench.core.even_choice import evenly
 
 FORMAT_VERSION = 1
-# A file from this size on whose disk usage is less than its size by this factor is mostly a hole. Compressing
-# file systems make a recording less than ten times smaller.
+# Files from this size on are refused as sparse if they are this many times larger than their disk usage.
+# Compressing file systems make a recording less than ten times smaller.
 HOLES_FROM_BYTES, MOST_SPARSENESS = 1 << 28, 1000
 # Number of a recording's files whose names and sizes are compared. This is enough to tell recordings apart,
 # and the status of thousands of recordings with thousands of files each is still quick.
@@ -39,8 +39,7 @@ COMPARED_FILES = 32
 # A test finds a forgotten version by one small sample (`tests/support/stage_sample.py`): a recording of one
 # format, with trusted, refined and tracked poses, with and without a box and masks; baselines and scores of
 # simple shapes. It misses changes that need other formats, scenes or settings.
-# First the stages of a build; then candidates of boxes, releases, synthetic models, tables of scores, and the
-# predictions of baselines.
+# First the stages of a build; then candidate boxes, releases, synthetic models, score tables, and baselines.
 VERSIONS: dict[str, int] = {
     "ingest": 20,
     "track": 16,
@@ -139,7 +138,7 @@ def content_hash(files: Iterable[Path], root: Path, cache: Path | None = None) -
 
     Args:
         files: the files.
-        root: names are relative to it, so that moving the recording changes nothing.
+        root: names are relative to this folder, so that a moved recording keeps its hash.
         cache: JSON file that keeps sizes, times and hashes (`Sources`); None: no cache.
 
     Raises:
@@ -193,7 +192,7 @@ def has_sizes(
     """
     of_size, of_sha256 = map(SourceFile._fields.index, ("size", "sha256"))
     try:
-        rows = Sources.unchecked(cache)  # the hash vouches for the rows
+        rows = Sources.unchecked(cache)  # compared with the hash below
     except (OSError, ValueError, RecursionError):
         return True
     try:
@@ -237,7 +236,7 @@ def _refuse_holes(path: Path, stat: os.stat_result) -> None:
     on_disk = 512 * stat.st_blocks
     if stat.st_size > HOLES_FROM_BYTES and on_disk * MOST_SPARSENESS < stat.st_size:
         raise RecordingError(
-            f"{path}: of its {stat.st_size} bytes the disk holds {on_disk}, the rest is a hole; copy it again"
+            f"{path}: a sparse file, of whose {stat.st_size} bytes only {on_disk} are stored; copy it again"
         )
 
 

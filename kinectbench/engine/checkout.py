@@ -125,7 +125,7 @@ def _listing(job: Job) -> _Listing:
     built = {each.name: each for each in store.objects(f"build/{job.recording.id}")}
     if Path(job.recording.path).is_absolute() and not job.source.exists():
         kept = [name for name in built if name.startswith(f"build/{job.recording.id}/{SOURCES}/")]
-        if len(kept) == 1:  # deleted after its build: what is stored is of these files
+        if len(kept) == 1:  # the scan was deleted after this build
             return _Listing(store, files, built, kept[0])
     return _Listing(store, files, built, sources_name(job, files))
 
@@ -184,10 +184,12 @@ def name_there(store: Store, job: Job, key: str) -> str | None:
 
 
 def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredObject]]:
-    """Return the stages that are up to date in the store, why the last run failed (None), and what is built.
+    """Return the status of a recording in a store, without downloading the recording.
 
-    The recording is not downloaded. If its files have not been hashed, no stage is known to be up to date. A
-    missing recording, or a path that leads out of the store, counts as a failure.
+    Returns:
+        Names of the stages that are up to date (none if the recording's files have not been hashed); why the
+        last run failed, None if it did not; and the stored files below `build/<recording>/`. A missing
+        recording, or a path that leads out of the store, counts as a failure.
     """
     try:
         listing = _listing(job)
@@ -203,7 +205,7 @@ def status_there(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredO
 
 
 def newest_there(job: Job, stage: str, built: Sequence[StoredObject]) -> Manifest | None:
-    """Return the manifest of the artefact of a stage that was stored last; None without one to read.
+    """Return the manifest of a stage's latest stored artefact; None if there is no readable one.
 
     Args:
         job: the recording.
@@ -229,7 +231,7 @@ def fetch_recording(store: Store, job: Job, listed: Sequence[StoredObject], repo
 def fetch_files(
     store: Store, root: Path, listed: Sequence[StoredObject], done: Callable[[int], None] = lambda count: None
 ) -> None:
-    """Download files to the same names below a folder; hidden files are skipped."""
+    """Download files into a folder, under their names in the store; hidden files are skipped."""
     seen = [each for each in listed if not _hidden(each.name)]
     try:
         files = [(each.name, below(root, each.name), each.size) for each in seen]

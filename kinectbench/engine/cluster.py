@@ -90,7 +90,6 @@ def cluster(address: str) -> Iterator["Cluster"]:
 
 
 def _check_scheduler_file(address: str) -> None:
-    """Raise an error unless the address is the path of a scheduler file."""
     option = f"--cluster {printable(address, 200)}"
     if not Path(address).is_file():
         missing = "no such file; " if address.endswith(".json") else ""
@@ -177,7 +176,7 @@ class Cluster:
             return ""
 
     def slots(self) -> int:
-        """Return the number of worker threads, as of at most a second ago."""
+        """Return the number of worker threads; it may be a second old."""
         self._look()
         return self._slots
 

@@ -31,16 +31,16 @@ def views_of(views: Path, sequence: str) -> Mapping[tuple[int, bool], Shown]:
 
 
 def views_shown(views: Path) -> Mapping[tuple[int, bool], Shown]:
-    """Return the views that show a recorded frame, each under the two keys by which a mask may name it.
+    """Return the views that show a recorded frame, each under two keys, because a mask may name either.
 
-    The keys are (number of the view, False) and (index of its frame, True).
+    The keys are (number of the view, False) and (index of the view's frame, True).
     """
     shown = [Shown(row.view, row.frame) for row in ViewsFile.read(views).views if row.frame is not None]
     return {key: view for view in shown for key in ((int(view.name), False), (view.frame, True))}
 
 
 def picture_digests(pictures: Mapping[str, bytes], sequence: Sequence, frame: int) -> set[str]:
-    """Return the digests of a frame's pictures, as they are and with the recorded colour file instead."""
+    """Return two digests of a frame's pictures: as they are, and with the recorded file as colour image."""
     _, color = sequence.frames.color_encoded(frame) or ("", b"")
     return {
         picture_digest(each) for each in (pictures, {**pictures, "color.jpg": color} if color else pictures)

@@ -1,8 +1,8 @@
 """Check that the user's masks are used on the images they were drawn on, which masks.json records.
 
-A mask without an entry gets one before the images in `build/` are made again: it counts as drawn on these
-images or, without a build, on the frame that its name gives. The number of a view or frame does not identify
-an image: views change, and the pictures of a frame change with the poses and the corrections of its depth.
+masks.json stores digests of these images. The number of a view or frame does not suffice: it may stand for
+another image after the next build. A mask without an entry gets one before a build replaces the images in
+`build/`: it counts as drawn on these images or, if there is no build yet, on the frame that its name gives.
 """
 
 import contextlib
@@ -188,10 +188,11 @@ class DrawnMasks:
         )
 
     def check_views(self, sequence: Sequence, views: Path) -> Self:
-        """Refuse masks of views whose frame or pictures have changed; do nothing if `of_recorded`.
+        """Refuse masks that were drawn on other frames or pictures than the views now have.
 
-        A mask named by a frame belongs to the view that shows the frame, if there is one. If the picture of a
-        mask is not recorded yet, that of its view is recorded.
+        Masks drawn on recorded frames (`of_recorded`) are not checked here. A mask named by a frame is
+        compared with the view that shows this frame, if any. If masks.json has no digest of a mask's picture
+        yet, the digest of the view's picture is recorded.
 
         Args:
             sequence: the recording.
@@ -320,7 +321,7 @@ class DrawnMasks:
 
 
 def look_at_masks(job: Job, *, used: bool) -> tuple[str, ...]:
-    """Record which images the user's masks were drawn on, before the build makes anything again.
+    """Record which images the user's masks were drawn on; call this before a build replaces these images.
 
     Args:
         job: the recording.

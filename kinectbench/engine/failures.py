@@ -25,7 +25,10 @@ OF_THE_MACHINE = (OSError, MemoryError, ImportError, StorageError)
 
 
 def stored_failure(build: Path) -> Failed | None:
-    """Return why the last run of `build/<recording>/` failed; None if it succeeded or that is unreadable."""
+    """Return why the last run of a recording failed; None if it succeeded, or if failed.json is unreadable.
+
+    `build` is `build/<recording>/`.
+    """
     try:
         return Failed.read_if_there(build)
     except (OSError, StorageError):
@@ -38,7 +41,7 @@ def would_fail_again(failed: Failed) -> bool:
 
 
 def failed_before(build: Path, artefact: Artefact) -> Failed | None:
-    """Return the stored failure if the same stage failed with the same inputs, so that it would fail again.
+    """Return the stored failure if making the artefact would fail again: same stage, same inputs.
 
     Args:
         build: `build/<recording>/`.
@@ -95,7 +98,6 @@ def _would_repeat(failure: BaseException) -> bool:
 
 
 def _chain(failure: BaseException) -> Iterator[BaseException]:
-    """Yield an error and its chain of causes and contexts."""
     each: BaseException | None = failure
     while each is not None:
         yield each

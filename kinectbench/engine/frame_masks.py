@@ -1,4 +1,4 @@
-"""Masks for all frames of a recording: the user's, the recording's own, or those of a turntable."""
+"""Masks for all frames of a recording: by the user, by the recording itself, or found on a turntable."""
 
 from pathlib import Path
 
@@ -44,9 +44,9 @@ def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -
 def plane_given(
     sequence: Sequence, trajectory: Trajectory, by: SegmentBy | None, floor: Vector4 | None
 ) -> Vector4 | None:
-    """Return the plane (a, b, c, d) below the object, world frame: `floor` if given, else a turntable's.
+    """Return the plane below the object: `floor` if given, else the turntable's plane, if one is found.
 
-    The result is None if there is no `floor`, and no turntable or no plane found below it.
+    The plane is (a, b, c, d) in the world frame; None if there is neither.
     """
     if by != "turntable" or floor is not None:
         return floor

@@ -1,4 +1,4 @@
-"""Handle Ctrl-C and SIGTERM so that none gets lost.
+"""Handle Ctrl-C and SIGTERM so that no signal is lost.
 
 If an interrupt arrives during the import of a library, the library may swallow it or turn it into an
 ImportError. So long-running code calls `check_interrupt` from time to time.
@@ -31,8 +31,8 @@ _seen: list[int] = []
 def interrupts_remembered(unanswered: Callable[[int], None] | None = None) -> Iterator[None]:
     """Make an interrupt or SIGTERM within the block raise KeyboardInterrupt, and remember it.
 
-    A signal is only remembered if it arrives in a callback that cannot raise, such as one of the import
-    system.
+    If the signal arrives in a callback that cannot raise, such as one of the import system, nothing is
+    raised, and `check_interrupt` raises the exception later.
 
     Args:
         unanswered: called with the signal, on another thread, if Python has not handled it after 1.5 s
@@ -117,9 +117,9 @@ def check_interrupt() -> None:
 
 
 def interrupt_answered() -> None:
-    """Forget a Ctrl-C that has ended what it was meant to end, so that the command can go on.
+    """Forget a Ctrl-C after the interrupted task has ended, so that the command can continue.
 
-    `check_interrupt` no longer raises for it. A SIGTERM stays: it is meant for the whole command.
+    `check_interrupt` no longer raises for this Ctrl-C. A SIGTERM is kept, because it ends the whole command.
     """
     _asked[:] = [number for number in _asked if number != signal.SIGINT]
 

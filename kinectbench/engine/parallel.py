@@ -14,16 +14,16 @@ from kinectbench.core.store.address import url_of
 from kinectbench.core.threads import using_threads
 from kinectbench.engine.executor import Executor, SendMessage, SerialExecutor, WorkerLost
 from kinectbench.engine.pipeline import Outcome
-from kinectbench.engine.place import (
+from kinectbench.engine.pool import Pool
+from kinectbench.engine.scratch import clear_scratch
+from kinectbench.engine.stages import Job
+from kinectbench.engine.status import (
     build_at_its_place,
     clear_away,
     for_elsewhere,
     keep_killed,
     waits_for_others,
 )
-from kinectbench.engine.pool import Pool
-from kinectbench.engine.scratch import clear_scratch
-from kinectbench.engine.stages import Job
 from kinectbench.engine.time_limit import watched
 
 # Most threads of one recording; each thread holds a pair in memory. Peak of `pairs` on 92 frames of a phone:

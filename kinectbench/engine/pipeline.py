@@ -128,10 +128,9 @@ def build_recording(
 
 
 def _look_at_masks(job: Job, stages: Sequence[Stage]) -> tuple[str, ...]:
-    """Before slow work, check the user's masks, and record in masks.json which image each was drawn on.
+    """Check the user's masks before slow work, and record in masks.json which image each was drawn on.
 
-    Masks that cannot be used raise an error. The returned warnings name masks whose image is assumed, and
-    files that are not used.
+    Return warnings about masks whose image is assumed, and about files that are not used.
     """
     samples = next((stage for stage in stages if stage.name == "sample-views"), None)
     with _failure_kept(job, samples or stages[-1], {}):
@@ -154,7 +153,7 @@ def _check_mask_numbers(job: Job, stages: Sequence[Stage]) -> None:
 
 @contextmanager
 def _failure_kept(job: Job, stage: Stage, artefacts: Mapping[str, Artefact]) -> Iterator[None]:
-    """If a stage fails in the block, store why, except for `suggest`: the page does not show its failures."""
+    """If a stage fails in the block, store the reason; not for `suggest`, whose failures no page shows."""
     try:
         yield
     except Exception as failure:

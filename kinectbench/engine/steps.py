@@ -60,7 +60,7 @@ NOTHING_TO_CHOOSE = (
 
 # Stage -> a file of `build/<recording>/` that describes its earlier result, and is removed with it.
 OVERTAKEN: Mapping[str, str] = {"track": COMPARISON}
-# Most that the given poses of a camera on a tripod vary, metres.
+# If given positions vary by less, metres, the camera counts as standing on a tripod.
 STRAY_M = 0.02
 ONE_VIEW = "the camera did not move, and all frames show one view of the object: walk around it"
 

@@ -1,8 +1,8 @@
 """A stage's artefact in a store: `build/<recording>/<stage>/<fingerprint>/`, written once and never changed.
 
-The manifest is written last; a folder without one does not count. The files lie beside it, in a folder named
-by a hash of their content. If two machines make different bytes for a stage, the first manifest names the
-folder that counts, and nothing is mixed. The many small files of a sequence, of views and of pairs form one
+The files are in a folder beside the manifest, named by a hash of their content. The manifest is written last;
+without it, the artefact does not exist. If two machines make different bytes for a stage, the first manifest
+decides which of their folders is valid. The many small files of a sequence, of views and of pairs form one
 tar; JSON files are stored separately.
 """
 
@@ -108,7 +108,8 @@ def fetch_file(
         recording: id of the recording.
         artefact: an artefact that the store holds.
         name: name of the file.
-        names: listing of `build/<recording>/`; if it has the file just once, the manifest is not read.
+        names: a listing of `build/<recording>/`, which often saves a request: the file's place in the store
+            is read from it instead of from the manifest, if it has one such file.
     """
     where, folder = stored_folder(recording, artefact), _made(artefact.folder)
     if name == Manifest.FILE:
@@ -156,7 +157,7 @@ def _parsed(text: bytes, place: str, artefact: Artefact) -> Manifest:
 
 
 def _parts(manifest: Manifest) -> tuple[list[str], list[str]]:
-    """Return the names of an artefact's files: those packed into a tar, and those stored separately."""
+    """Return the names of an artefact's files: (files packed into a tar, files stored separately)."""
     names = sorted(manifest.files)
     if manifest.stage not in PACKED:
         return [], names

@@ -72,7 +72,7 @@ def summary(job: Job, outcome: Outcome) -> RecordingSummary:
 
     sequence, health = read("ingest", CameraFile), read("track", TrajectoryHealth)
     quality, views = read("segment", QualityFile), read("sample-views", ViewsFile)
-    # The next stage knows the object's figures more exactly.
+    # If there are figures of the object, they replace those of the scene.
     scene = None if quality else read("fuse", ReconstructionFile)
     pairs = read("pairs", PairsFile)
     rows = pairs.pairs if pairs else ()

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
 # glibc's defaults of both parameters, and the value of the first with which memory is never returned:
 # mallopt(3).
-TRIM_THRESHOLD_BYTES, MMAP_MAX = 128 * 1024, 65536  # mallopt(3)
-NEVER = -1  # mallopt(3)
+TRIM_THRESHOLD_BYTES, MMAP_MAX = 128 * 1024, 65536
+NEVER = -1
 
 
 @contextmanager

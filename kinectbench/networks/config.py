@@ -208,7 +208,9 @@ def find_config(name: str) -> MethodSettings:
     path = Path(name)
     if name in packaged_configs():
         if path.is_file():
-            raise SettingsError(f"{name}: of the package, and a file here; for that write ./{name}")
+            raise SettingsError(
+                f"{name}: both a packaged configuration and a file; for the file write ./{name}"
+            )
         return read_config(FOLDER / f"{name}{SUFFIX}")
     if not path.is_file():
         shown = printable(name)

@@ -100,7 +100,7 @@ def _check_apart(releases: Sequence[Release], learnt: Collection[str]) -> None:
         held = {target.object for target in release.targets if target.split != "train"}
         if shared := sorted(held.intersection(learnt)):
             raise ReleaseError(
-                f"{release.folder}: {shared[0]} is to be tested on, and learnt from in another release "
+                f"{release.folder}: {shared[0]} is held out here, and a training object in another release "
                 "of --data; name it in training.leave_out, or make both releases with the same numbers of "
                 "models",
                 what="overlap",

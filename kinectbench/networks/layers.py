@@ -25,7 +25,6 @@ class SameConv(nn.Conv3d):
     """A convolution 4^3, padded like "SAME": (b, in, x, y, z) to (b, out, ceil(x / stride), …)."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
-        """Make the layer: channels in and out, and the stride along each axis."""
         super().__init__(inputs, outputs, KERNEL, stride=stride)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -39,7 +38,6 @@ class Doubling(nn.ConvTranspose3d):
     """A transposed convolution 4^3 of stride 2, padded like "SAME", which doubles every side."""
 
     def __init__(self, inputs: int, outputs: int, *, bias: bool = True) -> None:
-        """Make the layer: channels in and out."""
         super().__init__(inputs, outputs, KERNEL, stride=2, padding=1, bias=bias)
 
 

@@ -207,10 +207,9 @@ def _name(target: Target) -> str:
 
 
 def _difference(done: MethodFile | None, unfinished: UnfinishedFile | None, run: UnfinishedFile) -> str:
-    """Return in words how the settings of `run` differ from those of the earlier run in the folder; else "".
+    """Describe how `run` differs from the earlier run in the folder; "" if it does not.
 
-    The settings of the earlier run are from its unfinished.json or, if there is none, from its method.json
-    (`done`).
+    The earlier run's settings are from unfinished.json or, if that is missing, from method.json (`done`).
     """
     if unfinished is not None:
         before = unfinished.json_value()

@@ -70,7 +70,7 @@ def make_folder(folder: Path) -> None:
             folder.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise StorageError(
-            f"{folder}: the way to it holds a file; choose another folder", what="no-way"
+            f"{folder}: a parent of it is a file; choose another folder", what="no-way"
         ) from None
 
 
@@ -92,7 +92,7 @@ def _flat(values: dict[str, object], before: str = "") -> Iterator[tuple[str, ob
 
 
 def prepare_folder(folder: Path, config: MethodSettings) -> None:
-    """Create the folder and write the configuration; if it has one already, check that it is the same.
+    """Create the folder and write the configuration; if the folder has one, check that it is equal.
 
     Raises:
         SettingsError: the folder holds a training with another configuration, or its configuration cannot be

@@ -1,4 +1,4 @@
-"""Score a trained network without writing predictions: each view is counted as soon as it is predicted."""
+"""Score a trained network without writing predictions: each view is scored as soon as it is predicted."""
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,7 +18,7 @@ from kinectbench.release.release import Release, Target
 from kinectbench.scoring.api import Scorer
 from kinectbench.scoring.counts import Prediction
 from kinectbench.scoring.dataset import Dataset
-from kinectbench.scoring.declared import method_lines
+from kinectbench.scoring.method_json import method_lines
 from kinectbench.scoring.packed_prediction import CODES, LEVELS, packed, unpacked
 
 

@@ -11,8 +11,8 @@ from torch.optim import Adam
 from kinectbench.core import KinectBenchError
 from kinectbench.networks.config import LossSettings, MethodSettings
 from kinectbench.networks.data import Batch
+from kinectbench.networks.distributed import average_buffers, average_gradients
 from kinectbench.networks.network import Network
-from kinectbench.networks.processes import average_buffers, average_gradients
 from kinectbench.networks.recae import RecAE
 from kinectbench.networks.recgan import RecGAN, discriminator_loss
 
@@ -76,7 +76,6 @@ class Learner:
         return {"loss": loss.item()}
 
     def _rate_factor(self, epoch: int, share: float) -> float:
-        """Return the factor for all learning rates at this point of the training."""
         training = self._config.training
         halved = 0.5 ** (epoch // training.halve_every_epochs) if training.halve_every_epochs else 1.0
         return halved * ((1 + math.cos(math.pi * share)) / 2 if training.schedule == "cosine" else 1.0)

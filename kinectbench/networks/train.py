@@ -24,7 +24,13 @@ from kinectbench.networks.data import (
     training_targets,
     validation_pairs,
 )
-from kinectbench.networks.processes import agreed, chosen_device, joined_processes, mean_of_all, wait_for_all
+from kinectbench.networks.distributed import (
+    agreed,
+    chosen_device,
+    joined_processes,
+    mean_of_all,
+    wait_for_all,
+)
 from kinectbench.networks.registry import make_network
 from kinectbench.networks.run_folder import (
     State,
@@ -156,7 +162,6 @@ def _facts_of(releases: Sequence[Release], targets: Sequence[tuple[Release, Targ
 
 
 def _check_shared(batch: int, processes: int) -> None:
-    """Refuse a batch that processes cannot share evenly."""
     if batch % processes:
         raise SettingsError(
             f"training.batch: {batch} pairs cannot be shared by {processes} processes; choose a multiple"
@@ -207,14 +212,14 @@ def _run(
     ):
         return
     try:
-        _look_if_due(training, watch)  # an earlier run may have stopped before validating
+        _validate_if_due(training, watch)  # an earlier run may have stopped before validating
         for batch in batches(training.pairs, config, steps, device, training.part):
             with interrupts_held():  # a step is done completely or not at all
                 before = time.monotonic()
                 epoch = state.step * config.training.batch // len(training.pairs)
                 state.add(_stepped(training, batch, epoch))
                 state.seconds += time.monotonic() - before
-            _look_if_due(training, watch)
+            _validate_if_due(training, watch)
             progress(state.step, training.steps)
             now = time.monotonic()
             over = minutes is not None and now - started >= 60 * minutes
@@ -265,7 +270,7 @@ def _memory_errors_reported() -> Iterator[None]:
         ) from error
 
 
-def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:
+def _validate_if_due(training: Training, watch: Callable[[TrainingRow], None] | None) -> None:
     """Validate and add a row to the log, if this is due after the current step and not yet done.
 
     In the first process, `watch` is called with the row.
@@ -273,15 +278,15 @@ def _look_if_due(training: Training, watch: Callable[[TrainingRow], None] | None
     state, every = training.state, training.config.training.validate_every_steps
     due = state.step > 0 and (state.step % every == 0 or state.step == training.steps)
     if due and not (state.rows and state.rows[-1].step == state.step):
-        row = _look(training)
+        row = _validate(training)
         if watch and training.part[0] == 0:
             watch(row)
 
 
-def _look(training: Training) -> TrainingRow:
+def _validate(training: Training) -> TrainingRow:
     """Validate and add a row to the log; with `keep` = best, write the weights if their IoU is the best.
 
-    If it is interrupted, nothing has changed, and the validation is repeated when the training resumes.
+    An interrupt leaves everything unchanged; the validation is repeated when the training resumes.
     """
     config, state = training.config, training.state
     figures: dict[str, float] = {}

@@ -61,7 +61,7 @@ def folder_of(name: str) -> Path:
     folder = Path(name)
     if name in packaged_methods():
         if (folder / CONFIG).is_file():
-            raise SettingsError(f"{name}: a method of the package and a folder here; for that write ./{name}")
+            raise SettingsError(f"{name}: both a packaged method and a folder; for the folder write ./{name}")
         return FOLDER / name
     if not (folder / CONFIG).is_file():
         if name in packaged_configs():

@@ -212,7 +212,7 @@ def _tar_members(file: IO[bytes]) -> list[tuple[str, Entry]]:
             if info.offset <= before or info.size < 0 or len(members) == MOST_FILES:
                 raise tarfile.ReadError(f"more than {MOST_FILES} members, or one without end")
             if len(archive.pax_headers) > MOST_GLOBALS:
-                raise tarfile.ReadError("too much is said of all members at once")
+                raise tarfile.ReadError(f"more than {MOST_GLOBALS} global headers")
             before, problem = info.offset, None
             if info.isdir():
                 problem = EMPTY_FOLDER

@@ -17,7 +17,7 @@ from kinectbench.release.published import release_text
 LOCK = ".lock"
 # Names that `replaced_file` gives, also in earlier versions: .000.npz.1f2e3d4c.part
 _LEFT = re.compile(r"\..+\.[0-9a-f]+\.part")
-# What file managers leave in a folder that somebody only looked at.
+# Files that file managers write into a folder when somebody opens it.
 OF_FILE_MANAGERS = (".DS_Store", "Thumbs.db", "desktop.ini")
 
 

@@ -187,7 +187,7 @@ class Recipe:
         row = self._locked.get(file)
         if row is not None and sha256 not in (None, row.sha256):
             raise SettingsError(
-                f"{self.folder / SourcesLock.FILE}: '{file}' is not the one of {SOURCES_YAML}"
+                f"{self.folder / SourcesLock.FILE}: '{file}' has another hash than in {SOURCES_YAML}"
             )
         if path.exists():
             content = Content(path.stat().st_size, sha256_file(path))
@@ -314,17 +314,17 @@ def opened_recipe(
 
 
 def _refuse_full(path: Path, size: int) -> None:
-    """Raise an error if a download of `size` bytes does not fit on the disk."""
     free = shutil.disk_usage(path.parent).free
     if size > free:
         raise NoRoomError(
-            f"{path}: {size} bytes are to come, and the disk has {free}; free some space, or use --stream"
+            f"{path}: needs {size} bytes, and the disk has {free}; free some space, or use --stream"
         )
 
 
 def _other_file(path: Path) -> StorageError:
     return StorageError(
-        f"{path}: is not the file that came first; remove it to fetch it again", what="other-content"
+        f"{path}: differs from the file of the first download; remove it to fetch it again",
+        what="other-content",
     )
 
 
@@ -332,7 +332,7 @@ def _check_zip(path: Path) -> None:
     """Raise an error if a file lacks the end record of a zip archive, which is missing if it was cut off."""
     with open_plain(path) as file:
         if not zipfile.is_zipfile(file):
-            raise StorageError(f"{path}: sends no whole zip archive", what="not-fetched")
+            raise StorageError(f"{path}: not a whole zip archive; download it again", what="not-fetched")
 
 
 def _no_check(path: Path) -> None:

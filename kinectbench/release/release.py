@@ -210,7 +210,6 @@ def open_release(path: Path) -> Release:
 
 
 def _text(path: Path, content: bytes) -> str:
-    """Decode the bytes of a release's file as UTF-8; `path` is for messages."""
     try:
         return decoded(content, MAX_READ_BYTES, shown(path))
     except (OSError, UnicodeDecodeError) as error:
@@ -254,11 +253,12 @@ def sum_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator
 
 
 def copy_problems(targets: Iterable[Target], sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a message for each pair or mesh that is byte for byte another one.
+    """Yield a message for each copied pair or mesh: the same bytes under two names.
 
-    A pair is compared with those of its recording, a mesh with those of objects in other splits: what was
-    recorded twice never is the same. A copy would be trained or chosen on before it is scored. Collections of
-    CAD models do have copies: pairs without images are not compared. Without a mesh all pairs are compared.
+    A copy in another split would be trained on before it is scored, and no two real views or recordings give
+    the same bytes. Pairs are compared within a recording. Meshes (or, where there are none, the sets of all
+    pairs) are compared between objects of different splits. Recordings without images are not checked,
+    because collections of CAD models contain copies.
     """
     folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
     pairs, own = dict[tuple[str, str, str], list[str]](), dict[tuple[str, str], str]()

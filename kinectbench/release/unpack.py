@@ -23,12 +23,11 @@ from kinectbench.core import (
 )
 from kinectbench.core.zip_files import DAMAGED_ZIP, open_zip
 
-# Largest number of bytes of a header before a member, such as a long name: tarfile reads it as a whole. Linux
-# paths have 4 kB.
+# Largest header before a member, such as a long name, bytes: tarfile reads it whole. Linux paths have 4 kB.
 HEADER_BYTES = 1 << 20
 # First bytes of a gzip file, RFC 1952, section 2.3.1.
 GZIP = b"\x1f\x8b"
-# And of a .zip, with members and without: PKWARE's APPNOTE.TXT, sections 4.3.7 and 4.3.16.
+# First bytes of a .zip, with members and without: PKWARE's APPNOTE.TXT, sections 4.3.7 and 4.3.16.
 ZIP = (b"PK\3\4", b"PK\5\6")
 # The last three: two members have the same name, or one's name is a folder of the other's.
 DAMAGED = (
@@ -39,7 +38,7 @@ DAMAGED = (
 
 
 class TarMember(tarfile.TarInfo):
-    """A tar member. Reading it raises an error if a header is damaged, missing, or announces a large one.
+    """A tar member; reading it raises an error if a header is damaged, missing or too large.
 
     tarfile by itself would treat such a header as the end of the archive.
     """

@@ -20,7 +20,7 @@ class Kind(NamedTuple):
 
     Attributes:
         suffix: the end of the file name, after the view's name.
-        words: name of the kind in messages.
+        words: what messages call this kind.
         format: what the file's header must state: suffix, bits per channel, and colour type as PNG numbers it
             (0 grey, 2 RGB).
     """

@@ -221,7 +221,7 @@ def calibration_charts(tables: Sequence[ScoreTable], protocol: str) -> tuple[Cha
     """
     axes, series = Axes(0.0, 1.0, 1.0), []
     for index, table in enumerate(tables):
-        # Several predictions have it in the rows of their mean, such as aligned-t+s-mean-of-5.
+        # The rows of the mean over several predictions, such as aligned-t+s-mean-of-5, have the calibration.
         rows = (row for row in table.rows if row.heading.startswith(f"{protocol}-mean-of-"))
         found = [row.calibration for row in rows if row.calibration is not None]
         points = []

@@ -11,7 +11,7 @@ from kinectbench.core.artefacts.trajectory import Grade, TrajectoryHealth
 UNITS = {"_mm": "mm", "_m": "m", "_s": "s", "_ns": "ns", "_px": "px", "_rad": "rad", "_deg": "deg"}
 MAX_LISTED = 6
 HIDDEN = ("verdict", "warnings", "format_version")
-# Keys that are shown in separate words, beside the object's other statistics.
+# Keys that are shown as one text, apart from the object's other statistics.
 OF_THE_ESTIMATE = ("estimated_iou", "estimated_iou_low", "estimated_iou_high", "estimated_iou_reasons")
 # Names of shares whose keys do not say what they are a share of.
 NAMES: Mapping[str, str] = {

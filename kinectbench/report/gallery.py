@@ -285,7 +285,7 @@ def _unseen(full: Packed, known: Packed) -> Packed:
 def _up_grid(release: Release, recording: str, T_world_grid: Float64) -> Float64:
     """Return the up direction (3,) in grid axes: the floor's normal, or up in the image without a floor."""
     up = np.zeros(3)
-    with contextlib.suppress(ReleaseError):  # it only turns a picture
+    with contextlib.suppress(ReleaseError):  # only affects how a picture is turned
         floor = release.floor(recording)
         up = up if floor is None else floor.T_floor_world[2, :3] @ T_world_grid[:3, :3]
     length = float(np.linalg.norm(up))

@@ -16,7 +16,7 @@ from kinectbench.core.listing import SHOWN, Listing, spread
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import NamedProgress, no_progress
 from kinectbench.engine.stages import Job
-from kinectbench.report import charts, many, tables
+from kinectbench.report import charts, recording_list, tables
 from kinectbench.report.gallery import PairTruth, gallery_json
 from kinectbench.report.recording import RecordingPart, collect
 from kinectbench.report.space_table import space_table
@@ -41,8 +41,8 @@ class Groups:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """The parts of a page that accompany the score tables.
+class ScoreExtras:
+    """What a page shows with the score tables: groups of equal methods, and galleries of predictions.
 
     Attributes:
         groups: groups of methods that cannot be distinguished.
@@ -55,7 +55,7 @@ class Beside:
     truths: Mapping[str, PairTruth] = field(default_factory=dict)
 
 
-NOTHING_BESIDE = Beside()
+NO_EXTRAS = ScoreExtras()
 
 
 def write_report(
@@ -64,7 +64,7 @@ def write_report(
     scores: Sequence[ScoreTable],
     out: Path,
     progress: NamedProgress = no_progress,
-    beside: Beside = NOTHING_BESIDE,
+    extras: ScoreExtras = NO_EXTRAS,
     released: ReleaseInfo | None = None,
 ) -> Path:
     """Write the page of a benchmark; the same input gives the same bytes.
@@ -76,7 +76,7 @@ def write_report(
         scores: a table for each method; may be empty. Methods of the same name are called `net`, `net #2`.
         out: the HTML file to write, in whole or not at all.
         progress: called with (recording, done, total) before each recording, and finally ("", total, total).
-        beside: groups and galleries of the score tables, in the same order.
+        extras: groups and galleries of the score tables, in the same order.
         released: benchmark.json of a release without a local build; its settings are shown. None: `settings`
             are shown.
 
@@ -89,14 +89,14 @@ def write_report(
     """
     recordings = [] if build is None else _recordings(settings, build, progress)
     listed = None if build is None else _listed(settings, build, recordings)
-    plain, left_out = many.shortened(
+    plain, left_out = recording_list.shortened(
         (released.settings if released else settings).model_dump(mode="json", exclude_none=True)
     )
     pairs = [len(r.tiles) for r in recordings]
     if released:
         pairs = [r.pairs for r in released.recordings.values()]
     elif listed:
-        pairs = [int(row[many.PAIRS]) for row in listed.rows]
+        pairs = [int(row[recording_list.PAIRS]) for row in listed.rows]
     published = _published(scores)
     shown = {
         "settings": settings,
@@ -107,7 +107,7 @@ def write_report(
         "recordings": recordings,
         "turntable_frames": turntable.FRAMES,
         "listed": listed,
-        "scores": _scores(scores, beside, many_recordings=max(len(settings.recordings), len(pairs)) > SHOWN),
+        "scores": _scores(scores, extras, many_recordings=max(len(settings.recordings), len(pairs)) > SHOWN),
         "published": [tables.published_table(of) for of in published],
         "synthetic": bool(published) and published[0].views is not None,
         "published_source": f"{PUBLISHED_IN}. {PARAMETERS_LINE}",
@@ -142,37 +142,40 @@ def _listed(settings: BenchmarkSettings, build: Path, shown: Sequence[RecordingP
     """Return the list of all recordings if the page shows only some in detail, else None."""
     if len(shown) == len(settings.recordings):
         return None
-    rows = [many.recording_row(Job(settings, r, build.parent), build / r.id) for r in settings.recordings]
-    return many.listing(rows, [part.settings.id for part in shown])
+    rows = [
+        recording_list.recording_row(Job(settings, r, build.parent), build / r.id)
+        for r in settings.recordings
+    ]
+    return recording_list.listing(rows, [part.settings.id for part in shown])
 
 
-def _scores(scores: Sequence[ScoreTable], beside: Beside, *, many_recordings: bool) -> dict[str, object]:
+def _scores(scores: Sequence[ScoreTable], extras: ScoreExtras, *, many_recordings: bool) -> dict[str, object]:
     """Return the values for the page's section on scores."""
     names = method_names(scores)
     parsed = [t.model_copy(update={"method": name}) for t, name in zip(scores, names, strict=True)]
     protocols = tables.protocols(parsed)
-    # The protocol of the charts and the gallery; "" without scores.
+    # Protocol of the charts and the gallery; "" without scores.
     primary = protocols[0] if protocols else next((r.heading for t in parsed for r in t.rows), "")
     objects = tables.truth_of_objects(parsed, primary)
     ordered = tables.best_first(parsed, primary)
-    galleries = {table.method: gallery for table, gallery in zip(parsed, beside.galleries, strict=False)}
+    galleries = {table.method: gallery for table, gallery in zip(parsed, extras.galleries, strict=False)}
     in_order = [galleries.get(table.method) for table in ordered]
-    gallery, left_out = gallery_json(ordered, in_order, beside.truths, primary, many=many_recordings)
+    gallery, left_out = gallery_json(ordered, in_order, extras.truths, primary, many=many_recordings)
     groups = {
         protocol: {names[index]: letters for index, letters in of.items()}
-        for protocol, of in beside.groups.letters.items()
+        for protocol, of in extras.groups.letters.items()
     }
     return {
         # Hashes of the benchmarks that the predictions were scored against; normally one.
         "hashes": sorted({table.benchmark_sha256 for table in parsed if table.benchmark_sha256}),
         "tables": [tables.protocol_table(parsed, p, groups.get(p)) for p in protocols],
-        "groups": beside.groups,
+        "groups": extras.groups,
         "details": tables.details(ordered),
         "space": space_table(ordered),
         "detail_names": list(tables.DETAILS),
         "more_is_better": tables.MORE_IS_BETTER,
         "objects": objects,
-        "listed_objects": many.object_listing(objects),
+        "listed_objects": recording_list.object_listing(objects),
         "methods": ordered,
         "protocol": primary,
         "legend": [(charts.series_class(i), table.method) for i, table in enumerate(ordered)],

@@ -77,9 +77,9 @@ class PaperTable:
 def paper_tables(tables: Sequence[ScoreTable]) -> list[PaperTable]:
     """Return tables in the paper's form for methods scored on one truth, one for each set of viewing angles.
 
-    If all methods were also scored under the protocol `shell`, its tables follow. Both kinds of tables have
-    the paper's results on real recordings, because the paper does not say whether their truth is solid or a
-    shell.
+    If all methods were also scored under the protocol `shell`, the tables of `shell` follow. The paper's
+    results on real recordings are in the tables of both protocols, because the paper does not say whether the
+    truth of these recordings is solid or a shell.
 
     Raises:
         SettingsError: a table is not complete, or was not scored under the protocol `paper`.

@@ -22,10 +22,10 @@ from kinectbench.core.turntable import QUALITY, turntable
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.pair_file import read_pair
 from kinectbench.engine.stages import STAGES, Job, current_stages
-from kinectbench.report import looks
+from kinectbench.report import page_pictures
 from kinectbench.report.figures import StageFigures, health_figures, per_cent, quality_figures, text_of
-from kinectbench.report.many import millimetres
 from kinectbench.report.plan import draw_plan
+from kinectbench.report.recording_list import millimetres
 from kinectbench.report.unseen import ObjectPicture, object_pictures
 from kinectbench.settings.models import RecordingSettings
 
@@ -82,7 +82,7 @@ class RecordingPart:
     turntable: str | None
     plan: Markup | None
     object_pictures: tuple[ObjectPicture, ...]
-    frames: tuple[looks.FramePicture, ...]
+    frames: tuple[page_pictures.FramePicture, ...]
     tiles: tuple[Tile, ...]
     refused: tuple[tuple[str, str, str], ...]
     containment: str
@@ -121,10 +121,10 @@ def collect(job: Job, folder: Path) -> RecordingPart:
     if cameras_world is not None and T_floor_world is not None:
         cameras_floor = T_floor_world @ cameras_world
         left_out_floor = _left_out(cameras_floor, health)
-        outlines = looks.outlines(mesh) if mesh else []
+        outlines = page_pictures.outlines(mesh) if mesh else []
         plan = draw_plan(cameras_floor, left_out_floor, outlines, frontiers)
     views, pairs = read("sample-views", ViewsFile), read("pairs", PairsFile)
-    frames = () if views is None else looks.frame_pictures(folder / "views", views)
+    frames = () if views is None else page_pictures.frame_pictures(folder / "views", views)
     rows = () if pairs is None else pairs.pairs
     refused = (*(views.refused if views else ()), *(pairs.refused if pairs else ()))
     failed = Failed.read_if_there(folder)
@@ -197,7 +197,7 @@ def _tile(folder: Path, row: PairRow, T_floor_world: Float64 | None) -> Tile:
     # Without a known floor, up is up in the view.
     R_world_grid = pair.T_world_grid[:3, :3]
     up_grid = np.array([0.0, -1, 0]) if T_floor_world is None else T_floor_world[2, :3] @ R_world_grid
-    picture = looks.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)
+    picture = page_pictures.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)
     return Tile(
         view=row.view,
         frame=text_of(row.frame),

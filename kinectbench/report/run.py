@@ -8,18 +8,18 @@ from kinectbench.core import SettingsError
 from kinectbench.core.artefacts.gallery import Gallery, read_gallery, write_gallery
 from kinectbench.core.artefacts.scores import BASELINES_FOLDER, SCORES_JSON, ScoreTable
 from kinectbench.core.types import NamedProgress, Progress, no_progress
-from kinectbench.release.publish.current import scoring_folder
+from kinectbench.release.publish.publish_if_stale import scoring_folder
 from kinectbench.release.release import Release, open_release
 from kinectbench.report.gallery import PairTruth, baseline_cells, gallery_cells, read_pair_truth
-from kinectbench.report.page import Beside, Groups, write_report
+from kinectbench.report.page import Groups, ScoreExtras, write_report
 from kinectbench.report.space_gallery import space_cells
 from kinectbench.report.space_table import is_baseline
 from kinectbench.scoring.compare import ALL, ALPHA, compare, find_scores, too_small
-from kinectbench.scoring.declared import read_in_camera
-from kinectbench.scoring.of_release import not_of_release
+from kinectbench.scoring.method_json import read_in_camera
 from kinectbench.scoring.predictions import split_methods
 from kinectbench.scoring.protocols import PROTOCOLS
 from kinectbench.scoring.read_table import read_table
+from kinectbench.scoring.release_contradictions import release_contradictions
 from kinectbench.scoring.uncertainty import smallest_p
 from kinectbench.settings.models import BenchmarkSettings, PairSettings, RecordingSettings
 
@@ -201,9 +201,9 @@ def page_of_benchmark(
         StorageError, PairError: as in `write_report`, or a score file or gallery is damaged.
     """
     release = open_release(scoring_folder(root)) if (root / "benchmark").is_dir() else None
-    tables, beside, warnings = _scores(scores, release, baselines)
+    tables, extras, warnings = _scores(scores, release, baselines)
     page = out or _folder(scores, root / "scores") / INDEX
-    return write_report(settings, root / "build", tables, page, progress, beside), warnings
+    return write_report(settings, root / "build", tables, page, progress, extras), warnings
 
 
 def page_of_release(
@@ -222,9 +222,9 @@ def page_of_release(
     settings = BenchmarkSettings.model_construct(
         name=info.name, license=info.license, recordings=recordings, pairs=pairs
     )
-    tables, beside, warnings = _scores(scores, release, baselines)
+    tables, extras, warnings = _scores(scores, release, baselines)
     page = out or _folder(scores, Path("scores")) / INDEX
-    return write_report(settings, None, tables, page, beside=beside, released=info), warnings
+    return write_report(settings, None, tables, page, extras=extras, released=info), warnings
 
 
 def write_galleries(
@@ -268,7 +268,7 @@ def write_galleries(
 
 def _scores(
     scores: Path | Sequence[Path], release: Release | None, baselines: bool
-) -> tuple[list[ScoreTable], Beside, list[str]]:
+) -> tuple[list[ScoreTable], ScoreExtras, list[str]]:
     """Read scores: return the tables to show, their groups and galleries, and a warning per left-out file."""
     sha256 = release.benchmark_sha256 if release else None
     warnings: list[str] = []
@@ -288,7 +288,7 @@ def _scores(
         wanted = {name for file in files if file.gallery for name in file.gallery}
         truths = {name: read_pair_truth(release, targets[name]) for name in sorted(wanted & set(targets))}
     groups = grouped(tables, _compared_under(tables))
-    return tables, Beside(groups, [file.gallery for file in files], truths), warnings
+    return tables, ScoreExtras(groups, [file.gallery for file in files], truths), warnings
 
 
 def _compared_under(tables: Sequence[ScoreTable]) -> list[str]:
@@ -307,7 +307,7 @@ def _of_release(
     """
     score_files, warnings = [], []
     for file in files:
-        problem = next(not_of_release(file.table, release), None)
+        problem = next(release_contradictions(file.table, release), None)
         if problem is None:
             score_files.append(file)
         elif refuse:

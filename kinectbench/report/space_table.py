@@ -24,7 +24,7 @@ COLUMNS = {
     "iou": ("IoU", "{:.3f}"),
 }
 # Further metrics of a row, as in `COLUMNS`.
-BESIDE = {
+FURTHER_COLUMNS = {
     **{name: (str(field.title), "{:.3f}") for name, field in fields_of(AsPapers).items() if field.title},
     "cut": ("cut", "{:.1%}"),
     "silhouette": ("outside mask", "{:.1%}"),
@@ -36,9 +36,9 @@ CEILING = "(ceiling)"
 CEILING_NOTE = "(ceiling): what the truth's own uncertainty leaves to a perfect prediction"
 NOTHING_NOTE = "(n empty): views of which nothing is predicted; each counts with the diagonal of its cube"
 # {heading: what it says}, for the columns that are shown.
-BESIDE_NOTES = {
-    BESIDE["cut"][0]: "of the truth, outside the method's volume",
-    BESIDE["silhouette"][0]: "of the predicted surface",
+FURTHER_NOTES = {
+    FURTHER_COLUMNS["cut"][0]: "of the truth, outside the method's volume",
+    FURTHER_COLUMNS["silhouette"][0]: "of the predicted surface",
 }
 
 
@@ -83,7 +83,7 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
         for table in ordered:
             rows = table.pairs(heading)
             closed = f" (closed: {table.settings.close})" * any(row.closed for row in rows)
-            cells = [*_cells(table.averages(heading)[OVERALL]), *_beside(rows)]
+            cells = [*_cells(table.averages(heading)[OVERALL]), *_further(rows)]
             of = " (baseline)" * is_baseline(table)
             lines.append((f"{table.method}{of}{closed}{_empty(rows)}", cells))
         if any(ceiling := _ceiling(ordered[0].pairs(heading)) if ordered else []):
@@ -91,9 +91,9 @@ def space_table(tables: Sequence[ScoreTable], parts: Collection[str] | None = No
     failed = [f"{t.method}: {len(t.failures)} views failed{_reason(t)}" for t in tables if t.failures]
     left_out = dict.fromkeys(line for t in tables for name in headings if (line := t.left_out_line(name)))
     names = [name for lines in groups.values() for name, _ in lines]
-    columns = tuple(name for name, _ in (COLUMNS | BESIDE).values())
+    columns = tuple(name for name, _ in (COLUMNS | FURTHER_COLUMNS).values())
     shown = _without_empty(SpaceTable(columns, groups, ()))
-    beside = "; ".join(f"{name}: {what}" for name, what in BESIDE_NOTES.items() if name in shown.columns)
+    beside = "; ".join(f"{name}: {what}" for name, what in FURTHER_NOTES.items() if name in shown.columns)
     notes = [
         *([NOTHING_NOTE] if any(name.endswith(" empty)") for name in names) else []),
         EMPTY_NOTE,
@@ -143,8 +143,11 @@ def _cells(averages: object) -> list[str]:
     return [_written(getattr(averages, name), form) for name, (_, form) in COLUMNS.items()]
 
 
-def _beside(rows: Sequence[ScoreRow]) -> list[str]:
-    return [_written(plain_mean(rows, partial(_stated, name)), form) for name, (_, form) in BESIDE.items()]
+def _further(rows: Sequence[ScoreRow]) -> list[str]:
+    return [
+        _written(plain_mean(rows, partial(_stated, name)), form)
+        for name, (_, form) in FURTHER_COLUMNS.items()
+    ]
 
 
 def _stated(name: str, row: ScoreRow) -> float | None:
@@ -162,7 +165,7 @@ def _allowed(name: str, row: ScoreRow) -> float | None:
 def _ceiling(rows: Sequence[ScoreRow]) -> list[str]:
     return [
         _written(plain_mean(rows, partial(_allowed, name)), form)
-        for name, (_, form) in (COLUMNS | BESIDE).items()
+        for name, (_, form) in (COLUMNS | FURTHER_COLUMNS).items()
     ]
 
 

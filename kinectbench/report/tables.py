@@ -23,7 +23,7 @@ from kinectbench.core.artefacts.scores import (
 from kinectbench.report.figures import per_cent, text_of
 from kinectbench.scoring.averages import extremes
 from kinectbench.scoring.baselines.registry import BASE_RATE
-from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.caveats import marks_of
 from kinectbench.scoring.published import LABEL, REAL, PublishedTable
 
 PROTOCOL_NOTES = {
@@ -122,14 +122,17 @@ def _figures(protocol: str) -> tuple[tuple[str, str, int], tuple[str, str, int]]
 
 
 def protocols(tables: Sequence[ScoreTable]) -> list[str]:
-    """Return the protocols under which the tables have averages, those of `PROTOCOL_NOTES` first."""
+    """Return the protocols under which the tables have averages, first in the order of `PROTOCOL_NOTES`."""
     names = dict.fromkeys(p for t in tables for p in [*(t.by_category or {}), *(t.overall or {})])
     first = [p for p in PROTOCOL_NOTES if p in names]
     return first + [p for p in names if p not in first]
 
 
 def best_first(tables: Sequence[ScoreTable], protocol: str) -> list[ScoreTable]:
-    """Return the score tables, highest overall IoU (F-score of surfaces) first; those without it last."""
+    """Sort score tables by overall IoU (F-score under protocols of surfaces), the highest first.
+
+    Tables without this value come last.
+    """
     name = _figures(protocol)[0][0]
 
     def key(table: ScoreTable) -> float:
@@ -343,7 +346,6 @@ def truth_of_objects(tables: Sequence[ScoreTable], protocol: str) -> tuple[Objec
 
 
 def _by_object(rows: Sequence[ScoreRow]) -> dict[str, list[ScoreRow]]:
-    """Group the rows of pairs by object: return {object: its rows}."""
     groups: dict[str, list[ScoreRow]] = {}
     for row in rows:
         groups.setdefault(row.object, []).append(row)

@@ -9,7 +9,7 @@ from kinectbench.core.artefacts.triage import TriageFile, TriageRow
 from kinectbench.core.artefacts.views import ViewsFile
 from kinectbench.core.pages import render_page
 from kinectbench.core.types import Progress, no_progress
-from kinectbench.report.looks import FRAME_PX, frame_pictures
+from kinectbench.report.page_pictures import FRAME_PX, frame_pictures
 from kinectbench.stages.ingest.sequence_folder import read_sequence
 
 TONES = {"accept": "good", "look": "warn", "reject": "bad"}

@@ -14,13 +14,13 @@ from kinectbench.core.artefacts.targets import check_names
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Target, open_release
 from kinectbench.scoring.assemble import describe, make_table
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.recognized import made_table
 from kinectbench.scoring.dataset import Dataset as Dataset
 from kinectbench.scoring.dataset import load as load
 from kinectbench.scoring.pair_result import PairJob, count, count_job, counting_of
 from kinectbench.scoring.prediction_file import checked
 from kinectbench.scoring.predictions import check_method, missing_line
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import check_missing, check_words
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.shards import decode_sample as decode_sample
@@ -96,7 +96,7 @@ class Scorer:
             self._thresholds = thresholds_for(thresholds_file, test)
 
     def update(self, pair_id: str, prediction: NDArray[np.generic]) -> None:
-        """Count one prediction; a second prediction for the same pair replaces the first.
+        """Score one prediction; a second prediction for the same pair replaces the first.
 
         Args:
             pair_id: `<recording>/<view>` of the test or validation split.
@@ -163,7 +163,7 @@ class Scorer:
             threshold = None if thresholds is None else thresholds.of[target.category]
             path = self._release.pair_path(target)
             result = count_job(PairJob(target, path, None, threshold, self._counting))
-            assert isinstance(result, PairResult)  # no file was read that could be wrong
+            assert isinstance(result, PairResult)  # an empty grid has no faults
             grids[target] = result
         return grids
 

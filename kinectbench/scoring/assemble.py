@@ -12,6 +12,7 @@ from kinectbench.core.artefacts.scores import BaseRate, Failure, Hashes, ScoreSe
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.caveats import marks_of
 from kinectbench.scoring.counts import (
     CE_CLIP,
     THRESHOLDS,
@@ -22,8 +23,7 @@ from kinectbench.scoring.counts import (
     protocol_counts,
     tally_unknown_share,
 )
-from kinectbench.scoring.from_rows import from_rows
-from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.derived_values import derived_values
 from kinectbench.scoring.pair_result import Counting
 from kinectbench.scoring.protocols import PRIMARY
 from kinectbench.scoring.surface import F_SCORE_MM, SIGMAS
@@ -57,7 +57,7 @@ def make_table(
     rows = rows_of(results, settings.protocols, thresholds, rates)
     quality = quality_of(release, rows)
     of_categories = {category: rates[category] for category in thresholds.of}
-    derived = from_rows(rows, settings.protocols, of_categories, quality, not failures)
+    derived = derived_values(rows, settings.protocols, of_categories, quality, not failures)
     table = ScoreTable(
         method=method,
         benchmark_sha256=release.benchmark_sha256,
@@ -166,7 +166,7 @@ def quality_of(release: Release, rows: Sequence[ScoreRow]) -> dict[str, QualityF
 
 
 def as_of_baseline(settings: ScoreSettings) -> ScoreSettings:
-    """Return the settings with the version of the baselines, which makes a table that of a baseline."""
+    """Return the settings with the baselines' version, by which a table is recognised as a baseline's."""
     return settings.model_copy(update={"baseline_version": VERSIONS["baselines"]})
 
 

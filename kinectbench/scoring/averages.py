@@ -150,7 +150,7 @@ def category_averages(
 def _category(
     here: ObjectMeans | None, rate: BaseRate | None, quality: Sequence[ObjectQuality]
 ) -> CategoryAverages:
-    """Return a category's averages; if it has no counted pair, only those of the quality of its truth."""
+    """Return a category's averages; without a counted pair, only the averages of its truth's quality."""
     of_truth: dict[str, Any] = {
         "truth_estimated_iou": _known_mean([of.estimated_iou for of in quality]),
         "truth_estimated_iou_low": _known_mean([of.estimated_iou_low for of in quality]),

@@ -16,7 +16,6 @@ from kinectbench.release.exchange.rgbd import parts_of, read_view
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.camera_shape import SUFFIXES, CameraShape, read_shape, similarity_to_camera
 from kinectbench.scoring.closed_mesh import closed_mesh, open_because, refuse_mesh
-from kinectbench.scoring.declared import method_problems
 from kinectbench.scoring.depth_agreement import (
     LARGE,
     SCENE,
@@ -26,8 +25,9 @@ from kinectbench.scoring.depth_agreement import (
     beyond_share,
     likeliest,
 )
+from kinectbench.scoring.equal_predictions import Held, content_of, same_lines
+from kinectbench.scoring.method_json import method_problems
 from kinectbench.scoring.predictions import NO_PREDICTION, stray_files
-from kinectbench.scoring.sameness import Held, content_of, same_lines
 from kinectbench.scoring.strays import stray_lines
 
 # Number of predictions that `score` compares with their depth (chosen here).
@@ -212,7 +212,7 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
         return []
     compared = dict[str, Agreement]()
     for file in files[:: max(len(files) // LOOKED_AT, 1)][:LOOKED_AT]:
-        with contextlib.suppress(PredictionError):  # `score` reports why it cannot be scored
+        with contextlib.suppress(PredictionError):  # reported by `score`
             if (found := view_agreement(release, file, method)) is not None:
                 compared[file.name] = found
     slips, notes = _judged(compared, method)
@@ -243,13 +243,13 @@ def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list
     if far := [name for name, one in others.items() if one.is_large]:
         notes.append(
             f"{len(far)} predictions are farther from their depth than {LARGE:.0%} of what the view "
-            f"measured, such as {far[0]}; no usual slip of unit or axes explains it"
+            f"measured, such as {far[0]}; no usual error of unit or axes explains it"
         )
     return problems, notes
 
 
 def missing_in_camera(name: str) -> str:
-    """Return the line that a prediction is missing, with the accepted file names."""
+    """Return the message for a missing prediction; it states the accepted file names."""
     return f"{name}: {NO_PREDICTION} {name}{', '.join(SUFFIXES)}"
 
 

@@ -71,7 +71,7 @@ def in_cells(voxel_size_m: float, vertices_m: Float64) -> Float64:
     if np.abs(vertices).max() > MAX_FAR * FULL_CELLS:
         far_m = MAX_FAR * FULL_CELLS * voxel_size_m
         raise PredictionError(
-            f"lies more than {far_m:.3g} m from the object; `kinectbench check` names slips of unit and axes",
+            f"lies more than {far_m:.3g} m from the object; `kinectbench check` finds wrong units and axes",
             what="far-off",
         )
     return vertices

@@ -128,7 +128,7 @@ def _check_truth(tables: Tables) -> None:
 
 
 def check_same(tables: Tables, protocol: str) -> None:
-    """Refuse tables that were counted differently, are of different pairs, or disagree about the truth.
+    """Refuse tables of different score versions, upsamplings or pairs, or with different truth values.
 
     Args:
         tables: {method's name: its table}.

@@ -13,8 +13,8 @@ from kinectbench.core.artefacts.score_marks import BASELINE
 from kinectbench.core.artefacts.scores import OVERALL, SCORES_JSON, ScoreTable
 from kinectbench.scoring.averages import ObjectMeans
 from kinectbench.scoring.comparable import check_same, comparable_means, complete_ones, left_out_lines
-from kinectbench.scoring.letters import MOST_GROUPS, letters
 from kinectbench.scoring.protocols import PRIMARY
+from kinectbench.scoring.significance_letters import MOST_GROUPS, significance_letters
 from kinectbench.scoring.uncertainty import (
     MAX_EXACT,
     bootstrap_interval,
@@ -81,8 +81,7 @@ class Comparison:
         differences: one for every pair of methods in every scope.
         notes: one line each: which methods are left out, which scopes are too small to distinguish methods,
             how many pairs are left out, and the caveats of each method's scores.
-        too_small: {scope: a sentence that says so} for scopes with too few objects to distinguish any two
-            methods.
+        too_small: {scope: a sentence}, for scopes with too few objects to distinguish any two methods.
         standings: {method: "reported", or "verified" with date and version}.
         left_out: names of methods that are not compared because some of their pairs are not scored.
         truth_unknown_share: {scope: share of the true shapes that is not known}; the share is None for older
@@ -210,8 +209,8 @@ def find_methods(paths: Sequence[Path]) -> list[Path]:
     below = [file.parent for path in paths if path.is_dir() for file in sorted(path.glob(f"*/{SCORES_JSON}"))]
     if len(files) == 1 and below and files[0].parent in paths:
         raise SettingsError(
-            f"compare: {files[0]} is of one method, and is read instead of those below it: delete it if it "
-            "is an old one, or move it into a folder of its own; or name "
+            f"compare: {files[0]} has the scores of one method, and hides those in subfolders: delete it if "
+            "it is old, or move it into a folder of its own; or name "
             f"{' '.join(map(str, below[:MOST_NAMED]))}"
         )
     return files
@@ -308,9 +307,11 @@ def _ranks(names: Sequence[str], differences: Sequence[Difference], metric: str)
 
 
 def _groups(means: Mapping[str, float], differences: Sequence[Difference], metric: str) -> dict[str, str]:
-    """Return {method: its letters (see `letters`)}, in the order of `means`."""
+    """Return {method: its letters}, in the order of `means`."""
     best_first = sorted(means, key=lambda name: means[name], reverse=metric in SHARES)
-    by_name = letters(best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA})
+    by_name = significance_letters(
+        best_first, {frozenset((d.first, d.second)) for d in differences if d.p_holm <= ALPHA}
+    )
     return {name: by_name[name] for name in means}
 
 

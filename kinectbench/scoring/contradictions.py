@@ -134,7 +134,7 @@ def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
     if row.ce is not None and row.ce > MOST_CE + ROUNDING:
         yield f"states a CE of {row.ce:g}; none is above {MOST_CE:.1f}, since predictions are clipped"
     if row.in_space and row.counts:
-        # The mean of ratios is not the ratio of the means.
+        # Means of several predictions need not satisfy equations between ratios.
         is_mean = row.hypotheses is not None and row.hypotheses.of == "mean"
         yield from _ratios(row) if row.iou is not None and not is_mean else ()
         return

@@ -49,7 +49,7 @@ class ProtocolCounts:
 
 
 def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIXEL) -> Tally:
-    """Count a prediction against the truth in one pass.
+    """Count the voxels of a prediction by predicted value and by state of the truth, in one pass.
 
     Args:
         prediction: (n, n, n), C order, values in [0, 1]; it is upsampled if n is not 256.
@@ -75,7 +75,7 @@ def tally(prediction: Prediction, truth: PackedTruth, upsampling: str = HALF_PIX
 def tallies(
     prediction: Prediction, truth: PackedTruth, protocols: Sequence[str], upsampling: str = HALF_PIXEL
 ) -> tuple[Tally, dict[str, Tally]]:
-    """Return a prediction's tally against `truth`, and {protocol: tally} for protocols with another truth."""
+    """Return a prediction's tally, and {protocol: tally} for the protocols whose truth is another grid."""
     truths = {name: truth.under(PROTOCOLS[name]) for name in protocols}
     others = {name: tally(prediction, of, upsampling) for name, of in truths.items() if of is not truth}
     return tally(prediction, truth, upsampling), others
@@ -103,7 +103,7 @@ def _tally_parts(parts: Iterable[NDArray[np.floating]], grids: Iterable[Iterable
 
 
 def protocol_counts(tally: Tally, protocol: str) -> ProtocolCounts:
-    """Sum a tally over the voxels that a protocol counts."""
+    """Return the counts over the voxels of one protocol, from the tally of all voxels."""
     codes = list(PROTOCOLS[protocol].codes)
     occupied = [code for code in codes if code & 1]
     return ProtocolCounts(

@@ -131,7 +131,7 @@ def item_of(
 
 
 def _value(key: str, stored: FileArray, packed: bool) -> object:
-    """Convert a stored value to what an item holds: a number, a text, an array or a grid."""
+    """Convert a stored value to an item's value: a number, a text, an array or a grid."""
     if key in (*NUMBERS, *TEXTS):
         return stored.item()
     return stored if packed or key not in PACKED_SHAPES else unpack(stored)

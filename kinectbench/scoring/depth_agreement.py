@@ -17,7 +17,7 @@ from kinectbench.core.artefacts.method import MethodFile
 from kinectbench.core.geometry import invert_rigid, rigid, transform_points
 from kinectbench.core.types import Float64, Int64
 from kinectbench.scoring.camera_shape import CAMERA_AXES, METRES, CameraShape
-from kinectbench.scoring.sameness import Held
+from kinectbench.scoring.equal_predictions import Held
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -34,8 +34,8 @@ SMALL, LARGE = 0.01, 0.1
 # the cube's side. An object has no surface there; a room of 5 m around an object of 1 m has most of its
 # surface there (chosen here).
 SCENE = 0.2
-# An error explains a distance if correcting it brings the shape nearer by the first factor; and if the part
-# of the distance beyond the gaps between the shape's points shrinks by the second factor (chosen here).
+# An error explains a distance if its correction reduces the distance by the first factor, and the excess over
+# the gaps between the shape's points by the second (chosen here).
 NEARER, NEARER_BEYOND_GAPS = 1.5, 3.0
 # Errors whose distances differ by less than this factor explain a distance equally well: for a round shape,
 # axes can hardly be distinguished (chosen here).
@@ -71,9 +71,9 @@ class Agreement:
     Attributes:
         distance_m: median distance of the measured points of the object from the shape, metres.
         diagonal_m: diagonal of the bounding box of these points.
-        slips: (error in words, distance after its correction, metres) for each wrong unit or axes that would
-            explain the distance, the simplest first; () if the distance is small or unexplained. A shape with
-            a mirror plane has several.
+        slips: (error in words, distance after its correction, metres) for each error of unit or axes that
+            explains the distance, the simplest first; () if the distance is small or unexplained. Of a shape
+            with a mirror plane, several errors may explain it.
         beyond_share: share of the shape's surface that is more than a cube's side from the middle of the
             pair's cube.
         refused: why the shape cannot be made solid, so that `score` refuses it; "" if it can.
@@ -100,7 +100,7 @@ class Agreement:
         return self.distance_m > LARGE * self.diagonal_m
 
     def line(self, slip: str, method: MethodFile) -> str:
-        """Return a line: the distance, the error `slip` that explains it, what method.json must declare."""
+        """Return a line: the distance, the error `slip` (in words) that explains it, and the remedy."""
         words = f"{self.distance_m:.3g} m from its view's depth (median)"
         without = f"Without that it is {dict(self.slips)[slip]:.3g} m"
         return f"{words}; {slip} {without}: declare {remedy(slip, method)} in {MethodFile.FILE}"
@@ -143,7 +143,7 @@ def agreement(
     own = distance(np.eye(4))
     if beyond(own, 1) <= SMALL * diagonal:
         return Agreement(own, diagonal)
-    slips = list(mends(T_camera_prediction, T_world_camera, T_world_grid))
+    slips = list(typical_errors(T_camera_prediction, T_world_camera, T_world_grid))
     distances = np.array([distance(T) for _, T in slips])
     as_well = max(ABOUT * distances.min(), SMALL / 4 * diagonal)
     explained = [
@@ -156,10 +156,10 @@ def agreement(
 
 
 def remedy(slip: str, method: MethodFile) -> str:
-    """Return what to declare in method.json to correct an error: `unit` and `axes`, or `T_camera_prediction`.
+    """Return the declaration for method.json that corrects an error: unit and axes, or T_camera_prediction.
 
     Args:
-        slip: the error, in the words that `mends` yields.
+        slip: the error, in the words that `typical_errors` yields.
         method: the current method.json.
     """
     for (words, factor), (signs, axes) in product(UNITS.items(), AXES.items()):
@@ -217,13 +217,10 @@ def _gap(tree: "cKDTree", rng: np.random.Generator) -> float:
     return float(np.median(tree.query(chosen, k=2)[0][:, 1]))
 
 
-def mends(
+def typical_errors(
     T_camera_prediction: Float64, T_world_camera: Float64, T_world_grid: Float64
 ) -> Iterator[tuple[str, Float64]]:
-    """Yield (typical error in words, transform (4, 4) that corrects it), the simplest errors first.
-
-    The transform is applied to the shape in the camera frame.
-    """
+    """Yield (error in words, correction: (4, 4), applied in the camera frame), simplest errors first."""
     both = sorted(product(UNITS.items(), AXES.items()), key=lambda one: (one[0][0] != "") + (one[1][1] != ""))
     for (unit, factor), (signs, axes) in both:
         if words := _both(unit, axes):

@@ -28,7 +28,7 @@ _CELLS = np.uint32(21 * CODES)
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def count_halves(bits: NDArray[np.uint16], full: Packed, known: Packed, seen: Packed) -> Int64:
-    """Count the voxels of a float16 prediction by value and code.
+    """Count the voxels of a float16 prediction by predicted value and code (0 to 7).
 
     Args:
         bits: (v,) bit patterns of values in [0, 1]; -0 is allowed.
@@ -66,7 +66,7 @@ def _ones(word: np.uint64) -> np.uint64:
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def count_bits(occupied: Words, full: Words, known: Words, seen: Words) -> Int64:
-    """Count the voxels of a packed boolean prediction by value and code: (2, 8).
+    """Count the voxels of a packed boolean prediction by predicted value (0, 1) and code (0 to 7): (2, 8).
 
     A code is 1 if the truth is occupied, + 2 if the truth is known, + 4 if the input view saw the voxel.
 

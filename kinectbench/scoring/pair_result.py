@@ -1,4 +1,8 @@
-"""Count one prediction against its truth; keep the counts of each pair, so that a run can be resumed."""
+"""Count the voxels in which a prediction and its truth agree; store each pair's counts to resume a run.
+
+To "count a pair" means: read its prediction and its truth, and compute the voxel counts that all voxel
+metrics follow from, and the surface metrics if requested.
+"""
 
 import contextlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,17 +38,17 @@ from kinectbench.scoring.truth import PackedTruth, read_packed_truth, read_voxel
 EMPTY_CELLS = 16
 # Maximum size of a journal; a pair takes some kilobytes.
 MOST_JOURNAL_BYTES = 1 << 30
-# Minimum number and minimum share of kept results that are counted again before the rest is accepted. If half
-# of the results were invented, four drawn results would all be genuine in one case of sixteen.
+# Minimum number and minimum share of stored results that are computed again before the rest is accepted. If
+# half of the results were invented, four drawn results would all be genuine in one case of sixteen.
 LEAST_CHECKED, CHECKED_SHARE = 4, 0.01
 
 
 def drawn(names: Iterable[str], of: str) -> frozenset[str]:
-    """Return a random sample of pairs, at least four and 1 %, which are to be counted again as a check.
+    """Return a random sample of pairs, at least four and 1 %, to be counted again as a check.
 
     Args:
         names: the names of all pairs.
-        of: the seed of the sample: a text or hash of the whole file, so that a changed row changes the
+        of: seed of the sample: the text or hash of the whole file, so that any changed row changes the
             sample.
     """
     order = sorted(set(names), key=lambda name: sha256_text(f"{of} {name}"))
@@ -53,7 +57,7 @@ def drawn(names: Iterable[str], of: str) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Counting:
-    """How pairs are counted, which is the same for all pairs of a run.
+    """The options by which all pairs of a run are counted.
 
     Attributes:
         protocols: names of `PROTOCOLS`.
@@ -112,11 +116,11 @@ class PairJob:
 
 
 def count_job(job: PairJob) -> PairResult | str:
-    """Count one pair; if its prediction cannot be scored, return the reason instead.
+    """Read and count one pair; if its prediction cannot be scored, return the reason instead.
 
     Raises:
         ReleaseError: the truth is missing, or differs from the published one.
-        StorageError: an earlier result was checked, and differs from the new one.
+        StorageError: the stored result of an earlier run, computed again as a check, differs.
     """
     digest, outside = None, 0.0
     try:
@@ -152,7 +156,7 @@ def count_job(job: PairJob) -> PairResult | str:
 def count(
     prediction: Prediction, truth: PackedTruth, counting: Counting, threshold: float | None
 ) -> PairResult:
-    """Count a prediction in memory; without `threshold`, leave out surface metrics and set ceilings to 1."""
+    """Count a prediction that is in memory; without `threshold`, skip surface metrics, set ceilings to 1."""
     side = len(prediction)
     reached = ceilings(truth, FULL_CELLS if threshold is None else side, counting)
     surface = surfaces(prediction, truth, counting, threshold)

@@ -141,7 +141,6 @@ def checked(array: NDArray[np.generic], name: str) -> Prediction:
 
 
 def _grid(file: IO[bytes], suffix: str) -> Prediction:
-    """Read and check the prediction in an .npy or .npz file."""
     size = _checked_size(file, MAX_BYTES)
     if suffix == ".npy":
         return _checked(read_npy(file, size, _check_claims))

@@ -13,11 +13,11 @@ from kinectbench.core.types import Bools, Progress, no_progress
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.counts import Prediction
-from kinectbench.scoring.declared import NAMED, changed_files, form_problem, method_problems, read_method
+from kinectbench.scoring.equal_predictions import Held, content_of, same_lines
 from kinectbench.scoring.grid_axes import MOST_LOOKED_AT, axes_problem
 from kinectbench.scoring.mesh_prediction import IN_CAMERA, MESHES
+from kinectbench.scoring.method_json import NAMED, changed_files, form_problem, method_problems, read_method
 from kinectbench.scoring.prediction_file import load_hashed, load_prediction
-from kinectbench.scoring.sameness import Held, content_of, same_lines
 from kinectbench.scoring.strays import OTHER_MESHES, SUFFIXES, stray_lines
 from kinectbench.scoring.suspicious import MOST_OUTSIDE
 from kinectbench.scoring.truth import read_parts, read_voxel_size
@@ -110,7 +110,7 @@ def _other_mesh(folder: Path, target: Target) -> str | None:
 def stray_files(folder: Path, expected: set[str]) -> tuple[str, ...]:
     """Return the unexpected files in a folder, relative to it, sorted; hidden files are left out.
 
-    A link to a folder is listed like a file, unless files in it are expected: those are checked one by one.
+    A link to a folder is listed like a file, unless it has the name of a folder with expected files.
 
     Raises:
         PredictionError: the folder has more than `MOST_FILES` files, or a folder cannot be listed.
@@ -149,7 +149,7 @@ def _readable(folder: Path) -> Iterator[None]:
 
 
 def missing_line(target: Target) -> str:
-    """Return the line that a target has no file, with the accepted file names."""
+    """Return the message for a target without a file; it states the accepted file names."""
     return f"{target.name}: {NO_PREDICTION} {target.name}.npy, .npz, .ply or .obj"
 
 

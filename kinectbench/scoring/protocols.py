@@ -121,7 +121,7 @@ def _keys(release: Release, target: Target) -> tuple[str, ...]:
 def space_alone(
     protocols: Sequence[str] | None, upsampling: str, close: str | None = None
 ) -> tuple[str, ...]:
-    """Return those of the requested protocols that are `camera` or `aligned`; () if neither is requested.
+    """Return the requested protocols if they are `camera`, `aligned` or both; else ().
 
     Raises:
         SettingsError: `camera` or `aligned` is combined with other protocols, or with another upsampling than

@@ -110,7 +110,6 @@ Table 9 (test_125, learnt from one category)
 
 
 def _tables() -> Iterator[PublishedTable]:
-    """Parse `_TABLES`, and yield its tables in the same order."""
     for block in re.split(r"\n(?=T)", _TABLES.strip()):
         title, *lines = block.split("\n")
         categories = UNSEEN if "never learnt from" in title else CATEGORIES

@@ -13,10 +13,10 @@ from kinectbench.core import StorageError, printable
 from kinectbench.core.artefacts.score_figures import Averages
 from kinectbench.core.artefacts.scores import DERIVED, ScoreTable
 from kinectbench.core.artefacts.stored import StoredPart
+from kinectbench.scoring.caveats import marks_of
 from kinectbench.scoring.contradictions import contradictions
 from kinectbench.scoring.counts import THRESHOLDS
-from kinectbench.scoring.from_rows import from_rows
-from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.derived_values import derived_values
 
 # Relative tolerance. Sums in another order differ by 1e-15; the smallest change that is displayed is 1e-3.
 TOLERANCE = 1e-9
@@ -48,7 +48,7 @@ def recomputed(table: ScoreTable, where: str) -> ScoreTable:
     problem = next(contradictions(table), None)
     if problem is None:
         complete = not table.failures and bool(table.complete or table.overall or table.by_category)
-        derived = from_rows(
+        derived = derived_values(
             table.rows, table.settings.protocols, table.base_rate, table.truth_quality, complete
         )
         values = {name: getattr(derived, name) for name in vars(derived)} | {"marks": marks_of(table)}
@@ -138,7 +138,6 @@ def _is_list(value: object) -> TypeGuard[Sequence[object]]:
 
 
 def _close(one: object, other: object) -> bool:
-    """Return whether two values are equal up to rounding."""
     if isinstance(one, int | float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
     return bool(one == other)

@@ -127,7 +127,7 @@ def _upsampling(stated: ScoreTable, path: Path) -> str:
 
 
 def _words(stated: ScoreTable, computed: ScoreTable, folder: Path) -> Iterator[str]:
-    """Report a method name that differs from method.json's, and warnings that the table lacks."""
+    """Report if the method's name differs from method.json, or if the table lacks warnings."""
     method = MethodFile.read_if_there(folder)
     if method is not None and stated.method not in (method.name, folder.resolve().name):
         name, said = printable(stated.method), printable(method.name)
@@ -161,7 +161,7 @@ def _differences(stated: ScoreTable, computed: ScoreTable) -> Iterator[str]:
 
 
 def _beyond_the_rows(stated: Mapping[str, Any], computed: Mapping[str, Any]) -> Iterator[str]:
-    """Report differences in thresholds, base rates, failures, settings and other values that are no rows."""
+    """Report differences outside the rows: in thresholds, base rates, failures, settings and so on."""
     settings = stated.get("settings", {})
     for key in sorted((stated.keys() | computed.keys()) - NOT_COMPARED):
         yield from differing(stated.get(key), computed.get(key), key, whole=True)

@@ -9,7 +9,7 @@ from kinectbench.core import SettingsError, require_extra
 from kinectbench.core.artefacts.score_figures import CLOSINGS
 from kinectbench.core.voxels.resample import CONVENTIONS, HALF_PIXEL
 from kinectbench.engine.executor import Executor
-from kinectbench.scoring.declared import read_in_camera, read_method
+from kinectbench.scoring.method_json import read_in_camera, read_method
 from kinectbench.scoring.predictions import check_folder, declared_folders
 from kinectbench.scoring.protocols import check_protocols, protocols_in_space, space_alone
 from kinectbench.scoring.rounds import Missing
@@ -27,7 +27,7 @@ class Request:
         missing: "error" or "empty": how a missing prediction is treated.
         upsampling: "half-pixel" or "corner-aligned".
         close: how open meshes and points are made solid; None if they are not.
-        jobs: number of processes on this machine, or what counts on other machines (an executor).
+        jobs: number of processes on this machine, or an executor for other machines.
         in_parts: whether only one part of the pairs is counted (`count_methods`).
     """
 
@@ -78,8 +78,8 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
     Args:
         request: the options.
         folder: the method's predictions; without a method.json they are in the pairs' grid.
-        of_several: whether other methods are scored too. Then protocols that do not fit this method are no
-            error: the method is left out.
+        of_several: whether other methods are scored too. If so, a method that the protocols do not fit is
+            left out, and raises no error.
 
     Raises:
         SettingsError: an option does not apply to predictions in the method's frame (camera, or the pair's
@@ -103,7 +103,7 @@ def check_declared(request: Request, folder: Path, *, of_several: bool = False) 
 
 
 def _refuse_elsewhere(request: Request, what: str) -> None:
-    """Raise an error if `what` (a plural noun for the message) is scored in parts or on other machines."""
+    """Raise an error if the options ask for parts or other machines; `what` is a plural noun, the subject."""
     if request.in_parts:
         raise SettingsError(f"{what} are not scored in parts; leave out --shard")
     if not isinstance(request.jobs, int):

@@ -1,4 +1,4 @@
-"""Count a method's pairs: validation pairs first, as the thresholds are chosen on them."""
+"""Count a method's pairs (see `pair_result`): validation pairs first, to choose the thresholds on them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -119,12 +119,12 @@ def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) ->
 
 @dataclass(frozen=True)
 class Rounds:
-    """Counts pairs, those of the validation split first, then those of the test split.
+    """Computes the voxel counts of predictions: first on the validation split, then on the test split.
 
     Attributes:
         release: the release that is scored.
-        counting: how pairs are counted, the same for all.
-        journal: keeps the counts on disk until all are complete.
+        counting: the options of counting.
+        journal: stores the counts on disk until all are complete.
         jobs: number of processes on this machine, or the executor that counts on other machines.
         progress: called with (pairs done, pairs in all).
     """
@@ -199,7 +199,7 @@ class _Silent:
 def _by_recording(
     executor: Executor, jobs: Sequence[PairJob], keep: Callable[[PairJob, PairResult | str], None]
 ) -> None:
-    """Count pairs by an executor; a task is a whole recording, as a single pair would take too little time.
+    """Count pairs by an executor, one recording per task, because a single pair takes too little time.
 
     `keep` is called with each job and its result.
     """

@@ -16,16 +16,17 @@ from kinectbench.engine.executor import Executor
 from kinectbench.engine.shards import Shard
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.recognized import is_of_baseline, made_table
-from kinectbench.scoring.camera.grid_score import score_grid_in_space
-from kinectbench.scoring.camera.score import left_out_table, score_in_camera
-from kinectbench.scoring.declared import (
+from kinectbench.scoring.camera.score_camera_method import left_out_table, score_in_camera
+from kinectbench.scoring.camera.score_grid_method import score_grid_in_space
+from kinectbench.scoring.caveats import marks_of
+from kinectbench.scoring.method_json import (
     changed_files,
     changed_line,
     method_lines,
     read_in_camera,
 )
-from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.pair_result import Journal, counting_of
 from kinectbench.scoring.predictions import (
     check_method,
@@ -34,7 +35,6 @@ from kinectbench.scoring.predictions import (
     strays_of,
 )
 from kinectbench.scoring.protocols import protocols_in_space, space_alone, unfit
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import Request, check_declared, check_request
 from kinectbench.scoring.rounds import Missing, Plan, Rounds, plan
 from kinectbench.scoring.strays import NO_TARGET
@@ -97,16 +97,15 @@ def score(
     counting, journal = counting_of(release, protocols, upsampling, surface), Journal(resume_in)
     _refuse_many_rows(len(release.split("test")), counting.protocols)
     rounds = Rounds(release, counting, journal, jobs, progress)
-    table = _counted(release, asked, method, rounds, describe(counting, missing), here)
+    table = _counted_table(release, asked, method, rounds, describe(counting, missing), here)
     if table.complete:
         journal.remove()
     return _with_warnings(table, predictions, asked, release)
 
 
-def _counted(
+def _counted_table(
     release: Release, asked: Plan, method: str, rounds: Rounds, how: ScoreSettings, jobs: int
 ) -> ScoreTable:
-    """Count the pairs and make the table."""
     outcomes, thresholds = rounds.count(asked.files, asked.fixed, asked.own)
     failures = asked.failures | {t: result for t, result in outcomes.items() if isinstance(result, str)}
     results = {target: result for target, result in outcomes.items() if isinstance(result, PairResult)}

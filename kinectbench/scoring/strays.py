@@ -1,4 +1,4 @@
-"""Lines on files in a folder of predictions that match no target: how to rename them."""
+"""Report files in a folder of predictions that match no target, and suggest their right names."""
 
 import re
 from collections import Counter
@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from pathlib import PurePosixPath
 
 from kinectbench.core import printable
-from kinectbench.scoring.declared import NAMED
+from kinectbench.scoring.method_json import NAMED
 
 SUFFIXES = (".npy", ".npz", ".ply", ".obj")
 # Mesh formats that are not supported; a file with such a suffix in a prediction's place is reported.
@@ -27,21 +27,21 @@ def stray_lines(
 ) -> list[str]:
     """Return a line for each of the first 20 files that match no target, and one with the number of others.
 
-    Files in a folder whose name differs from a recording's only in letter case have one line together.
+    A line suggests a new name if the file's name resembles that of a missing target: it differs only in
+    letter case, or in the text around the view's number; or, outside the folders of recordings, it is the
+    nearest name with the same numbers. No name is suggested twice. If a folder's name differs from that of a
+    recording only in letter case, its files share one line.
 
     Args:
         stray: names of these files, relative to the method's folder.
-        missing: `<recording>/<view>` of targets without a file. If a stray file's name differs from one of
-            these only in letter case, or in what is around the number of the view, the line says how to
-            rename the file; else, outside the folders of recordings, it has the nearest of these names that
-            has the same numbers, if any is near. No two lines have the same name.
+        missing: `<recording>/<view>` of targets without a file.
         recordings: names of all recordings.
-        answered: names of recordings of which some target has a file: no folder is to be renamed to these.
+        answered: recordings that have a file of some target; no folder gets their names.
     """
     names = {_simple(name): name for name in missing}
     folders = {folder.lower(): folder for name in names.values() for folder in [name.partition("/")[0]]}
     of_folders, taken = _of_folders(stray, folders, recordings, answered)
-    # Names that no file clearly means, by their numbers.
+    # {numbers in a name: missing names with these numbers that no stray file equals}
     clear = {_simple(_stem(name)) for name in stray}
     unclear = dict[tuple[int, ...], list[str]]()
     for simple, name in names.items():
@@ -82,18 +82,18 @@ def stray_lines(
 def _of_folders(
     stray: Sequence[str], folders: Mapping[str, str], recordings: Collection[str], answered: Collection[str]
 ) -> tuple[dict[str, str], set[str]]:
-    """Return {folder: its line} for folders of several files that have no recording's name.
+    """Return {folder: its line} for folders that have no recording's name.
 
-    So has a folder with folders of recordings in it, of any number of files, if these can be moved up.
+    A folder gets a line if it has more than `FEW` files, or if folders of recordings in it can be moved up.
 
     Args:
         stray: names of all files, as in `stray_lines`.
-        folders: {name in lower case: name} of recordings without some file.
+        folders: {name in lower case: name} of recordings that lack some file.
         recordings: names of all recordings.
         answered: names of recordings that have some file.
 
     Returns:
-        The lines, and the names of recordings that they say to make: each has one line.
+        The lines, and the names of recordings that they suggest.
     """
     tops = {name.partition("/")[0].lower() for name in stray}
     unused = {folder for lower, folder in folders.items() if lower not in tops}.difference(answered)
@@ -122,17 +122,15 @@ def _of_folders(
 
 
 def _stem(name: str) -> str:
-    """Return a file's name without its suffix."""
     return name.removesuffix(PurePosixPath(name).suffix)
 
 
 def _numbers(name: str) -> tuple[int, ...]:
-    """Return the numbers in a name."""
     return tuple(map(int, re.findall(r"[0-9]+", name)))
 
 
 def _simple(name: str) -> str:
-    """Return `<folder>/<file>` in lower case, with the file's number alone if it has just one."""
+    """Return `<folder>/<file>` in lower case; of a file's name with a single number, only this number."""
     folder, _, file = name.lower().rpartition("/")
     numbers = re.findall(r"\d+", file)
     return f"{folder}/{numbers[0].lstrip('0') if len(numbers) == 1 else file}"

@@ -53,7 +53,7 @@ def best_threshold(tallies: Sequence[Tally]) -> float:
     """Return the threshold with the highest IoU, averaged over pairs; all voxels count (protocol `paper`).
 
     Args:
-        tallies: tallies of the validation pairs of one category, at least one.
+        tallies: voxel counts of the validation pairs of one category, at least one pair.
 
     Source: the paper. Of equally good thresholds, the lowest is taken; the paper does not say which.
     """

@@ -12,8 +12,8 @@ from kinectbench.cli.score_tables import comparison_tables, score_table
 from kinectbench.core.artefacts.score_marks import Verified
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.engine.artefact import VERSIONS
+from kinectbench.scoring.caveats import marks_of
 from kinectbench.scoring.compare import compare
-from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.read_table import recomputed
 
 PAPERS = ("bench", "chair", "couch", "table")

@@ -13,8 +13,8 @@ from kinectbench.core.artefacts.manifest import Manifest, SourceFile, Sources
 from kinectbench.core.storage import pretty_json, sha256_file
 from kinectbench.engine import artefact as artefacts
 from kinectbench.engine.artefact import Artefact, has_sizes, whole_hash
-from kinectbench.engine.place import statuses
 from kinectbench.engine.stages import STAGES, Job, current_stages
+from kinectbench.engine.status import statuses
 from kinectbench.settings.models import BenchmarkSettings
 
 CAMERA = {"fx": 50, "fy": 50, "cx": 32, "cy": 24, "width": 64, "height": 48, "depth_scale": 1000}

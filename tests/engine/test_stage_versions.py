@@ -19,9 +19,9 @@ from kinectbench.engine.pipeline import STAGE_NAMES, build_recording
 from kinectbench.engine.stages import STAGES, SUGGEST, current_stages
 from kinectbench.lab.synthesize.make import Task
 from kinectbench.lab.synthesize.models import Model, SynthesisSettings
-from kinectbench.release.publish.current import publish_if_stale
+from kinectbench.release.publish.publish_if_stale import publish_if_stale
 from kinectbench.release.release import Release, open_release
-from kinectbench.scoring.baselines.beside import baselines_beside
+from kinectbench.scoring.baselines.for_comparison import comparison_baselines
 from kinectbench.scoring.baselines.registry import LEARNED
 from kinectbench.scoring.pair_result import Counting, PairJob
 
@@ -267,12 +267,12 @@ def test_another_version_scores_the_baselines_again(
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str
 ) -> None:
     release = open_release(root / "fixed" / "benchmark")
-    (first, *_) = baselines_beside(release, tmp_path, protocols=("paper",), without=LEARNED)
+    (first, *_) = comparison_baselines(release, tmp_path, protocols=("paper",), without=LEARNED)
     monkeypatch.setattr("kinectbench.scoring.assemble.__version__", "99.0.0")
-    (kept, *_) = baselines_beside(release, tmp_path, protocols=("paper",), without=LEARNED)
+    (kept, *_) = comparison_baselines(release, tmp_path, protocols=("paper",), without=LEARNED)
     assert kept.package_version == first.package_version != "99.0.0"
     monkeypatch.setitem(VERSIONS, stage, VERSIONS[stage] + 1)
-    (again, *_) = baselines_beside(release, tmp_path, protocols=("paper",), without=LEARNED)
+    (again, *_) = comparison_baselines(release, tmp_path, protocols=("paper",), without=LEARNED)
     assert again.package_version == "99.0.0"
     assert again.settings.baseline_version == VERSIONS["baselines"]
     assert again.settings.score_version == VERSIONS["score"]

@@ -14,8 +14,8 @@ from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.store.attempts import MissingObjectError
 from kinectbench.core.store.store import Store, StoredObject
 from kinectbench.engine.pipeline import STAGE_NAMES
-from kinectbench.engine.place import statuses
 from kinectbench.engine.stages import Job
+from kinectbench.engine.status import statuses
 from kinectbench.settings.file import load_benchmark
 
 __all__ = ["s3", "s3_server"]

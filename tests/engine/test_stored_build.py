@@ -27,6 +27,7 @@ from kinectbench.core.store.attempts import PATIENCE_VARIABLE
 from kinectbench.core.store.packed import pack_files, unpack_files
 from kinectbench.core.store.store import Store
 from kinectbench.engine.checkout import checkout, files_of_recording, named_as_there
+from kinectbench.engine.orphans import find_orphans, remove_orphans
 from kinectbench.engine.pipeline import STAGE_NAMES, artefacts_upto
 from kinectbench.engine.stages import STAGES, Job
 from kinectbench.engine.stored_build import put_failure
@@ -37,7 +38,6 @@ from kinectbench.engine.stored_stage import (
     put_stage,
     stored_folder,
 )
-from kinectbench.engine.unnamed import remove, unnamed
 
 __all__ = ["proxied", "s3", "s3_server"]
 pytestmark = pytest.mark.xdist_group("stores")
@@ -366,7 +366,7 @@ def test_gc_removes_only_what_no_manifest_names(
     tomorrow = time.time() + 2 * 86_400
     with monkeypatch.context() as patch:
         patch.setattr("time.time", lambda: tomorrow)
-        assert {each.name for each in unnamed(store)} == orphans
+        assert {each.name for each in find_orphans(store)} == orphans
     assert "removed 3 files" in command(tmp_path, "gc", "--all", "--delete", *config(s3)).out
     assert before | others == {each.name for each in store.objects()}
 
@@ -379,11 +379,11 @@ def test_gc_looks_once_more_before_it_removes(small: Path, s3: str) -> None:
     place = f"{stored_folder('chair', artefact)}/manifest.json"
     manifest = store.read(place)
     store.delete([place])
-    found = unnamed(store, young=True)
+    found = find_orphans(store, young=True)
     assert len(found) == 3
     store.put(place, manifest)
-    assert remove(store, found) == 0
-    assert unnamed(store, young=True) == []
+    assert remove_orphans(store, found) == 0
+    assert find_orphans(store, young=True) == []
 
 
 def test_gc_is_for_stores(command: Command, small: Path) -> None:

@@ -17,11 +17,11 @@ from kinectbench.core.store.packed import pack_files
 from kinectbench.core.store.store import Store
 from kinectbench.engine.artefact import Artefact
 from kinectbench.engine.checkout import checkout, fetch_named
+from kinectbench.engine.orphans import find_orphans, remove_orphans
 from kinectbench.engine.pipeline import STAGE_NAMES, artefacts_upto
 from kinectbench.engine.stages import Job
 from kinectbench.engine.stored_build import build_stored
 from kinectbench.engine.stored_stage import ARCHIVE, fetch_file, fetch_stage, put_stage, stored_folder
-from kinectbench.engine.unnamed import remove, unnamed
 from kinectbench.settings.models import BenchmarkSettings
 
 __all__ = ["s3", "s3_server"]
@@ -85,7 +85,7 @@ def test_what_is_finished_is_believed_and_stays(small: Path, tmp_path: Path, s3:
     before = store.objects("build")
     assert not put_stage(store, "chair", other)
     assert put_stage(store, "chair", artefact)
-    assert store.objects("build") == before and unnamed(store, young=True) == []
+    assert store.objects("build") == before and find_orphans(store, young=True) == []
     fetch_stage(store, "chair", replace(artefact, folder=tmp_path / "got"))
     assert hashes(tmp_path / "got") == hashes(artefact.folder)
 
@@ -109,8 +109,8 @@ def test_the_bytes_of_two_that_put_at_once_are_not_mixed(small: Path, tmp_path: 
     assert not put_stage(slow, "chair", other)
     fetch_stage(store, "chair", replace(artefact, folder=tmp_path / "got"))
     assert hashes(tmp_path / "got") == hashes(artefact.folder)
-    left = unnamed(store, young=True)
-    assert len(left) == 3 and remove(store, left) == 3
+    left = find_orphans(store, young=True)
+    assert len(left) == 3 and remove_orphans(store, left) == 3
     shutil.rmtree(tmp_path / "got")
     fetch_stage(store, "chair", replace(artefact, folder=tmp_path / "got"))
     assert hashes(tmp_path / "got") == hashes(artefact.folder)
@@ -145,7 +145,7 @@ def test_an_artefact_beside_its_manifest_is_read(small: Path, tmp_path: Path, s3
     pack_files(artefact.folder, names, tmp_path / ARCHIVE)
     for path in (tmp_path / ARCHIVE, *artefact.folder.glob("*.json")):
         store.put(f"{where}/{path.name}", path)
-    assert unnamed(store, young=True) == []
+    assert find_orphans(store, young=True) == []
     fetch_stage(store, "chair", replace(artefact, folder=tmp_path / "got"))
     fetch_file(store, "chair", replace(artefact, folder=tmp_path / "one"), "pairs.json")
     wanted = hashes(artefact.folder)

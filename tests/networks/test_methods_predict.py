@@ -136,7 +136,7 @@ def test_other_weights_are_told_and_a_file_in_the_way_too(
     assert "predictions/tiny: removes 3 predictions of another run (other weights); --out" in told.err
     (tmp_path / "file").write_bytes(b"")
     refused = command(tmp_path, "predict", str(trained), benchmark, "--out", "file")
-    assert refused.status == 1 and "the way to it holds a file; choose another folder" in refused.err
+    assert refused.status == 1 and "a parent of it is a file; choose another folder" in refused.err
 
 
 def test_the_same_network_predicts_the_same_bytes(

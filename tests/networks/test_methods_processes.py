@@ -16,7 +16,7 @@ from torch import distributed
 
 from kinectbench.core.errors import SettingsError
 from kinectbench.networks.config import read_config
-from kinectbench.networks.processes import chosen_device, joined_processes
+from kinectbench.networks.distributed import chosen_device, joined_processes
 from kinectbench.networks.train import train
 from kinectbench.release.release import Release
 

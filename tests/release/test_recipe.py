@@ -100,7 +100,7 @@ def test_what_came_first_is_locked(command: Command, server: ScanServer, tmp_pat
     assert done.status == 3 and "Traceback" not in done.err
     text = " ".join(done.err.split())
     assert "00009: 00009.zip cannot be fetched" in text and "sends other bytes than came first" in text
-    assert "00010.zip: is not the file that came first; remove it to fetch it again" in text
+    assert "00010.zip: differs from the file of the first download; remove it to fetch it again" in text
     assert json.loads((recipe / "sources.lock").read_text())["files"] == locked
 
 
@@ -127,7 +127,7 @@ def test_two_fetches_to_two_folders_keep_each_others_hashes(server: ScanServer, 
     assert one.fetch(scans["00011"]).error is None
     server.files["/00011.zip"] = zipped("second")
     late = other.fetch(scans["00011"]).error
-    assert late is not None and "00011.zip: is not the file that came first; remove it" in late
+    assert late is not None and "00011.zip: differs from the file of the first download; remove it" in late
 
 
 def test_a_missing_scan_does_not_stop_the_others(

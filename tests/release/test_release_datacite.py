@@ -12,7 +12,7 @@ from test_release_hostile import seal
 
 from kinectbench.core.artefacts.provenance import Lineage, LineageRecording, LineageView
 from kinectbench.release.check.verify import verify
-from kinectbench.release.publish.about import day_of
+from kinectbench.release.publish.datacite import day_of
 from kinectbench.release.publish.publish import publish
 from kinectbench.release.release import Release, open_release
 from kinectbench.settings.publishing import CitationSettings

@@ -13,7 +13,7 @@ from synthetic_release import synthetic_settings
 
 from kinectbench.core.artefacts.benchmark import PublishOptions
 from kinectbench.core.geometry.mesh import read_own_ply, write_ply
-from kinectbench.release.publish.preview import CLAY, PAPER, seen_from_the_front, seen_from_the_right
+from kinectbench.release.publish.index_page import CLAY, PAPER, seen_from_the_front, seen_from_the_right
 from kinectbench.release.publish.publish import publish
 
 

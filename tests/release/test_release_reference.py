@@ -14,9 +14,9 @@ from kinectbench.core.artefacts.reference import ReferenceFile
 from kinectbench.core.artefacts.targets import parse_targets, targets_text
 from kinectbench.core.errors import ReleaseError, StorageError
 from kinectbench.release.check.verify import verify
-from kinectbench.release.publish.current import already_published, publish_if_stale
 from kinectbench.release.publish.gate import gate
 from kinectbench.release.publish.publish import publish
+from kinectbench.release.publish.publish_if_stale import already_published, publish_if_stale
 from kinectbench.release.release import open_release, recording_problems
 
 NAMES = [row[0] for row in RECORDINGS]

@@ -8,7 +8,7 @@ from headless import Browser, find_chromium
 
 from kinectbench.core.listing import PAGE_ROWS, SHOWN, Listing, inert_json, spread
 from kinectbench.core.pages import environment
-from kinectbench.release.publish import preview
+from kinectbench.release.publish import index_page
 from kinectbench.release.release import Release
 from kinectbench.settings.file import parse_benchmark
 
@@ -46,7 +46,7 @@ def written(release: Release, folder: Path, count: int) -> str:
         (folder / "views" / each).symlink_to(release.folder / "views" / name)
     warnings = [f"{each}: doubtful" for each in names]
     settings = parse_benchmark("{name: many, recordings: [{id: a, path: a, category: c}]}", "settings")
-    page = preview.preview_text(folder, settings, targets, infos, warnings, [])
+    page = index_page.preview_text(folder, settings, targets, infos, warnings, [])
     (folder / "index.html").write_text(page)
     return page
 
@@ -62,7 +62,7 @@ def test_of_many_some_are_shown_and_all_are_listed(release: Release, tmp_path: P
     assert len(page.encode()) <= MOST_BYTES
     assert page.count('<section class="recording"') == SHOWN
     assert page.count('<tr><th class="name" scope="row">') == PAGE_ROWS
-    assert page.count(": doubtful") == preview.MOST_WARNINGS and "9992 more such lines" in page
+    assert page.count(": doubtful") == index_page.MOST_WARNINGS and "9992 more such lines" in page
     assert all(f'"thing_{number:05d}"' in page for number in (0, 1, 5000, 9999))
     assert EVIL not in page and "<img src=x" not in page
 

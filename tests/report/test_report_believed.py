@@ -9,7 +9,7 @@ from report_fake_build import SETTINGS
 
 from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
-from kinectbench.report.page import Beside, write_report
+from kinectbench.report.page import ScoreExtras, write_report
 from kinectbench.report.run import grouped
 from kinectbench.scoring.read_table import recomputed
 
@@ -42,7 +42,7 @@ def scored_page(folder: Path, objects: int = 8) -> Path:
         ]
         made.append(recomputed(method(name, rows), name))
     groups = grouped(made, ("known",))
-    return write_report(SETTINGS, None, made, folder / "scores.html", beside=Beside(groups))
+    return write_report(SETTINGS, None, made, folder / "scores.html", extras=ScoreExtras(groups))
 
 
 @pytest.mark.skipif(find_chromium() is None, reason="no chromium here to open the page in")
@@ -90,6 +90,8 @@ def test_what_the_page_says_of_scores(tmp_path: Path) -> None:
     small = " ".join(scored_page(tmp_path, objects=1).read_text(encoding="utf-8").split())
     assert "too small to tell methods apart" not in small  # 21 objects in all
     few = [recomputed(method(name, [row("chair", n, 0, 0.5) for n in range(4)]), name) for name in "ab"]
-    page = write_report(SETTINGS, None, few, tmp_path / "few.html", beside=Beside(grouped(few, ("known",))))
+    page = write_report(
+        SETTINGS, None, few, tmp_path / "few.html", extras=ScoreExtras(grouped(few, ("known",)))
+    )
     text = page.read_text(encoding="utf-8")
     assert text.index("too small to tell methods apart") < text.index("Protocol “known”")

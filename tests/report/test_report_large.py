@@ -8,8 +8,8 @@ from report_fake_build import SETTINGS, parsed_tables, score
 
 from kinectbench.core.listing import PAGE_ROWS, SHOWN
 from kinectbench.report import write_report
-from kinectbench.report.many import COLUMNS, NOT_BUILT, shortened
 from kinectbench.report.page import _listed
+from kinectbench.report.recording_list import COLUMNS, NOT_BUILT, shortened
 from kinectbench.settings.models import BenchmarkSettings
 
 MOST_BYTES = 5_000_000

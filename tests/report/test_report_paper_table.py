@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError
 from kinectbench.release.release import Release
 from kinectbench.report.paper_table import paper_markdown, paper_tables
-from kinectbench.scoring.baselines.beside import baselines_beside
+from kinectbench.scoring.baselines.for_comparison import comparison_baselines
 from kinectbench.scoring.score import score_methods
 
 Command = Callable[..., Run]
@@ -33,7 +33,7 @@ def scores(release: Release, tmp_path_factory: pytest.TempPathFactory) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         np.save(path, np.full((2, 2, 2), 1, np.float16))
     (made,) = score_methods(release, root / "mine", root / "scores", surface=False)
-    baselines_beside(release, root / "scores", protocols=made.settings.protocols)
+    comparison_baselines(release, root / "scores", protocols=made.settings.protocols)
     return root / "scores"
 
 

@@ -14,7 +14,7 @@ from kinectbench.core import images, pictures
 from kinectbench.core.errors import StorageError
 from kinectbench.core.geometry import TriangleMesh, invert_rigid
 from kinectbench.core.voxels.pair_file import pack
-from kinectbench.report import looks
+from kinectbench.report import page_pictures
 
 UP = np.array([0.0, 0, 1])
 
@@ -69,7 +69,7 @@ def test_a_near_face_hides_a_far_one_and_the_top_is_lit() -> None:
 
 
 def test_silhouette_of_a_box_from_above() -> None:
-    outlines = looks.outlines(box((1, 2, 0), (1.5, 2.25, 1)))
+    outlines = page_pictures.outlines(box((1, 2, 0), (1.5, 2.25, 1)))
     assert len(outlines) == 1
     np.testing.assert_allclose(outlines[0].min(axis=0), [1, 2], atol=0.006)
     np.testing.assert_allclose(outlines[0].max(axis=0), [1.5, 2.25], atol=0.006)
@@ -102,7 +102,7 @@ def test_pair_picture_shows_both_halves_alike_and_upright() -> None:
     T_world_camera = (invert_rigid(T_FLOOR_WORLD) @ cameras_floor())[0]
     pair = make_pair(T_world_camera)
     up_grid = T_FLOOR_WORLD[2, :3] @ pair.T_world_grid[:3, :3]
-    picture = looks.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)
+    picture = page_pictures.pair_picture(pair.partial, pair.full, pair.voxel_size_m, up_grid)
     assert picture.shape == (120, 240, 3) and picture.dtype == np.uint8
     partial, full = drawn(picture[:, :120]), drawn(picture[:, 120:])
     # All of the partial lies on the full shape, but for a cell of blur around it.
@@ -121,7 +121,7 @@ def test_pair_picture_shows_both_halves_alike_and_upright() -> None:
 @pytest.mark.parametrize("up_grid", [(0, 0, -1.0), (0, 0, 1.0), (0, -1.0, 0), (1.0, 0, 0)])
 def test_pair_picture_of_nothing_and_from_any_side(up_grid: tuple[float, float, float]) -> None:
     empty = np.zeros((64, 64, 8), np.uint8), np.zeros((256, 256, 32), np.uint8)
-    assert not drawn(looks.pair_picture(*empty, 0.004, np.array(up_grid))).any()
+    assert not drawn(page_pictures.pair_picture(*empty, 0.004, np.array(up_grid))).any()
 
 
 def test_depth_picture_near_is_bright_and_holes_are_grey() -> None:

@@ -28,7 +28,7 @@ from small_runs import copied, start
 from stored_benchmark import put_benchmark
 
 from kinectbench.core.store.store import Store
-from kinectbench.engine.unnamed import unnamed
+from kinectbench.engine.orphans import find_orphans
 
 SHARDS = 40
 
@@ -105,7 +105,7 @@ def in_store(*words: str) -> Row:
                 config = f"{url}/benchmark.yaml"
                 became = told_by(ended(start(Path(work), "build", *words, "-c", config)), (0,))
                 became.add(held_against_there(bench, Path(work), url, scratch))
-                became.wrong += [f"{each.name} is left over" for each in unnamed(Store(url), young=True)]
+                became.wrong += [f"{each.name} is left over" for each in find_orphans(Store(url), young=True)]
                 shutil.copytree(bench.whole / "predictions", Path(work) / "predictions")
                 of_url = ("--benchmark", f"{url}/benchmark", "--out", "scores")
                 return became.add(scored(bench, Path(work), *of_url, *words))

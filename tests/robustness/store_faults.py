@@ -27,8 +27,8 @@ from small_runs import OBJECTS, start
 from stored_benchmark import put_benchmark
 
 from kinectbench.core.store.store import Store
+from kinectbench.engine.orphans import find_orphans
 from kinectbench.engine.pipeline import STAGE_NAMES
-from kinectbench.engine.unnamed import unnamed
 
 LATENCY_S = 0.02
 RECORDINGS = tuple(OBJECTS)
@@ -72,7 +72,7 @@ class Lab:
         for each, statuses in runs:
             became.add(told_by(each, statuses))
         became.add(held_against_there(self.bench, self.work, url, self.scratch))
-        became.wrong += [f"{each.name} is left over" for each in unnamed(Store(url), young=True)]
+        became.wrong += [f"{each.name} is left over" for each in find_orphans(Store(url), young=True)]
         return became
 
 
@@ -137,7 +137,7 @@ def killed(lab: Lab) -> Became:
         time.sleep(moments.uniform(1, 8))
         os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
-        left = max(left, len(unnamed(Store(url), young=True)))
+        left = max(left, len(find_orphans(Store(url), young=True)))
     became = lab.became(url)
     became.notes.append(f"5 kills left {left} files at most that no manifest names")
     return became

@@ -9,7 +9,7 @@ from kinectbench.core.artefacts.scores import OVERALL
 from kinectbench.release.exchange.rgbd import export_rgbd
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring.camera_predictions import check_camera
-from kinectbench.scoring.declared import read_in_camera
+from kinectbench.scoring.method_json import read_in_camera
 from kinectbench.scoring.score import score
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -20,12 +20,12 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release
+from kinectbench.scoring.base_rates import BASELINE_NAMES
 from kinectbench.scoring.baselines.registry import BASELINES
+from kinectbench.scoring.caveats import marks_of
 from kinectbench.scoring.compare import compare
-from kinectbench.scoring.marks import marks_of
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.recheck import recheck
-from kinectbench.scoring.references import BASELINE_NAMES
 from kinectbench.scoring.score import score, score_methods
 
 Command = Callable[..., Run]

@@ -11,8 +11,8 @@ from kinectbench.core.artefacts.scores import OVERALL
 from kinectbench.core.errors import SettingsError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.release.release import Release, open_release
-from kinectbench.scoring.baselines.beside import baselines_beside
-from kinectbench.scoring.baselines.counted import score_baselines
+from kinectbench.scoring.baselines.for_comparison import comparison_baselines
+from kinectbench.scoring.baselines.in_grids import score_baselines
 from kinectbench.scoring.baselines.predict import write_baselines
 from kinectbench.scoring.camera_shape import occupancy_shape, write_shape
 from kinectbench.scoring.prediction_file import load_prediction
@@ -89,16 +89,16 @@ def test_baselines_in_space_are_what_their_files_give(
 
 
 def test_baselines_beside_are_kept_and_checked(published: Release, tmp_path: Path) -> None:
-    found = baselines_beside(published, tmp_path, protocols=["camera", "aligned"], without=OTHERS)
+    found = comparison_baselines(published, tmp_path, protocols=["camera", "aligned"], without=OTHERS)
     assert all(table.baseline and table.settings.protocols == ("camera",) for table in found)
     path = tmp_path / "baselines" / "hull+camera" / "scores.json"
     kept = read_table(path)
     made = path.stat().st_mtime_ns
-    assert baselines_beside(published, tmp_path, protocols=["camera"], without=OTHERS) == found
+    assert comparison_baselines(published, tmp_path, protocols=["camera"], without=OTHERS) == found
     assert path.stat().st_mtime_ns == made
     rows = tuple(replace(row, chamfer_l1_m=0.001) if row.heading == "camera" else row for row in kept.rows)
     kept.model_copy(update={"rows": rows, "by_category": None, "overall": None}).write(path.parent)
-    again = baselines_beside(published, tmp_path, protocols=["camera"], without=OTHERS)
+    again = comparison_baselines(published, tmp_path, protocols=["camera"], without=OTHERS)
     assert again == found and read_table(path).rows == kept.rows
 
 

@@ -16,9 +16,9 @@ from kinectbench.core.geometry.rigid import similarity_scale
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.scoring.camera.align import KINDS, register_surface
+from kinectbench.scoring.camera.score_view import Scored, asked_rows, score_shape
 from kinectbench.scoring.camera.surface import Surface, mesh_surface
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
-from kinectbench.scoring.camera.view import Scored, asked_rows, score_shape
 from kinectbench.scoring.camera_shape import CameraShape, distance_shape, occupancy_shape
 
 SIDE = 256

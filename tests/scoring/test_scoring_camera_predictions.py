@@ -24,7 +24,7 @@ from kinectbench.scoring.camera_shape import (
     read_shape,
     write_shape,
 )
-from kinectbench.scoring.declared import read_in_camera, read_method
+from kinectbench.scoring.method_json import read_in_camera, read_method
 
 EYE = np.eye(4)
 BOX = trimesh.creation.box(extents=(0.2, 0.3, 0.4))

@@ -12,10 +12,10 @@ from kinectbench.core.artefacts.score_figures import ShapePart
 from kinectbench.core.geometry import invert_rigid, rigid, transform_points
 from kinectbench.core.voxels.pair_file import pack, unpack
 from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
+from kinectbench.scoring.camera.score_view import asked_rows, score_shape
 from kinectbench.scoring.camera.solid import solid_in
 from kinectbench.scoring.camera.surface import cell_surface, mesh_surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
-from kinectbench.scoring.camera.view import asked_rows, score_shape
 from kinectbench.scoring.camera_shape import CameraShape, distance_shape, occupancy_shape
 from kinectbench.scoring.closed_mesh import closed_mesh
 

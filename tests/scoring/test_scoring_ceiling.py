@@ -7,8 +7,8 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import Grid, invert_rigid, rigid, transform_points
 from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.scoring.camera.score_view import Scored, score_shape
 from kinectbench.scoring.camera.truth import SpaceTruth, space_truth
-from kinectbench.scoring.camera.view import Scored, score_shape
 from kinectbench.scoring.camera_shape import CameraShape, occupancy_shape
 from kinectbench.scoring.closed_mesh import closed_mesh
 

@@ -10,7 +10,7 @@ from kinectbench.core.artefacts.score_figures import ScoreRow
 from kinectbench.core.artefacts.scores import BaseRate, CategoryAverages
 from kinectbench.report.tables import DETAILS
 from kinectbench.scoring.averages import category_averages, object_means, overall_averages
-from kinectbench.scoring.from_rows import _by_object
+from kinectbench.scoring.derived_values import _by_object
 
 # Recording, object, category; the red chair was recorded twice.
 RECORDINGS = (

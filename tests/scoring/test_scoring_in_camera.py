@@ -17,8 +17,8 @@ from kinectbench.core.artefacts.scores import OVERALL, ScoreTable
 from kinectbench.core.errors import SettingsError, StorageError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.release.release import Release, Target, open_release
-from kinectbench.scoring.camera import score as score_module
-from kinectbench.scoring.camera.view import asked_rows
+from kinectbench.scoring.camera import score_camera_method as score_module
+from kinectbench.scoring.camera.score_view import asked_rows
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.read_table import read_table

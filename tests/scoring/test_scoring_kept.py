@@ -15,7 +15,7 @@ from kinectbench.core.artefacts.counted import JOURNAL
 from kinectbench.core.errors import StorageError
 from kinectbench.release.release import Release
 from kinectbench.scoring import pair_result
-from kinectbench.scoring.baselines.beside import baselines_beside
+from kinectbench.scoring.baselines.for_comparison import comparison_baselines
 from kinectbench.scoring.pair_result import CHECKED_SHARE, LEAST_CHECKED, PairJob, count_job, drawn
 from kinectbench.scoring.score import score
 
@@ -113,7 +113,7 @@ def test_who_is_drawn() -> None:
 @pytest.mark.parametrize("what", ["iou", "base rate"])
 def test_forged_baselines_are_made_anew(release: Release, tmp_path: Path, what: str) -> None:
     without = ("hull", "carved-hull", "mirror", "silhouette", "mean-shape", "nearest", "base-rate")
-    first = baselines_beside(release, tmp_path, protocols=("paper",), without=without)
+    first = comparison_baselines(release, tmp_path, protocols=("paper",), without=without)
     path = tmp_path / "baselines/partial/scores.json"
     honest = path.read_bytes()
     worse, said = tmp_path / "worse", json.loads(honest)
@@ -127,6 +127,6 @@ def test_forged_baselines_are_made_anew(release: Release, tmp_path: Path, what: 
     forged.model_copy(update=update).write(path.parent)
     if what == "base rate":
         path.write_bytes(honest.replace(json.dumps(said["rows"][0]["base_rate_ce"]).encode(), b"0.5"))
-    again = baselines_beside(release, tmp_path, protocols=("paper",), without=without)
+    again = comparison_baselines(release, tmp_path, protocols=("paper",), without=without)
     assert [table.text() for table in again] == [table.text() for table in first]
     assert path.read_bytes() == honest

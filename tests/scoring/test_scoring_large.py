@@ -20,7 +20,7 @@ from kinectbench.core.untrusted_text import OBJECT_VALUES
 from kinectbench.report.tables import truth_of_objects
 from kinectbench.scoring import uncertainty
 from kinectbench.scoring.assemble import _validation
-from kinectbench.scoring.from_rows import from_rows
+from kinectbench.scoring.derived_values import derived_values
 from kinectbench.scoring.thresholds import Thresholds
 from kinectbench.scoring.uncertainty import bootstrap_interval, sign_flip_ps, student_interval
 
@@ -36,7 +36,7 @@ def groups(*counts: int, metrics: int = 12) -> Groups:
 def test_pairs_that_are_all_unknown_are_counted_once() -> None:
     rows = [row("chair", n, 0, None) for n in range(60_000)] + [row("chair", 60_000, 0, 0.5)]
     started = time.process_time()
-    found = from_rows(rows, ["known"], {}, {}, complete=True)
+    found = derived_values(rows, ["known"], {}, {}, complete=True)
     assert time.process_time() - started < 10  # with a scan for each: over a minute
     assert len(found.all_unknown_pairs["known"]) == 60_000
     assert found.by_category is not None and found.by_category["known"]["chair"].pairs == 1

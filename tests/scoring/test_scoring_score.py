@@ -19,8 +19,8 @@ from kinectbench.core.errors import PredictionError, ReleaseError, SettingsError
 from kinectbench.core.voxels.pair_file import read_pair, unpack
 from kinectbench.release.release import Release, Target, open_release
 from kinectbench.scoring import score as score_module
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.published import CATEGORIES, LABEL, REAL
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.score import score
 
 Predict = Callable[[Target, NDArray[np.bool_]], NDArray[Any]]

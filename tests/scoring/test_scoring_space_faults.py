@@ -14,11 +14,11 @@ from small_benchmark import run_here
 from kinectbench.core.errors import PredictionError, ReleaseError
 from kinectbench.release.release import Release, open_release
 from kinectbench.scoring import camera_predictions
-from kinectbench.scoring.camera import score as camera_score
+from kinectbench.scoring.camera import score_camera_method as camera_score
 from kinectbench.scoring.camera import surface
 from kinectbench.scoring.camera_predictions import check_camera
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
-from kinectbench.scoring.declared import read_in_camera
+from kinectbench.scoring.method_json import read_in_camera
 from kinectbench.scoring.predictions import check
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.score import score, score_methods

@@ -25,7 +25,7 @@ from kinectbench.core.errors import PredictionError, StorageError
 from kinectbench.core.storage import canonical_json
 from kinectbench.core.voxels.pair_file import pack, read_pair, unpack
 from kinectbench.release.release import Release
-from kinectbench.scoring.declared import NAMED
+from kinectbench.scoring.method_json import NAMED
 from kinectbench.scoring.pair_result import Counting, Journal, PairJob, count_job
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.predictions import (

@@ -25,7 +25,7 @@ from kinectbench.report import tables as report_tables
 from kinectbench.report.page import write_report
 from kinectbench.scoring.compare import compare
 from kinectbench.scoring.counts import is_all_unknown, tally_unknown_share
-from kinectbench.scoring.of_release import not_of_release
+from kinectbench.scoring.release_contradictions import release_contradictions
 from kinectbench.scoring.score import score
 
 Bools = NDArray[np.bool_]
@@ -130,7 +130,7 @@ def test_what_is_declared_unknown_is_held_against_the_release(
 ) -> None:
     """Of half of the pair's shape the truth is known: a table may not leave it out."""
     table = tables[0]
-    assert list(not_of_release(table, release)) == []
+    assert list(release_contradictions(table, release)) == []
     for change, words in (
         ({"iou": None}, "is left out under known as all unknown; the release says 0.5 of its shape"),
         ({"iou": None, "unknown_share": 1.0}, "has 1 of its true shape unknown; the release says 0.5"),
@@ -140,7 +140,7 @@ def test_what_is_declared_unknown_is_held_against_the_release(
             for row in table.rows
         )
         forged = table.model_copy(update={"rows": rows})
-        assert list(not_of_release(forged, release)) == [f"chair_01/001 {words}"]
+        assert list(release_contradictions(forged, release)) == [f"chair_01/001 {words}"]
 
 
 def test_means_leave_out_what_is_all_unknown(tables: tuple[ScoreTable, ScoreTable]) -> None:

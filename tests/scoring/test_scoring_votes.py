@@ -11,7 +11,7 @@ import pytest
 from kinectbench.core.artefacts.score_figures import Alignment
 from kinectbench.release.release import open_release
 from kinectbench.report.charts import calibration_charts
-from kinectbench.scoring.camera.votes import calibration_of
+from kinectbench.scoring.camera.calibration import calibration_of
 from kinectbench.scoring.camera_shape import CameraShape, write_shape
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.score import score

@@ -20,7 +20,7 @@ from kinectbench.engine.pipeline import build_recording
 from kinectbench.engine.stages import STAGES, SUGGEST, Job
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.synthesize import synthesize
-from kinectbench.release.publish.current import publish_if_stale
+from kinectbench.release.publish.publish_if_stale import publish_if_stale
 from kinectbench.release.release import open_release
 from kinectbench.scoring.baselines.predict import write_baselines
 from kinectbench.scoring.score import score_methods

@@ -49,9 +49,9 @@ from kinectbench.release.publish.attribution import common_license, license_text
 from kinectbench.release.publish.gate import left_out_line, look_line, poor_line
 from kinectbench.release.publish.held_back import VIEW_KEYS
 from kinectbench.release.publish.isolate import isolated_line
-from kinectbench.release.publish.rebuilt import rebuilt_line
+from kinectbench.release.publish.previews import row_picture, rows_text
+from kinectbench.release.publish.reconstruction_attack import attack_line
 from kinectbench.release.publish.schemas import schema_problems
-from kinectbench.release.publish.view_pictures import row_picture, rows_text
 from kinectbench.settings.yaml_nodes import compose, items
 
 # Files of an object that are published even if its truth is held back.
@@ -83,7 +83,7 @@ class Stated:
 
     @property
     def says_twice(self) -> bool:
-        """Whether other files repeat facts of benchmark.json word for word; in early releases they do not."""
+        """Whether other files repeat facts of benchmark.json word for word, as in all but early releases."""
         return self.metadata.benchmark_sha256_version is not None
 
     def views_of(self, recording: str) -> set[str]:
@@ -161,7 +161,6 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
 
 
 def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
-    """Yield a message for each violation of a JSON file's schema."""
     text = contents.text(name)
     release_json(text, name)
     yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
@@ -213,9 +212,9 @@ def _card_problems(text: str, stated: Stated) -> Iterator[str]:
 def _other_figures(text: str, tables: Sequence[str], categories: Collection[str]) -> Iterator[str]:
     """Yield a message for each table row of README.md that states other figures of a recording.
 
-    The first of `tables`, those that follow from benchmark.json, has the figures of all recordings. A row of
-    it is known by its first cell; if that is also a category, which has tables too, by its number of cells.
-    If a recording's own row is missing, `_missing` says so.
+    `tables` are the expected tables, made from benchmark.json; the first has the figures of all recordings.
+    Its rows are recognised in `text` by their first cell, the recording's name. If a category has this name
+    too, the number of cells distinguishes them. `_missing` reports missing rows.
     """
     rows = (row for row in tables[0].splitlines()[2:] if f"\n{row}\n" in f"\n{text}\n")
     wanted = {cells[0]: cells for cells in map(_cells, rows)}
@@ -228,7 +227,6 @@ def _other_figures(text: str, tables: Sequence[str], categories: Collection[str]
 
 
 def _cells(row: str) -> list[str]:
-    """Return a table row's cells, without Markdown's emphasis around them."""
     return [cell.strip(" *_`") for cell in row.strip(" |").split("|")]
 
 
@@ -238,7 +236,7 @@ def _held_back_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
         return
     sentences = {
         "isolated": isolated_line(metadata.isolated) if metadata.isolated else None,
-        "rebuilt_iou": None if metadata.isolated else rebuilt_line(metadata.recordings),
+        "rebuilt_iou": None if metadata.isolated else attack_line(metadata.recordings),
     }
     for key, line in sentences.items():
         if line and line not in text:

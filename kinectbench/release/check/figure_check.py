@@ -26,7 +26,7 @@ OF_PAIRS = ("framing", "partial_rule")
 
 
 def own_problems(metadata: ReleaseInfo) -> Iterator[str]:
-    """Yield a message for each fact that benchmark.json states twice with different values.
+    """Yield a message for each contradiction within benchmark.json.
 
     It is also a fault if benchmark.json states the quality of a recording whose truth is held back.
     """

@@ -27,7 +27,7 @@ from kinectbench.core.artefacts.targets import TARGETS_CSV, Target, by_recording
 from kinectbench.core.types import FileArray
 from kinectbench.core.voxels.pair_file import PACKED_SHAPES, packed_count, pair_values
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.release.check.remade import AGAIN, remade_differences
+from kinectbench.release.check.republish_check import AGAIN, republished_differences
 from kinectbench.release.check.text_check import release_settings
 from kinectbench.release.contents import OBJECT_FILES, VIEW_IMAGES, Contents, most_bytes
 from kinectbench.release.publish.small_files import data_package_versions
@@ -70,7 +70,7 @@ class RebuildPlan:
         settings: the release's settings for the recordings to rebuild, with this machine's paths.
         targets: the pairs to compare.
         notes: one line for each version that differs here, and each reason why pairs are not compared.
-        other_terms: one line for each licence or source that the benchmark.yaml here states otherwise.
+        other_terms: one line for each licence or source that differs in the benchmark.yaml on this machine.
     """
 
     settings: BenchmarkSettings
@@ -191,7 +191,7 @@ def _settings(
 def _other_terms(
     metadata: ReleaseInfo, sources: Mapping[str, LocalRecording], wanted: set[str]
 ) -> Iterator[str]:
-    """Yield a line for each licence or source that the benchmark.yaml here states otherwise."""
+    """Yield a line for each licence or source that differs in the benchmark.yaml on this machine."""
     for name in sorted(wanted):
         for key in ("license", "source"):
             stated, here = getattr(metadata.recordings[name], key), getattr(sources[name], key)
@@ -229,7 +229,6 @@ def _stage_notes(contents: Contents, recordings: Collection[str]) -> list[str]:
 
 
 def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
-    """Return {recording: its entry in lineage.json}; empty if the file is missing."""
     if LINEAGE_JSON not in contents.entries:
         return {}
     return Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
@@ -238,7 +237,7 @@ def _lineage(contents: Contents) -> Mapping[str, LineageRecording]:
 def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
     """Yield a line for each rebuilt file or pair that differs from the published one, or is missing.
 
-    If objects, images and pairs are the same, all else that `publish` makes of them is compared, too.
+    If all objects, images and pairs are equal, the other files that `publish` makes are compared, too.
 
     Args:
         contents: the release.
@@ -251,7 +250,7 @@ def differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[
         differs = True
         yield line
     if not differs:
-        yield from remade_differences(contents, plan.settings, plan.targets, build)
+        yield from republished_differences(contents, plan.settings, plan.targets, build)
 
 
 def _built_differences(contents: Contents, plan: RebuildPlan, build: Path) -> Iterator[str]:
@@ -279,7 +278,7 @@ def _built_differences(contents: Contents, plan: RebuildPlan, build: Path) -> It
 
 
 def _source_difference(row: LineageRecording, recording: str, build: Path) -> Iterator[str]:
-    """Yield a line if the recording's files here are not those whose hashes are in lineage.json.
+    """Yield a line if the hashes of the recording's files on this machine differ from lineage.json.
 
     `row` is the recording's entry in lineage.json; `build` is its folder here, with the hashes of its files.
     """

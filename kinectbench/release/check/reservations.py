@@ -1,4 +1,4 @@
-"""What has to be added when `verify` calls a release faultless."""
+"""Caveats on a release in which `verify` finds no fault, such as checks that could not be made."""
 
 from pathlib import Path
 
@@ -11,11 +11,10 @@ from kinectbench.release.opening import open_contents
 
 
 def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
-    """Return a message for each check that `verify` could not make on a release without faults.
+    """Return the caveats on a release in which `verify` finds no fault; the arguments are those of `verify`.
 
-    One more names the recordings that were published although they do not keep the limits.
-
-    The arguments are those of `verify`.
+    There is a message for each check that could not be made, and one that names the recordings published
+    although they violate limits of `publish.gate`.
 
     Raises:
         ReleaseError: benchmark.json or SHA256SUMS cannot be read.

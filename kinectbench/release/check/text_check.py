@@ -1,7 +1,7 @@
 """Check the texts of a release of recordings: write them again from its other files, and compare.
 
-Pictures in pages are not compared here: their bytes are the same on one machine only. Other versions of this
-package use other words, so only releases of this version are checked.
+Pictures in pages are not compared, because their bytes depend on the machine. Only releases of this package
+version are checked, because other versions use other words.
 """
 
 import json
@@ -17,13 +17,13 @@ from kinectbench.core.artefacts.provenance import LINEAGE_JSON, PRIVACY_JSON, Li
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.release.contents import CARD, Contents, release_json
 from kinectbench.release.publish.gate import ADVICE
-from kinectbench.release.publish.preview import NO_PICTURE
+from kinectbench.release.publish.index_page import NO_PICTURE
 from kinectbench.release.publish.texts import release_facts, release_texts, stated_warnings
 from kinectbench.settings.models import BenchmarkSettings
 
 # A picture in a page.
 PICTURE = re.compile(r"data:image/[a-z]+;base64,[A-Za-z0-9+/=]*")
-# Keys of JSON files that say with what they were made.
+# Keys of JSON files on the software that made them; not compared.
 OF_THIS_RUN = ("package_version", "packages", "fingerprint")
 # Characters of a line or value in a message.
 SHOWN = 120
@@ -54,12 +54,12 @@ def release_settings(metadata: ReleaseInfo) -> BenchmarkSettings:
 
 
 def text_problems(contents: Contents, metadata: ReleaseInfo, targets: Sequence[Target]) -> list[str]:
-    """Return a message for each text that is not as the other files of the release have it.
+    """Return a message for each text that differs from the text made of the release's other files.
 
-    Missing files are passed over. The settings, and what a text takes from no other file, are believed.
+    Missing texts are skipped. Not checked are the settings, and parts of texts that no other file contains.
 
     Args:
-        contents: the release, of which all else agrees.
+        contents: the release; its other files have passed all checks.
         metadata: content of benchmark.json.
         targets: the lines of targets.csv.
     """
@@ -91,17 +91,16 @@ def _other_texts(contents: Contents, metadata: ReleaseInfo, targets: Sequence[Ta
 
 
 def said_without_advice(text: str) -> str:
-    """Return a text without the advice on what is left out, which follows from no file."""
+    """Return a text without the advice on left-out recordings, which cannot be derived from other files."""
     return text.replace(ADVICE, "")
 
 
 def _plain(text: str) -> str:
-    """Return a text without pictures and advice."""
     return said_without_advice(PICTURE.sub(NO_PICTURE, text))
 
 
 def text_difference(name: str, stated: str, wanted: str) -> Iterator[str]:
-    """Yield a message on the first line of the file `name` that is not as `wanted`."""
+    """Yield a message on the first line of a text that differs from `wanted`; `name` is the file's name."""
     if stated == wanted:
         return
     lines, others = stated.split("\n"), wanted.split("\n")
@@ -118,9 +117,9 @@ def _value(value: object) -> str:
 
 
 def value_differences(name: str, stated: object, wanted: object, key: str = "") -> Iterator[str]:
-    """Yield a message for each key of the JSON file `name` whose value is not as `wanted`.
+    """Yield a message for each key of the JSON file `name` whose value differs from `wanted`.
 
-    Keys of `OF_THIS_RUN` are passed over. Lists are compared entry by entry if they have one length.
+    Keys in `OF_THIS_RUN` are skipped. Lists of equal length are compared entry by entry.
     """
     if isinstance(stated, Mapping) and isinstance(wanted, Mapping):
         for part in {**wanted, **stated}:

@@ -38,7 +38,7 @@ MESH, VOLUME = OBJECT_FILES
 # Share of a shape's cells that may differ. In 111 pairs and 12 volumes (eight releases, recorded and
 # simulated) no cell differed; below this share an IoU keeps its third decimal.
 MOST_OTHER_SHARE = 0.001
-# Cells beyond the mesh's box that the definition of air may make solid: at most half a cell in 20 pairs.
+# How far, in cells, a solid may extend beyond its mesh's bounding box (in 20 pairs: at most half a cell).
 MOST_BEYOND_CELLS = 1
 # Sixteen sides of a pair's cube, as for predictions: a vertex farther away is in another frame, and products
 # of its coordinates might not fit in 64 bits.
@@ -197,7 +197,7 @@ def truth_problems(pair: Pair, truth: ObjectTruth) -> Iterator[str]:
         if stated is None or name not in truth.cells:
             continue
         expected = known_in(truth.cells[name], NOWHERE, pair.grid)
-        # Beyond the volume, the coarse grid says what is known; a release does not hold it.
+        # Outside the volume, a coarse grid that is not published determines the known cells.
         beyond = known_in(truth.cells["unknown"], NOWHERE, pair.grid) if name == "known" else ~expected
         if other := packed_count(expected & ~stated) + packed_count(beyond & stated):
             yield f"{other} cells of '{name}' are not as its {VOLUME} has them"

@@ -147,7 +147,7 @@ def _byte_problem(contents: Contents, name: str, sha256: str) -> str | None:
 
 def _extra_files(contents: Contents, sums: Mapping[str, str]) -> Iterator[str]:
     """Yield a message for each file or empty folder that SHA256SUMS does not list."""
-    # Where files of the list are missing from a folder, they are reported, not the folder.
+    # An empty folder of missing files is not reported: the files are.
     folders = {f"{above}/" for name in sums for above in PurePosixPath(name).parents}
     for name in contents.entries:
         if name not in sums and name != SHA256SUMS and name not in folders:
@@ -333,7 +333,7 @@ def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[
 
 
 def _of_nobody(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a message for each recording that has files in the release, but is not in benchmark.json."""
+    """Yield a message for each recording that has files in the release but no entry in benchmark.json."""
     owners = {name: recording_of(name) for name in sums if name.startswith("objects/")}
     owners |= {name: name.split("/")[1] for name in sums if name.startswith("views/")}
     owners |= {name: PurePosixPath(name).stem for name in sums if name.startswith(f"{SURFACES}/")}

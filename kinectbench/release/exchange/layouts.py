@@ -88,13 +88,13 @@ def new_folder(out: Path) -> Iterator[Path]:
 
 
 def refuse_others(out: Path, written_sha256: str | None, stated_in: str) -> None:
-    """Raise an error if a folder holds other files than those that were once written there.
+    """Raise an error if files were added to or removed from an output folder since it was written.
 
     A missing or empty folder gives no error.
 
     Args:
         out: the folder.
-        written_sha256: its `names_sha256` when it was written; None if that is not known.
+        written_sha256: its `names_sha256` when it was written; None (not known) counts as a difference.
         stated_in: name of the file that states this hash; the hash does not include this name.
 
     Raises:

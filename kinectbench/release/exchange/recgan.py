@@ -248,7 +248,6 @@ def _one_view_set(pairs: list[FoundPair], folder: Path, views: int | None) -> li
 
 
 def _exported(folder: Path, content: Exported) -> list[FoundPair]:
-    """Return the pairs that export.json lists."""
     pairs = []
     for row in content.pairs:
         names = {key: getattr(row, key) for key in NAMES}
@@ -320,7 +319,6 @@ def _pair(files: FoundPair, root: Path) -> Pair:
 
 
 def _infos(targets: list[Target]) -> dict[str, RecordingInfo]:
-    """Return {recording: its entry in benchmark.json}."""
     recordings = {target.recording: target for target in targets}
     counts = Counter(target.recording for target in targets)
     return {

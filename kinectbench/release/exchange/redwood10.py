@@ -130,7 +130,6 @@ def import_redwood10(folder: Path, out: Path, progress: Progress = no_progress) 
 
 
 def _scan(folder: Path, name: str) -> RedwoodScan:
-    """Read the files of a scan."""
     of = {"scan": name, "frame": SCANS[name][1]}
     mask, T_camera_mesh, kept = (
         _array(folder, file.format(**of)) for file in (MASK_FILE, POSE_FILE, VERTICES_FILE)

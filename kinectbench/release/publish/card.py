@@ -258,7 +258,7 @@ def _category_table(info: ReleaseInfo, targets: Sequence[Target]) -> str:
 
 
 def category_words(info: RecordingInfo) -> dict[str, str]:
-    """Return {label: text} of those known values of one recording that `_category_table` summarises."""
+    """Return {label: text} of one recording's known values, with the labels of the table by category."""
     of = info.quality
     size = _ranges(np.array([of.box.size_m])) if of.box else ""
     rest = _words((info.visible_share, of.unknown_share, *(getattr(of, key) for key in ESTIMATES)))

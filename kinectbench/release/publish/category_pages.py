@@ -11,7 +11,7 @@ from kinectbench.core.pages import render_page
 from kinectbench.core.voxels.pair_file import read_input, read_pair, unpack
 from kinectbench.release.contents import CATEGORIES
 from kinectbench.release.publish.card import category_words
-from kinectbench.release.publish.preview import BLUE, CLAY, NO_PICTURE, enlarged, seen_from_the_front
+from kinectbench.release.publish.index_page import BLUE, CLAY, NO_PICTURE, enlarged, seen_from_the_front
 from kinectbench.settings.models import BenchmarkSettings
 
 # Every second of 256 cells is shown: 128 pixels, 2 kB as a JPEG of this quality. A page of ten thousand

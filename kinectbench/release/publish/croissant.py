@@ -8,8 +8,8 @@ from typing import Any
 from kinectbench.core import sha256_file
 from kinectbench.core.artefacts.targets import ALL_COLUMNS, COLUMNS, NUMBER_COLUMNS, TARGETS_CSV
 from kinectbench.core.voxels.pair_file import Pair
-from kinectbench.release.publish.about import SUBJECTS, About, responsible_use
 from kinectbench.release.publish.attribution import authors, citation_line, license_url
+from kinectbench.release.publish.datacite import SUBJECTS, About, responsible_use
 
 CONFORMS_TO = ("http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0")
 TYPES = {"": "text/plain", ".csv": "text/csv", ".json": "application/json", ".html": "text/html"}
@@ -106,7 +106,6 @@ def _file_sets(folder: Path) -> list[dict[str, object]]:
 
 
 def _targets(columns: Sequence[str]) -> dict[str, object]:
-    """Return Croissant's RecordSet of targets.csv."""
     return {
         "@type": "cr:RecordSet",
         "@id": "targets",

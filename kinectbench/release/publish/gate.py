@@ -83,7 +83,7 @@ class Gate:
         without_pair: ids of recordings that passed but have no pair.
         of_one_object: ids left out by `--isolate`, because another recording of the same object was chosen,
             or because they have no pair.
-        twice: a line for every two published recordings that have the same frames.
+        twice: a line for each pair of published recordings with the same frames.
     """
 
     published: tuple[str, ...]
@@ -140,7 +140,7 @@ class Gate:
         return replace(self, poor=poor, refused=refused, rejected=rejected, failed=failed, look=look)
 
     def said(self, say: Callable[[str], str]) -> "Gate":
-        """Return a copy with each line of `failed` and `look` rewritten by the function `say`."""
+        """Return a copy in which the function `say` has rewritten each line of `failed` and `look`."""
         failed = {name: say(why) for name, why in self.failed.items()}
         look = {name: tuple(map(say, lines)) for name, lines in self.look.items()}
         return replace(self, failed=failed, look=look)
@@ -213,7 +213,7 @@ def would_be_left_out(settings: BenchmarkSettings, build: Path, pairs: Mapping[s
 
 
 def _decided(rows: Iterable[Judged], recordings: Sequence[str], allow_poor: bool) -> Gate:
-    """Return the decision on judged recordings; `recordings` gives the order of those published."""
+    """Return the decision on judged recordings; published ones keep the order of `recordings`."""
     published, poor = list[str](), dict[str, tuple[tuple[str, ...], str]]()
     failed, refused, rejected = dict[str, str](), dict[str, tuple[str, ...]](), dict[str, str]()
     look, not_built = dict[str, tuple[str, ...]](), 0

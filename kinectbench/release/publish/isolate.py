@@ -20,7 +20,7 @@ from kinectbench.core.types import MM_PER_M
 from kinectbench.core.voxels.pair_file import INPUT_KEYS, Pair, PairInput
 from kinectbench.core.voxels.seen_cells import seen_cells
 from kinectbench.release.publish.held_back import DECIMALS
-from kinectbench.release.publish.rebuilt import PosedView
+from kinectbench.release.publish.reconstruction_attack import PosedView
 from kinectbench.settings.models import BenchmarkSettings
 
 Row = TypeVar("Row", PairRow, ViewRow)
@@ -61,8 +61,8 @@ def refuse_framing(settings: BenchmarkSettings) -> None:
     """
     if settings.pairs.framing != "view":
         raise SettingsError(
-            "--isolate: with pairs.framing 'object' the cube of a pair tells how long the shape is and where "
-            "its middle lies; set `pairs: {framing: view}` in benchmark.yaml (or `--set pairs.framing=view`)"
+            "--isolate: with pairs.framing 'object', size and place of a pair's cube reveal the shape; "
+            "set `pairs: {framing: view}` in benchmark.yaml (or `--set pairs.framing=view`)"
         )
 
 

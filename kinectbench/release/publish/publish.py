@@ -26,13 +26,13 @@ from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.datasheet import datasheet, unanswered
 from kinectbench.release.publish.gate import Gate, first_lines, gate
 from kinectbench.release.publish.held_back import SAID_OF_TRUTH
+from kinectbench.release.publish.index_page import preview_text
 from kinectbench.release.publish.isolate import SETTINGS_KEYS, Isolated, isolate, refuse_framing
-from kinectbench.release.publish.preview import preview_text
+from kinectbench.release.publish.previews import write_view_pictures
 from kinectbench.release.publish.privacy import privacy, removed_lines, scrubbed, scrubbed_file
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
+from kinectbench.release.publish.release_warnings import gives_away, release_warnings
 from kinectbench.release.publish.small_files import Head, note_in_benchmark_json, write_small_files
-from kinectbench.release.publish.view_pictures import write_view_pictures
-from kinectbench.release.publish.warned import gives_away, release_warnings
 from kinectbench.settings.models import BenchmarkSettings
 
 PRIVATE = "-private"

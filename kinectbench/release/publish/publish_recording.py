@@ -42,7 +42,7 @@ from kinectbench.release.publish.isolate import (
     write_isolated_images,
 )
 from kinectbench.release.publish.privacy import scrubbed_file, scrubbed_jpeg
-from kinectbench.release.publish.rebuilt import PosedView, read_posed_view, rebuilt
+from kinectbench.release.publish.reconstruction_attack import PosedView, attack_ious, read_posed_view
 from kinectbench.release.triage.rules import current_reference
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
@@ -56,7 +56,7 @@ class Built:
         recording: the recording's settings.
         folder: `build/<recording>/`.
         hidden: whether the recording's truth is held back.
-        most_named: most files that lineage.json lists one by one; for more files it has a single hash.
+        most_named: largest number of files that lineage.json lists one by one; of more, it has one hash.
         only: with `--isolate`, the name in the build of the only published view; None: all are published.
     """
 
@@ -280,7 +280,7 @@ def _info(built: Built, visible_shares: Sequence[float], removals: list[Removed]
         if (reference := current_reference(built.folder)) is not None:
             more["reference"] = reference.info
         return info.model_copy(update=more)
-    iou, single_iou = rebuilt(built.posed_views, lambda view: _read_pair(built, view)[1])
+    iou, single_iou = attack_ious(built.posed_views, lambda view: _read_pair(built, view)[1])
     return info.model_copy(update={"rebuilt_iou": iou, "rebuilt_single_iou": single_iou})
 
 
@@ -351,7 +351,6 @@ def _stage(folder: Path, hidden: bool) -> LineageStage:
 
 
 def _copy_built(source: Path, target: Path) -> None:
-    """Copy one built file's bytes."""
     if not source.is_file():
         raise ReleaseError(f"{source}: missing; run the build again", what="not-built")
     target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
 """Find recordings that are declared twice under two ids, which could put test data into the training data.
 
-Files are compared, and depth images, so that a bag and a folder of the same frames are found, too.
+Both files and depth images are compared, so that a bag and an image folder of the same frames are found.
 """
 
 import heapq
@@ -15,11 +15,11 @@ from kinectbench.core.artefacts.manifest import Sources
 from kinectbench.core.artefacts.sequence import SKETCH_DIGESTS, CameraFile
 from kinectbench.settings.models import BenchmarkSettings, RecordingSettings
 
-# Two recordings hold the same frames if at least this share of the smaller one's bytes is in equal files, or
-# of its depth images. Single files, such as intrinsics, are equal in many recordings. Chosen by hand.
+# Two recordings hold the same frames if they share this part of the smaller one's bytes (by equal files) or
+# of its depth images. Many recordings share single files, such as intrinsics. Chosen by hand.
 SAME_SHARE = 0.5
-# This many files of each recording, those with the smallest hashes, are looked up in all other recordings. If
-# two recordings share half of the smaller one's files, none is found in one of 65,000 cases (2^-16).
+# Number of files of each recording, those with the smallest hashes, that are looked up in all others. If two
+# recordings share half of the smaller one's files, they are missed in one of 65,000 cases (2^-16).
 LOOKED_FOR = 16
 # Words of the warning on two recordings.
 TWICE = "hold the same frames and count as two objects"
@@ -28,9 +28,9 @@ TWICE = "hold the same frames and count as two objects"
 def _same_frames(
     settings: BenchmarkSettings, build: Path, recordings: Sequence[str]
 ) -> Iterator[tuple[RecordingSettings, RecordingSettings]]:
-    """Yield every two recordings that have the same frames but name different objects.
+    """Yield pairs of recordings that have the same frames but name different objects.
 
-    If their boxes, picks or masks differ, they do select different objects, and are not yielded.
+    Recordings with different boxes, picks or masks select different objects, and are not yielded.
 
     Args:
         settings: the benchmark's settings.
@@ -59,7 +59,7 @@ def _same_frames(
 
 
 def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Sequence[str]) -> list[str]:
-    """Return a line for every two recordings that have the same frames but name different objects.
+    """Return a line for each pair of recordings that have the same frames but name different objects.
 
     Raises:
         ReleaseError: two such recordings are in different splits.
@@ -81,11 +81,11 @@ def refuse_same_frames(settings: BenchmarkSettings, build: Path, recordings: Seq
 
 @dataclass(frozen=True)
 class _Contents:
-    """What a recording consists of.
+    """Hashes of a recording's files and depth images.
 
     Attributes:
         file_sizes: {SHA-256 of a file: its bytes}; {} without sources.json.
-        depth_sketch: the smallest digests of its depth images; none if it was built before there were any.
+        depth_sketch: the smallest digests of its depth images; empty in builds of early versions.
     """
 
     file_sizes: Mapping[str, int]
@@ -110,7 +110,6 @@ class _Contents:
 
 
 def _same(one: _Contents, other: _Contents) -> bool:
-    """Whether two recordings hold the same frames."""
     sizes, others = one.file_sizes, other.file_sizes
     equal = sum(size for digest, size in sizes.items() if digest in others)
     in_files = equal / max(1, min(sum(sizes.values()), sum(others.values())))

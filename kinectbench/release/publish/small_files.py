@@ -41,7 +41,6 @@ from kinectbench.release.contents import (
     SPLIT_TARGETS,
     release_files,
 )
-from kinectbench.release.publish.about import About, datacite, day_of
 from kinectbench.release.publish.attribution import (
     citation_text,
     common_license,
@@ -50,6 +49,7 @@ from kinectbench.release.publish.attribution import (
 )
 from kinectbench.release.publish.card import RECORDED, CardTexts, card, reading
 from kinectbench.release.publish.croissant import croissant
+from kinectbench.release.publish.datacite import About, datacite, day_of
 from kinectbench.release.publish.object_glb import write_glbs
 from kinectbench.release.publish.schemas import write_schemas
 from kinectbench.settings.publishing import CitationSettings, PublishSettings

@@ -17,7 +17,6 @@ from kinectbench.release.contents import (
     PREVIEW,
     READING,
 )
-from kinectbench.release.publish.about import datacite, day_by
 from kinectbench.release.publish.attribution import (
     changelog_text,
     citation_text,
@@ -27,21 +26,22 @@ from kinectbench.release.publish.attribution import (
 from kinectbench.release.publish.card import card, reading
 from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.croissant import described
+from kinectbench.release.publish.datacite import datacite, day_by
 from kinectbench.release.publish.datasheet import datasheet
 from kinectbench.release.publish.gate import gate_lines, left_out_line
-from kinectbench.release.publish.preview import preview_text
+from kinectbench.release.publish.index_page import preview_text
+from kinectbench.release.publish.release_warnings import release_warnings
 from kinectbench.release.publish.same_frames import TWICE
 from kinectbench.release.publish.small_files import Head, about_release
-from kinectbench.release.publish.warned import release_warnings
 from kinectbench.settings.models import BenchmarkSettings
 
 
 def stated_warnings(
     info: ReleaseInfo, settings: BenchmarkSettings, targets: Sequence[Target], card_text: str
 ) -> list[str]:
-    """Return the warnings of a release of recordings as they follow from its files, without advice.
+    """Return the warnings of a release of recordings, derived from its files, without advice.
 
-    That two recordings hold the same frames follows from no file: these lines are the card's own.
+    Lines on recordings with the same frames cannot be derived, so they are taken from the card.
 
     Args:
         info: content of benchmark.json.

@@ -24,15 +24,14 @@ CELLS = 80
 RADIUS_SHARES = (0.06, 0.08)
 # Cells below this share of the longest side stand on the floor: 6 cm for a chair.
 LOW_SHARE = 0.06
-# Four shares: of a part's core, at least this much stands on the floor, and at most this much has the rest
-# above it; the rest is at least this share of the solid, counting pieces of at least the last share, so that
-# it is not just scraps of the part's corners. Chosen, with the radii, on two objects of each of 45 simulated
-# families, alone and with a box against them, and on 70 builds; docs/evidence/releases.md counts what the
-# rule finds on others.
+# Least share of a part's core that stands on the floor; largest share of the core that lies below the rest of
+# the solid; least share of the rest in the solid. Pieces of the rest below the last share do not count: they
+# are scraps of the part's corners. Chosen, with the radii, on two objects of each of 45 simulated families,
+# alone and with a box against them, and on 70 builds; docs/evidence/releases.md counts other finds.
 LEAST_GROUNDED, MOST_COVERED, LEAST_REST, LEAST_PIECE = 0.9, 0.25, 0.15, 0.01
-# A thin chair is less of the solid than its share above, if the box beside it is large. Scraps of corners lie
-# near the part; the rest may instead reach this far from it, as a share of the longest side. Chosen on two
-# objects of each of 23 families: of 0.1, 0.15 and 0.2 the least that names no further object alone.
+# Beside a large box, a thin chair may have less than LEAST_REST. So a rest that reaches this far from the
+# part, as a share of the longest side, also suffices; scraps of corners lie nearer. Chosen on two objects of
+# each of 23 families: of 0.1, 0.15 and 0.2 the least that finds no single object by mistake.
 LEAST_AWAY = 0.15
 
 
@@ -50,9 +49,7 @@ def part_that_stands_alone(folder: Path) -> float | None:
 
 
 def share_standing_alone(solid: Bools) -> float | None:
-    """Return the smallest volume share of a part that could stand alone, if the rest could, too.
-
-    The result is None if there is no such part.
+    """Return the smallest volume share of a part that could stand alone, if the rest could, too; else None.
 
     Args:
         solid: (nx, ny, nz) bool, z up, with at least one cell set.

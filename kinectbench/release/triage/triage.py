@@ -78,7 +78,7 @@ def _size_m(quality: QualityFile) -> Float64 | None:
 def _same(
     recordings: Sequence[RecordingSettings], build: Path, sizes_m: dict[str, Float64]
 ) -> Iterator[SameObject]:
-    """Yield every two recordings with one shape but two object names, first those in different splits."""
+    """Yield pairs of recordings with one shape but two object names, those in different splits first."""
     by_id = {each.id: each for each in recordings}
     pairs = []
     names = {name: by_id[name].object_name for name in sizes_m}

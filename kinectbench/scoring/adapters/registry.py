@@ -38,7 +38,6 @@ SAME_POSE = 1e-6
 
 
 def _adapter_of(name: str) -> Adapter:
-    """Return the adapter of the method with this name."""
     if name not in ADAPTERS:
         raise SettingsError(f"'{name}': no such method; choose among {', '.join(ADAPTERS)}")
     return ADAPTERS[name]

@@ -23,8 +23,7 @@ def hull(inputs: Inputs) -> Bools:
 def carved_hull(inputs: Inputs) -> Bools:
     """Return the convex hull of `partial_256`, minus observed free space: (256, 256, 256) bool.
 
-    It is the strongest bound that one view gives without a shape prior. It may still contain unseen free
-    space.
+    This is the tightest solid that one view gives without a shape prior. It may contain unseen free space.
     """
     carved: Bools = filled_hull(inputs.partial) & ~unpack(inputs.pair.seen) | inputs.partial
     return carved
@@ -53,7 +52,6 @@ def extruded(partial: Bools, camera_cells: NDArray[np.float64]) -> Bools:
     far = np.linspace(-0.5, count - 0.5, PIXELS)
     cells = np.arange(count)
     hit = np.zeros((PIXELS, PIXELS), np.bool_)
-    # Plane by plane.
     filled = transposed(partial.view(np.uint8).reshape(-1, count)).reshape(partial.shape).view(np.bool_)
     for k, plane in enumerate(filled):
         # Where the rays that end at `far` on the last plane cross this plane.

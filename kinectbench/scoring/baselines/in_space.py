@@ -11,16 +11,16 @@ from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
-from kinectbench.scoring.camera.grid import grid_result
-from kinectbench.scoring.camera.score import rows_of_view, settings_in_space, table_in_space
+from kinectbench.scoring.camera.score_camera_method import rows_of_view, settings_in_space, table_in_space
+from kinectbench.scoring.camera.score_grid_view import grid_result
+from kinectbench.scoring.camera.score_view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.camera.truth import files_of, read_space_truth
-from kinectbench.scoring.camera.view import Asked, ViewResult, asked_rows
 from kinectbench.scoring.counts import tally
 from kinectbench.scoring.pair_result import drawn
 from kinectbench.scoring.read_table import differing
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
 from kinectbench.scoring.truth import read_packed_truth
 from kinectbench.scoring.workers import run_tasks
@@ -89,7 +89,7 @@ def thresholds_of_baselines(
     jobs: int = 1,
     upsampling: str = HALF_PIXEL,
 ) -> dict[str, Thresholds]:
-    """Return {baseline: its thresholds, chosen on all validation pairs by what it predicts of them}.
+    """Return {baseline: its thresholds, chosen on its predictions for all validation pairs}.
 
     Args:
         release: the release that is predicted.
@@ -118,7 +118,7 @@ def space_baselines_that_differ(
     *,
     every: bool = False,
 ) -> set[str]:
-    """Score some views again; return the baselines whose tables have other rows for them.
+    """Score some views again; return the baselines whose tables have other rows for these views.
 
     Args:
         release: the release that was predicted.

@@ -1,4 +1,4 @@
-"""What a baseline may read: the input of a pair, and the truth of the training split."""
+"""The inputs of baselines: a pair without its truth, and the truth of the training split."""
 
 from dataclasses import dataclass
 from pathlib import Path

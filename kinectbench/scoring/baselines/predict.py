@@ -17,13 +17,13 @@ from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.npz import npz_bytes
 from kinectbench.core.voxels.pair_file import PairInput, checked_pair, pair_values
 from kinectbench.release.release import Release, Target
+from kinectbench.scoring.base_rates import SOURCES, base_rates
 from kinectbench.scoring.baselines.inputs import Inputs, read_training, up_in_grid
 from kinectbench.scoring.baselines.registry import BASE_RATE, BASELINES, LEARNED
-from kinectbench.scoring.references import SOURCES, base_rates
 from kinectbench.scoring.workers import run_tasks
 
 SPLITS: tuple[Split, ...] = ("test", "validation")
-# What begins the version in a method.json of `write_baselines`.
+# Prefix of the version in a method.json of `write_baselines`.
 BY = "kinectbench "
 
 
@@ -141,7 +141,7 @@ def write_baselines(
         _write_method(out, MethodFile(name=name, version=BY + __version__))
         for task in tasks:
             _remove(_path(out, name, task.target))
-    run_tasks(partial(_write, out), tasks, jobs, progress)
+    run_tasks(partial(_write_predictions, out), tasks, jobs, progress)
     for name in chosen:
         sha256 = release.benchmark_sha256
         _write_method(out, MethodFile(name=name, version=BY + __version__, benchmark_sha256=sha256))
@@ -167,7 +167,6 @@ def _write_method(out: Path, method: MethodFile) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove a file or link if it exists."""
     if path.is_file() or path.is_symlink():
         with storage_errors(path):
             path.unlink()
@@ -184,8 +183,7 @@ def check_baseline_names(names: Sequence[str]) -> None:
         raise SettingsError(f"no baseline '{', '.join(unknown)}': choose among {', '.join(BASELINES)}")
 
 
-def _write(out: Path, task: BaselineTask) -> None:
-    """Write the prediction files of all baselines of a task for its pair."""
+def _write_predictions(out: Path, task: BaselineTask) -> None:
     for name, prediction in predicted(task):
         with replaced_file(_path(out, name, task.target)) as temporary:
             temporary.write_bytes(npz_bytes({"prediction": prediction}))

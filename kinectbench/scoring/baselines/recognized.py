@@ -6,9 +6,9 @@ from kinectbench.core.artefacts.scores import ScoreSettings, ScoreTable
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
 from kinectbench.scoring.assemble import as_of_baseline
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.predict import possible_baselines
 from kinectbench.scoring.pair_result import Counting
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.thresholds import FROM_FILE
 
 
@@ -19,11 +19,11 @@ def made_table(
     counting: Counting,
     jobs: int = 1,
 ) -> ScoreTable:
-    """Return the table that `make` makes of settings; if its rows are those of a baseline, it says so.
+    """Return a method's table; if its rows equal those of a baseline, it is marked as a baseline's.
 
     Args:
         release: the release that was predicted.
-        make: makes the table of one method.
+        make: makes the method's table from settings.
         settings: the settings that the scores depend on, as `describe` returns them.
         counting: how pairs were counted.
         jobs: number of processes.
@@ -38,9 +38,9 @@ def made_table(
 def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[str, ...], jobs: int) -> bool:
     """Return whether a complete table has the rows of the baseline that its method is named after.
 
-    All pairs are predicted by the baseline and counted again: a few other predictions must not pass for it.
-    Thresholds, unless they are from a file, must be those that the baseline chooses on the validation split:
-    at others it would score less, and be easier to surpass.
+    The baseline predicts all pairs again, so that a table with a few other predictions is not accepted.
+    Thresholds must be from a file, or those that the baseline chooses on the validation split: with other
+    thresholds it would score lower, and be easier to surpass.
 
     Args:
         release: the release that was predicted.
@@ -53,8 +53,8 @@ def is_of_baseline(release: Release, table: ScoreTable, how: Counting | tuple[st
     """
     if not table.complete or table.method not in possible_baselines(release):
         return False
-    # Late: what counts is slow to load, and few methods have the name of a baseline.
-    from kinectbench.scoring.baselines.counted import baselines_that_differ
+    # Imported late: slow to load, and few methods have the name of a baseline.
+    from kinectbench.scoring.baselines.in_grids import baselines_that_differ
     from kinectbench.scoring.baselines.in_space import space_baselines_that_differ, thresholds_of_baselines
 
     if not (table.threshold_source or "").startswith(FROM_FILE):

@@ -8,7 +8,7 @@ result is still exact.
 import numpy as np
 
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.scoring.camera.boxes import (
+from kinectbench.scoring.camera.box_tree import (
     boxes_of,
     mean_offsets,
     near_together,

@@ -37,7 +37,7 @@ class Solid:
 
 
 def to_be_closed(shape: CameraShape, surface: Surface, close: str) -> CameraShape | None:
-    """Make a mesh that is used as a shape's solid; None if none can be made.
+    """Return the mesh that `solid_in` turns into the solid of an open shape; None if there is none.
 
     Args:
         shape: an open mesh, or points.
@@ -108,7 +108,7 @@ def _of_mesh(truth: SpaceTruth, mesh: ClosedMesh, T_grid_mesh: Float64) -> Solid
     cells = voxelize_solid(vertices_m, faces, grid)
     if vertices.min() >= 0 and vertices.max() <= FULL_CELLS:
         return Solid(cells, 0.0)
-    faces, volume_m3 = mesh.outward  # a similarity reverses no face
+    faces, volume_m3 = mesh.outward  # a similarity keeps the orientation of faces
     volume = volume_m3 * (similarity_scale(T_grid_mesh) / truth.voxel_size_m) ** 3
     return Solid(cells, volume * outside_share(vertices, faces, FULL_CELLS))
 

@@ -95,7 +95,7 @@ def _tree(corners: Float64) -> tuple[Float64, Float64, Float64, Float64]:
         order = np.take_along_axis(order, rank, axis=1).reshape(2 * len(order), -1)
     triangles = triangles[order.ravel()]
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
-    areas = np.linalg.norm(normals, axis=1)[:, None] + 1e-12  # a node without area has a middle, too
+    areas = np.linalg.norm(normals, axis=1)[:, None] + 1e-12  # no division by 0 for a node without area
     weighted = areas * triangles.mean(axis=1)
     total, middle, radius = (np.zeros((2 * leaves, *end)) for end in ((3,), (3,), ()))
     count = leaves

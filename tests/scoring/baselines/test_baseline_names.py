@@ -16,7 +16,7 @@ from kinectbench.release.release import Release, open_release
 from kinectbench.report.run import files_in, kept_baselines
 from kinectbench.report.space_table import is_baseline
 from kinectbench.scoring.api import Scorer
-from kinectbench.scoring.baselines.counted import score_baselines
+from kinectbench.scoring.baselines.in_grids import score_baselines
 from kinectbench.scoring.baselines.predict import write_baselines
 from kinectbench.scoring.read_table import read_table
 from kinectbench.scoring.recheck import recheck

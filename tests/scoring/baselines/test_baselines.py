@@ -25,9 +25,9 @@ from kinectbench.core.voxels.pair_file import Pair, PairInput, pack, read_pair, 
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.release.release import Release
 from kinectbench.report.run import write_galleries
-from kinectbench.scoring.baselines.beside import baselines_beside
-from kinectbench.scoring.baselines.counted import score_baselines
+from kinectbench.scoring.baselines.for_comparison import comparison_baselines
 from kinectbench.scoring.baselines.hull import carved_hull, extruded, hull, silhouette
+from kinectbench.scoring.baselines.in_grids import score_baselines
 from kinectbench.scoring.baselines.inputs import Inputs, TrainingTruth, read_training, up_in_grid
 from kinectbench.scoring.baselines.kernels import mirror_gain
 from kinectbench.scoring.baselines.mirror import best_plane, mirror, mirrored
@@ -331,7 +331,7 @@ def test_baselines_beside_are_what_their_files_score(
 ) -> None:
     names = possible_baselines(few)
     beside: dict[str, Any] = {"protocols": ["known", "paper"], "upsampling": upsampling}
-    found = baselines_beside(few, tmp_path / "scores", **beside, without=["hull"])
+    found = comparison_baselines(few, tmp_path / "scores", **beside, without=["hull"])
     assert [table.method for table in found] == [name for name in names if name != "hull"]
     for table in found:
         folder = written / table.method
@@ -387,7 +387,7 @@ def test_baselines_beside_are_kept(few: Release, tmp_path: Path) -> None:
         calls.clear()
         dear = ["hull", "carved-hull", "mirror", "silhouette"]
         told: dict[str, Any] = {"progress": lambda done, _: calls.append(done)}
-        baselines_beside(few, tmp_path, protocols=protocols, without=dear, **told)
+        comparison_baselines(few, tmp_path, protocols=protocols, without=dear, **told)
         return len(calls)
 
     assert made(["known"]) == len(few.targets)

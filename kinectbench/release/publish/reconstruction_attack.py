@@ -1,4 +1,4 @@
-"""Estimate the IoU that an attacker reaches who rebuilds held-back truth from an object's public views.
+"""Estimate how well an attacker can rebuild held-back truth from an object's public views, as an IoU.
 
 Anybody can register the views with each other. No registration finds better poses than the true ones, so a
 solid carved from the views at their true poses shows about what an attack can reach.
@@ -51,7 +51,7 @@ class PosedView:
     T_world_camera: Float64
 
 
-def rebuilt_line(infos: Mapping[str, RecordingInfo]) -> str | None:
+def attack_line(infos: Mapping[str, RecordingInfo]) -> str | None:
     """Return a warning with the highest IoU of a rebuilt object, and the remedy; None if none was rebuilt.
 
     Args:
@@ -84,7 +84,7 @@ def read_posed_view(folder: Path, view: str, camera: Camera, T_world_camera: Flo
     return PosedView(depth_mm.astype(np.float32) / np.float32(MM_PER_M), mask, camera, T_world_camera)
 
 
-def rebuilt(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> tuple[float, float]:
+def attack_ious(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) -> tuple[float, float]:
     """Return the IoU of an object rebuilt from its public views, by the best method of `solids`.
 
     Args:

@@ -8,7 +8,7 @@ import pytest
 from score_rows import row, table
 
 from kinectbench.scoring.compare import compare
-from kinectbench.scoring.letters import letters
+from kinectbench.scoring.significance_letters import significance_letters
 
 
 def apart(*pairs: str) -> set[frozenset[str]]:
@@ -16,12 +16,12 @@ def apart(*pairs: str) -> set[frozenset[str]]:
 
 
 def test_by_hand() -> None:
-    assert letters("xyz", apart()) == {"x": "a", "y": "a", "z": "a"}
-    assert letters("xyz", apart("xy", "yz", "xz")) == {"x": "a", "y": "b", "z": "c"}
-    assert letters("xyz", apart("xz")) == {"x": "a", "y": "ab", "z": "b"}  # not transitive
+    assert significance_letters("xyz", apart()) == {"x": "a", "y": "a", "z": "a"}
+    assert significance_letters("xyz", apart("xy", "yz", "xz")) == {"x": "a", "y": "b", "z": "c"}
+    assert significance_letters("xyz", apart("xz")) == {"x": "a", "y": "ab", "z": "b"}  # not transitive
     # Piepho's (2004) point: a method between others, and one that is like the far ends only
-    assert letters("wxyz", apart("wy", "xz")) == {"w": "ab", "x": "ac", "y": "cd", "z": "bd"}
-    assert letters("x", ()) == {"x": "a"} and letters("", ()) == {}
+    assert significance_letters("wxyz", apart("wy", "xz")) == {"w": "ab", "x": "ac", "y": "cd", "z": "bd"}
+    assert significance_letters("x", ()) == {"x": "a"} and significance_letters("", ()) == {}
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -29,7 +29,7 @@ def test_two_share_a_letter_if_and_only_if_they_are_alike(seed: int) -> None:
     rng = np.random.default_rng(seed)
     names = [f"m{index}" for index in range(int(rng.integers(1, 10)))]
     different = {frozenset(pair) for pair in combinations(names, 2) if rng.random() < seed / 30}
-    found = letters(names, different)
+    found = significance_letters(names, different)
     for one, other in combinations(names, 2):
         assert bool(set(found[one]) & set(found[other])) == (frozenset((one, other)) not in different)
     used = sorted({letter for of in found.values() for letter in of})
@@ -44,7 +44,7 @@ def test_two_share_a_letter_if_and_only_if_they_are_alike(seed: int) -> None:
 
 def test_many_letters_stay_apart() -> None:
     names = [f"m{index}" for index in range(30)]
-    found = letters(names, {frozenset(pair) for pair in combinations(names, 2)})
+    found = significance_letters(names, {frozenset(pair) for pair in combinations(names, 2)})
     assert len({*found.values()}) == 30 and found["m25"] == "z" and found["m26"] == "(27)"
 
 
@@ -53,13 +53,13 @@ def test_more_groups_than_letters_say_anything_of_are_none() -> None:
     names = [f"m{index}" for index in range(60)]
     different = {frozenset(p) for g in range(0, 60, 3) for p in combinations(names[g : g + 3], 2)}
     started = time.process_time()
-    assert letters(names, different) == dict.fromkeys(names, "")
+    assert significance_letters(names, different) == dict.fromkeys(names, "")
     assert time.process_time() - started < 1
-    of_27 = letters(names[:9], {pair for pair in different if pair <= {*names[:9]}})
+    of_27 = significance_letters(names[:9], {pair for pair in different if pair <= {*names[:9]}})
     assert of_27["m0"].endswith("i") and len({*of_27.values()}) == 9
     far_apart = {frozenset(pair) for pair in combinations(names[:53], 2)}
-    assert set(letters(names[:53], far_apart).values()) == {""}
-    assert letters(names[:52], {p for p in far_apart if "m52" not in p})["m51"] == "(52)"
+    assert set(significance_letters(names[:53], far_apart).values()) == {""}
+    assert significance_letters(names[:52], {p for p in far_apart if "m52" not in p})["m51"] == "(52)"
 
 
 def test_a_comparison_that_is_not_transitive() -> None:

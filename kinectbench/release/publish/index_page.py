@@ -26,7 +26,7 @@ from kinectbench.core.voxels.pair_file import BLOCK, Pair, read_input, read_pair
 from kinectbench.release.contents import OBJECT_FILES
 from kinectbench.release.publish.card import quality_words
 from kinectbench.release.publish.object_glb import colored_scene
-from kinectbench.release.publish.view_pictures import depth_with_mask
+from kinectbench.release.publish.previews import depth_with_mask
 from kinectbench.settings.models import BenchmarkSettings
 
 VIEWS = 3
@@ -188,7 +188,6 @@ def _drawn(folder: Path, target: Target, held_back: bool) -> list[str]:
 
 
 def _png(picture: NDArray[np.uint8]) -> str:
-    """Return an RGB picture (height, width, 3) as a `data:` URL of a PNG."""
     return png_uri(png(picture[..., ::-1]))
 
 

@@ -24,7 +24,7 @@ from kinectbench.engine.stages import STAGES, Job, Stage, current_stages
 from kinectbench.engine.time_limit import Hung
 
 State = Literal["done", "failed", "missing"]
-# In words, of what is missing because a setting has changed.
+# The state, in words, of a recording that was built with other settings.
 OTHER_SETTINGS = "other settings"
 
 
@@ -50,7 +50,7 @@ def build_at_its_place(
 
 
 def status_of(job: Job) -> tuple[tuple[str, ...], Failed | None, list[StoredObject]]:
-    """Return the stages that are up to date, why the last run failed (None), and what a store has of it."""
+    """Return a recording's current stages, the last run's failure or None, and its built files in a store."""
     if url_of(job.root) is not None:
         from kinectbench.engine.checkout import status_there
 
@@ -70,7 +70,7 @@ def keep_killed(job: Job, error: str) -> None:
 
 
 def for_elsewhere(job: Job) -> Job:
-    """Return the job with an absolute root, for processes that run in another working folder."""
+    """Return the job with an absolute root, for processes with another working folder."""
     return replace(job, root=job.root.absolute()) if url_of(job.root) is None else job
 
 
@@ -105,7 +105,7 @@ class RecordingStatus(StoredPart):
 
     @property
     def state_in_words(self) -> str:
-        """The state; what is built, but of other settings, is not called missing."""
+        """The state as shown to users: "missing" becomes "other settings" if another build exists."""
         return OTHER_SETTINGS if self.state == "missing" and self.differs else self.state
 
 
@@ -133,10 +133,10 @@ def _status(job: Job) -> RecordingStatus:
 
 
 def _differing_setting(job: Job, stage: Stage, built: Sequence[StoredObject]) -> str | None:
-    """Return the key of the first setting that a made stage has otherwise, as views.count; None if none has.
+    """Return the dotted key of the first setting in which a built artefact differs from `job`, or None.
 
-    A missing or damaged artefact, and one of another version of the stage, has no such setting. Of those in a
-    store, the newest counts.
+    In a store, the newest artefact counts. Nothing is compared if the artefact is missing or damaged, or was
+    made by another version of the stage.
     """
     if url_of(job.root) is None:
         manifest = whole_manifest(job.build / stage.folder)

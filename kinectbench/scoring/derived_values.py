@@ -29,7 +29,7 @@ from kinectbench.scoring.uncertainty import MIN_OBJECTS
 
 
 @dataclass(frozen=True)
-class FromRows:
+class DerivedValues:
     """The fields of a `ScoreTable` that follow from its rows.
 
     A heading is a protocol, with kind of registration and part if any: `known`, `aligned-t-visible`.
@@ -55,13 +55,13 @@ class FromRows:
     iou_by_threshold: dict[str, dict[str, list[float]]] | None
 
 
-def from_rows(
+def derived_values(
     rows: Sequence[ScoreRow],
     protocols: Sequence[str],
     rates: Mapping[str, BaseRate],
     quality: Mapping[str, QualityFile],
     complete: bool,
-) -> FromRows:
+) -> DerivedValues:
     """Compute the values that follow from the rows.
 
     There are no averages if a pair was not scored, because a mean over the others could be too high.
@@ -81,7 +81,7 @@ def from_rows(
     means = object_means(rows)
     objects = _by_object(rows, quality)
     by_category = category_averages(means, rates, objects) if complete else None
-    return FromRows(
+    return DerivedValues(
         by_category=by_category,
         overall=None if by_category is None else overall_averages(by_category, means),
         truth_unknown_share={

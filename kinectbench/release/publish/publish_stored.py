@@ -17,8 +17,8 @@ from kinectbench.engine.checkout import Checkout, checkout, named_as_there
 from kinectbench.engine.scratch import scratch_folder
 from kinectbench.engine.stages import Job
 from kinectbench.engine.stored_stage import fetch_file, fetch_stage
-from kinectbench.release.publish.current import already_published, publish_if_stale
 from kinectbench.release.publish.publish import PRIVATE, PublishSummary
+from kinectbench.release.publish.publish_if_stale import already_published, publish_if_stale
 from kinectbench.release.put import put_release
 
 RELEASE = "benchmark"

@@ -6,7 +6,7 @@ from kinectbench.core.artefacts.score_figures import any_in_space
 from kinectbench.core.artefacts.score_marks import ACCOUNTED, Mark
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.engine.artefact import VERSIONS
-from kinectbench.scoring.references import BASELINE_NAMES
+from kinectbench.scoring.base_rates import BASELINE_NAMES
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, FROM_FILE, METHOD_SOURCE, POOLED_SOURCE
 
 # Maximum number of names in a mark.
@@ -34,7 +34,7 @@ def marks_of(table: ScoreTable) -> tuple[Mark, ...]:
 
 
 def _baseline(table: ScoreTable) -> str:
-    """Return a mark if the table is a baseline's. Only in older tables, its name tells."""
+    """Return a mark if the table is a baseline's; older tables are recognised by the method's name."""
     by_name = table.settings.baseline_version is None and table.method.lower() in BASELINE_NAMES
     return "baseline" if table.baseline or table.settings.of_baseline or by_name else ""
 

@@ -6,7 +6,7 @@ from kinectbench.core import listed
 from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.targets import Target, by_recording
 from kinectbench.release.publish.attribution import reasons_against_distribution
-from kinectbench.release.publish.rebuilt import rebuilt_line
+from kinectbench.release.publish.reconstruction_attack import attack_line
 from kinectbench.release.triage.rules import END_OF_WARNING
 from kinectbench.settings.models import BenchmarkSettings
 
@@ -50,7 +50,7 @@ def gives_away(
     """
     if settings.publish.color:
         yield "colour images are included: look through them for faces and people"
-    if hold_back and not isolates and (line := rebuilt_line(infos)):
+    if hold_back and not isolates and (line := attack_line(infos)):
         yield line
     if hold_back and settings.pairs.framing == "object":
         yield (
@@ -70,7 +70,7 @@ def _without_thresholds(settings: BenchmarkSettings, infos: Mapping[str, Recordi
 def _of_quality(infos: Mapping[str, RecordingInfo]) -> Iterator[str]:
     """Yield a line for each recording with quality warnings: the first warning, and how many follow.
 
-    What the lines of the gate say of a recording is not repeated.
+    Warnings that the gate's lines already state are left out.
     """
     for name, info in infos.items():
         of_gate = "; ".join((*info.poor, *info.look))

@@ -18,7 +18,7 @@ _STAGES = "|".join(re.escape(stage.name) for stage in (*STAGES, SUGGEST))
 _ARTEFACT = re.compile(rf"(build/[^/]+/(?:{_STAGES})/[0-9a-f]{{64}})/(.+)")
 
 
-def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
+def find_orphans(store: Store, *, young: bool = False) -> list[StoredObject]:
     """List files in artefacts' folders that no manifest names; without a manifest, all files of the folder.
 
     Only folders of artefacts are searched: recordings, releases and other files must stay.
@@ -35,7 +35,7 @@ def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
         if match := _ARTEFACT.fullmatch(each.name):
             folders.setdefault(match[1], []).append(each)
     now = time.time()
-    by_folder = in_parallel(partial(_unnamed_of, store, folder, files) for folder, files in folders.items())
+    by_folder = in_parallel(partial(_orphans_of, store, folder, files) for folder, files in folders.items())
     return [
         each
         for files in by_folder
@@ -44,24 +44,26 @@ def unnamed(store: Store, *, young: bool = False) -> list[StoredObject]:
     ]
 
 
-def remove(store: Store, orphans: Iterable[StoredObject]) -> int:
-    """Delete the files that `unnamed` found, unless a manifest names them by now; return their number."""
+def remove_orphans(store: Store, orphans: Iterable[StoredObject]) -> int:
+    """Delete files that `find_orphans` found, unless a manifest names them by now; return their number."""
     folders: dict[str, list[StoredObject]] = {}
     for each in orphans:
         match = _ARTEFACT.fullmatch(each.name)
         assert match, "only files of artefacts are found"
         folders.setdefault(match[1], []).append(each)
-    return sum(in_parallel(partial(_remove_of, store, folder, files) for folder, files in folders.items()))
+    return sum(
+        in_parallel(partial(_remove_orphans_of, store, folder, files) for folder, files in folders.items())
+    )
 
 
-def _remove_of(store: Store, folder: str, files: list[StoredObject]) -> int:
-    still = {each.name for each in _unnamed_of(store, folder, store.objects(folder))}
+def _remove_orphans_of(store: Store, folder: str, files: list[StoredObject]) -> int:
+    still = {each.name for each in _orphans_of(store, folder, store.objects(folder))}
     names = [each.name for each in files if each.name in still]
     store.delete(names)
     return len(names)
 
 
-def _unnamed_of(store: Store, folder: str, files: list[StoredObject]) -> list[StoredObject]:
+def _orphans_of(store: Store, folder: str, files: list[StoredObject]) -> list[StoredObject]:
     """Return the files of a folder that its manifest does not name; without a manifest, all its files."""
     place = f"{folder}/{Manifest.FILE}"
     if not any(each.name == place for each in files):

@@ -20,12 +20,12 @@ from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.release.release import Target
 from kinectbench.scoring.camera.align import KINDS, SurfaceRegistration, register_kinds
+from kinectbench.scoring.camera.calibration import Votes
 from kinectbench.scoring.camera.metrics import PartFigures, figures_by_part
-from kinectbench.scoring.camera.reach import cut_share, outside_mask_share
+from kinectbench.scoring.camera.outside_shares import cut_share, outside_mask_share
 from kinectbench.scoring.camera.solid import Solid, solid_in, to_be_closed
 from kinectbench.scoring.camera.surface import Surface, surface_of
 from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_truth
-from kinectbench.scoring.camera.votes import Votes
 from kinectbench.scoring.camera_predictions import CameraPredictionFile, load_camera_shape
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import closed_mesh, open_because

@@ -18,8 +18,8 @@ from kinectbench.core.types import Progress
 from kinectbench.engine.artefact import VERSIONS
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import quality_of
+from kinectbench.scoring.camera.score_view import Asked, ViewJob, ViewResult, asked_rows, score_view
 from kinectbench.scoring.camera.truth import files_of
-from kinectbench.scoring.camera.view import Asked, ViewJob, ViewResult, asked_rows, score_view
 from kinectbench.scoring.camera_predictions import (
     CameraPredictionFile,
     depth_warnings,
@@ -27,9 +27,9 @@ from kinectbench.scoring.camera_predictions import (
     missing_in_camera,
     strays_in_camera,
 )
-from kinectbench.scoring.declared import method_lines
-from kinectbench.scoring.from_rows import from_rows
-from kinectbench.scoring.marks import marks_of
+from kinectbench.scoring.caveats import marks_of
+from kinectbench.scoring.derived_values import derived_values
+from kinectbench.scoring.method_json import method_lines
 from kinectbench.scoring.rounds import Missing, pairs_to_score
 from kinectbench.scoring.thresholds import FIXED, FIXED_SOURCE, SEARCHED, Thresholds
 from kinectbench.scoring.uncertainty import LEVEL, MIN_OBJECTS, RESAMPLES, SEED
@@ -121,14 +121,14 @@ def refuse_many_rows(views: int, asked: Sequence[Asked], hypotheses: int = 1) ->
 def left_out_table(
     release: Release, method: str, protocols: tuple[str, ...], missing: Missing, reason: str
 ) -> ScoreTable:
-    """Return the table of a method that is left out when several are scored: all views fail for one reason.
+    """Return the table of a method that cannot be scored under the protocols: all views fail for one reason.
 
     Args:
         release: the release that was predicted.
         method: the method's name.
         protocols: the requested protocols.
         missing: "error" or "empty"; only stated in the table's settings.
-        reason: why every view fails (`unfit`).
+        reason: why the protocols do not fit, as `unfit` returns it.
     """
     test = pairs_to_score(release, validation=False, solid=False)
     failures, settings = dict.fromkeys(test, reason), settings_in_space(protocols, missing)
@@ -197,7 +197,7 @@ def table_in_space(
     digests = {target: result.digest for target, result in results.items()} | dict(validation)
     without = frozenset(empty)
     predicted = sum(target.name not in without for target in validation)
-    derived = from_rows(rows, settings.protocols, {}, quality, not failures)
+    derived = derived_values(rows, settings.protocols, {}, quality, not failures)
     table = ScoreTable(
         method=method,
         benchmark_sha256=release.benchmark_sha256,
@@ -268,7 +268,7 @@ def rows_of_view(target: Target, result: ViewResult, threshold: float) -> list[S
 
 
 def _without_inside(results: Mapping[Target, ViewResult], close: str | None) -> list[str]:
-    """Return a line about open meshes and points without a solid, and a line about those made solid."""
+    """Return a line about predictions without a solid (open meshes, points), and one about those closed."""
     open_ones = {t.name: of.rows[0].closed for t, of in sorted(results.items()) if of.rows[0].solid is False}
     without = [name for name, closed in open_ones.items() if closed is None]
     closed = [name for name in open_ones if name not in without]

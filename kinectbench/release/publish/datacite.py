@@ -1,9 +1,7 @@
-"""Shared content of croissant.json and datacite.json, such as the date of a release; and datacite.json.
+"""Make datacite.json, and the content that croissant.json shares with it, such as the release's date.
 
-It is the metadata of a release in DataCite's schema 4, for registries of DOIs.
-
-The content can be sent as `attributes` to `POST https://api.datacite.org/dois`; Zenodo and others export the
-same.
+datacite.json is metadata in DataCite's schema 4, for registries of DOIs: it can be sent as `attributes` to
+`POST https://api.datacite.org/dois`; Zenodo and others export the same.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,10 +15,9 @@ from kinectbench.release.publish.attribution import HUGGING_FACE, authors, licen
 from kinectbench.settings.publishing import CitationSettings, DatasheetSettings
 
 SUBJECTS = ("3-D shape completion", "RGB-D", "voxel grids", "benchmark")
-# From this day on a stamp is a calendar time; smaller stamps count from the start of a recording or a
-# machine.
+# Earlier timestamps are no calendar times: they count from the start of a recording or a machine.
 FIRST_DAY_NS = 946_684_800 * 10**9  # 1 January 2000
-# The day in every archive of a release where no date is known.
+# Stands for an unknown date.
 NO_DAY = "1980-01-01"
 NS_PER_S = 10**9
 SCHEMA = "http://datacite.org/schema/kernel-4"

@@ -10,11 +10,11 @@ from kinectbench.core.artefacts.benchmark import RecordingInfo
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.geometry import rigid
 from kinectbench.core.voxels.pair_file import Pair, pack, unpack
-from kinectbench.release.publish.rebuilt import (
+from kinectbench.release.publish.reconstruction_attack import (
     PosedView,
+    attack_ious,
+    attack_line,
     every_fourth,
-    rebuilt,
-    rebuilt_line,
     sampled_known_iou,
     solids,
 )
@@ -31,11 +31,11 @@ def pair_of(view: str) -> Pair:
 
 def test_several_views_of_a_box() -> None:
     views = {f"{view:03d}": posed("table", view) for view in (0, 1)}
-    iou, single_iou = rebuilt(views, pair_of)
+    iou, single_iou = attack_ious(views, pair_of)
     assert iou > 0.95 > single_iou + 0.1
     # With a pose that is wrong by 20 cm less is rebuilt.
     moved = views["001"].T_world_camera @ rigid(np.eye(3), [0.2, 0.0, 0.0])
-    wrong, _ = rebuilt(views | {"001": replace(views["001"], T_world_camera=moved)}, pair_of)
+    wrong, _ = attack_ious(views | {"001": replace(views["001"], T_world_camera=moved)}, pair_of)
     assert wrong < iou - 0.1
 
 
@@ -67,6 +67,6 @@ def test_the_line(held: bool) -> None:
     )
     if held:
         info = info.model_copy(update={"rebuilt_iou": 0.9, "rebuilt_single_iou": 0.4})
-    line = rebuilt_line({"a": info})
+    line = attack_line({"a": info})
     assert (line is None) is not held
     assert line is None or "up to an IoU of 0.90 (a; one view alone: 0.40" in line

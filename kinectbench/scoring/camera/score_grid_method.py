@@ -4,10 +4,10 @@ from kinectbench.core.artefacts.counted import PairResult
 from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.release.release import Release
-from kinectbench.scoring.camera.grid import GridJob, score_grid
-from kinectbench.scoring.camera.score import refuse_many_rows, settings_in_space, table_in_space
+from kinectbench.scoring.camera.score_camera_method import refuse_many_rows, settings_in_space, table_in_space
+from kinectbench.scoring.camera.score_grid_view import GridJob, score_grid
+from kinectbench.scoring.camera.score_view import ViewResult, asked_rows
 from kinectbench.scoring.camera.truth import files_of
-from kinectbench.scoring.camera.view import ViewResult, asked_rows
 from kinectbench.scoring.pair_result import Counting, Journal
 from kinectbench.scoring.rounds import Missing, Plan, Rounds
 from kinectbench.scoring.workers import run_tasks

@@ -1,4 +1,4 @@
-"""Reuse tables of baselines that an earlier run wrote, if counting again would give the same."""
+"""Reuse score tables of baselines from an earlier run, if they are still valid."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ class Scoring:
     """How baselines are scored: in grids, or in space.
 
     Attributes:
-        names: baselines that can be scored so.
-        settings: those that their tables have.
-        make: called with (release, names), and by name thresholds_file, jobs and progress; returns tables.
-        differ: called with (release, tables), and by name jobs; counts some rows again, and returns the
+        names: the baselines that can be scored in this way.
+        settings: the settings that their tables state.
+        make: makes tables, given (release, names) and the keywords thresholds_file, jobs and progress.
+        differ: computes some rows of tables again, given (release, tables) and the keyword jobs; returns the
             baselines whose rows differ.
     """
 
@@ -28,37 +28,40 @@ class Scoring:
     differ: Callable[..., Iterable[str]]
 
 
-def kept_tables(
+def reusable_tables(
     folders: Mapping[str, Path],
     release: Release,
     scoring: Scoring,
     jobs: int,
     *,
-    beside: bool,
+    for_comparison: bool,
 ) -> dict[str, ScoreTable]:
-    """Return {baseline: its table} of those that can be used again.
+    """Return the stored tables that are still valid, {baseline: its table}.
 
-    The release, the settings, and the versions of counting and of the baselines must be the same, and no
-    threshold file may have been given. As a check, a few rows are computed again; they must agree.
+    A table is valid if release, settings, and the versions of `score` and of the baselines are unchanged, and
+    its thresholds are from no file. A few of its rows are computed again as a check, and must be equal.
 
     Args:
         folders: {baseline: folder of its table}.
         release: the release that is scored.
         scoring: how baselines are scored now.
         jobs: number of processes.
-        beside: whether the tables are kept for comparison beside methods.
+        for_comparison: whether `comparison_baselines` stored the tables.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
     """
-    kept = {name: _kept(folder, name, release, scoring.settings, beside) for name, folder in folders.items()}
+    kept = {
+        name: _kept(folder, name, release, scoring.settings, for_comparison)
+        for name, folder in folders.items()
+    }
     tables = {name: table for name, table in kept.items() if table is not None}
     wrong = set(scoring.differ(release, tables, jobs=jobs)) if tables else set()
     return {name: table for name, table in tables.items() if name not in wrong}
 
 
 def _kept(
-    folder: Path, name: str, release: Release, settings: ScoreSettings, beside: bool
+    folder: Path, name: str, release: Release, settings: ScoreSettings, for_comparison: bool
 ) -> ScoreTable | None:
     """Return a baseline's table if it is readable, and of this release and these settings; else None."""
     try:
@@ -66,6 +69,6 @@ def _kept(
     except StorageError:  # there is none, or it is damaged or contradicts itself
         return None
     made = (table.method, table.baseline, table.benchmark_sha256, table.settings)
-    same = made == (name, beside, release.benchmark_sha256, settings)
+    same = made == (name, for_comparison, release.benchmark_sha256, settings)
     by_file = (table.threshold_source or "").startswith("file:")
     return table if same and not by_file and (table.complete or table.failures) else None

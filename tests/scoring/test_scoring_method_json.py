@@ -14,7 +14,7 @@ from kinectbench.core.artefacts.scores import ScoreTable
 from kinectbench.core.errors import PredictionError, SettingsError
 from kinectbench.release.release import Release
 from kinectbench.scoring.api import Scorer
-from kinectbench.scoring.declared import SUPPORTED, _unknown_keys
+from kinectbench.scoring.method_json import SUPPORTED, _unknown_keys
 from kinectbench.scoring.prediction_file import blake3_of
 from kinectbench.scoring.predictions import check, find_predictions
 from kinectbench.scoring.recheck import recheck

@@ -1,7 +1,7 @@
-"""Check that a score table belongs to a release, by its pairs, objects, hashes of truth, and splits.
+"""Check that a score table agrees with the release: pairs, objects, hashes of the truth, and splits.
 
-The caller has already compared the release's hash with the one in the table. No pair is read here: `recheck`
-checks base rates and coverage.
+The caller has already compared the release's hash with the one in the table. No pair file is read here;
+`recheck` checks base rates and coverage.
 """
 
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from kinectbench.scoring.protocols import EVERY_VOXEL, PRIMARY
 from kinectbench.scoring.thresholds import VALIDATION_SOURCE
 
 
-def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
+def release_contradictions(table: ScoreTable, release: Release) -> Iterator[str]:
     """Yield a sentence for each value in a table that contradicts the release.
 
     Args:
@@ -38,7 +38,7 @@ def not_of_release(table: ScoreTable, release: Release) -> Iterator[str]:
 
 
 def _rows(table: ScoreTable, test: dict[str, Target]) -> Iterator[str]:
-    """Report rows of no test pair, with a wrong object or category, or with a wrong unknown share."""
+    """Report rows whose pair is no test pair, or whose object, category or unknown share is wrong."""
     for row in table.rows:
         target = test.get(row.pair)
         if target is None:
@@ -62,7 +62,7 @@ def _unknown(row: ScoreRow, share: float) -> Iterator[str]:
 
 
 def _hashes(table: ScoreTable, release: Release) -> Iterator[str]:
-    """Report entries of `hashes` for unknown or training pairs, or with the hash of another truth."""
+    """Report entries of `hashes` for unknown or training pairs, or with a wrong hash of the truth."""
     known = {target.name: target for target in release.targets if target.split != "train"}
     for name, of in table.hashes.items():
         target = known.get(name)

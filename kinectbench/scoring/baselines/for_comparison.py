@@ -12,13 +12,13 @@ from kinectbench.core.artefacts.scores import BASELINES_FOLDER, ScoreTable
 from kinectbench.core.types import Progress, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release
-from kinectbench.scoring.baselines.counted import scoring_of
-from kinectbench.scoring.baselines.kept import kept_tables
+from kinectbench.scoring.baselines.in_grids import scoring_of
 from kinectbench.scoring.baselines.predict import possible_baselines
+from kinectbench.scoring.baselines.reuse import reusable_tables
 from kinectbench.scoring.pair_result import Counting
 
 
-def baselines_beside(
+def comparison_baselines(
     release: Release,
     out: Path,
     *,
@@ -28,12 +28,11 @@ def baselines_beside(
     jobs: int = 1,
     progress: Progress = no_progress,
 ) -> list[ScoreTable]:
-    """Score every baseline that the release allows; `score` gives the same for a baseline's prediction files.
+    """Score every baseline that the release allows, for comparison with a method.
 
-    Tables are kept in `out/baselines/<name>/scores.json`, or under `camera` in
-    `out/baselines/<name>+camera/`. A kept table is used again if the release, the settings and the versions
-    of counting and of the baselines are the same. As a check, a few of its rows are computed again; they must
-    agree. Thresholds are chosen per baseline on the validation split; without that split they are 0.5.
+    Tables are stored in `out/baselines/<name>/scores.json`, or for the protocol `camera` in
+    `out/baselines/<name>+camera/`. Valid tables of an earlier run are reused (`reusable_tables`). Thresholds
+    are chosen per baseline on the validation split; without that split they are 0.5.
 
     Args:
         release: the release that is scored.
@@ -43,7 +42,7 @@ def baselines_beside(
         upsampling: "half-pixel" or "corner-aligned".
         without: names of baselines that are left out.
         jobs: number of processes.
-        progress: called with (pairs done, pairs in all); not called if all tables are kept tables.
+        progress: called with (pairs done, pairs in all); not called if all tables are reused.
 
     Returns:
         A table for each baseline.
@@ -57,7 +56,7 @@ def baselines_beside(
     counting = Counting(tuple(protocols), upsampling, surface=False)
     scoring, sign = scoring_of(("camera",) if in_space else counting, names), "+camera" * in_space
     folders = {name: out / BASELINES_FOLDER / f"{name}{sign}" for name in scoring.names}
-    tables = kept_tables(folders, release, scoring, jobs, beside=True)
+    tables = reusable_tables(folders, release, scoring, jobs, for_comparison=True)
     if wanted := [name for name in scoring.names if name not in tables]:
         for table in scoring.make(release, wanted, jobs=jobs, progress=progress):
             tables[table.method] = table.model_copy(update={"baseline": True})

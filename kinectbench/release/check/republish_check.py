@@ -1,4 +1,4 @@
-"""Publish recordings that were built again, and compare what `verify` alone cannot: figures and pictures."""
+"""Publish rebuilt recordings again, and compare the figures and pictures with those of the release."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,33 +25,33 @@ from kinectbench.release.contents import (
 )
 from kinectbench.release.publish.category_pages import category_texts
 from kinectbench.release.publish.gate import gate
+from kinectbench.release.publish.index_page import preview_text
 from kinectbench.release.publish.object_glb import write_glbs
-from kinectbench.release.publish.preview import preview_text
+from kinectbench.release.publish.previews import write_view_pictures
 from kinectbench.release.publish.privacy import scrubbed
 from kinectbench.release.publish.publish import MOST_NAMED_FILES
 from kinectbench.release.publish.publish_recording import Built, Published, publish_recording
 from kinectbench.release.publish.texts import stated_warnings
-from kinectbench.release.publish.view_pictures import write_view_pictures
 from kinectbench.settings.models import BenchmarkSettings
 
 AGAIN = "differs when made again"
-# Files that are compared before, as they are built.
+# Endings of files that `rebuild` has already compared with the rebuilt ones.
 AS_BUILT = (*OBJECT_FILES, *VIEW_IMAGES, ".npz", ROWS)
-# Keys of a recording in lineage.json that are compared with the files of the recording.
+# Keys of lineage.json that `rebuild` has already compared with the recording's files.
 OF_FILES = ("files", "files_sha256")
 
 
-def remade_differences(
+def republished_differences(
     contents: Contents, settings: BenchmarkSettings, targets: Sequence[Target], build: Path
 ) -> Iterator[str]:
     """Yield a line for each figure, picture or page that differs when recordings are published again.
 
-    Pages are compared if they are of these recordings alone and of this version.
+    Pages are compared only if the release has no other recordings, and was made by this version.
 
     Args:
-        contents: the release; objects, images and pairs are as they were built again.
-        settings: the release's settings; its recordings are those that were built again.
-        targets: their pairs.
+        contents: the release, whose objects, images and pairs equal the rebuilt ones.
+        settings: the release's settings, with the rebuilt recordings only.
+        targets: the pairs of these recordings.
         build: the folder with a subfolder for each recording.
     """
     info = ReleaseInfo.parse(contents.text(BENCHMARK_JSON), BENCHMARK_JSON)
@@ -79,7 +79,7 @@ def remade_differences(
 
 
 def _file_differences(contents: Contents, folder: Path, made: dict[str, Published]) -> Iterator[str]:
-    """Yield a line for each file of these recordings that differs from that in `folder`, or is not there."""
+    """Yield a line for each release file of the recordings `made` that differs in `folder` or is missing."""
     again = {path.relative_to(folder).as_posix(): path for path in release_files(folder)}
     for name in sorted(contents.entries):
         parts = name.split("/")
@@ -104,9 +104,10 @@ def _entry_differences(
     build: Path,
     made: dict[str, Published],
 ) -> Iterator[str]:
-    """Yield a line for each key of these recordings in benchmark.json and lineage.json that differs.
+    """Yield a line for each key in the recordings' entries in benchmark.json and lineage.json that differs.
 
-    What `compare-truth` found is no part of a build: `reference`, and with it `look`, is believed.
+    A build does not contain the results of `compare-truth`. So `reference`, and `look` of a recording that
+    has it, are not compared.
     """
     removals = list[Removed]()
     passed = gate(settings, build, tuple(made), allow_poor=True)

@@ -9,8 +9,8 @@ from kinectbench.core import PredictionError
 from kinectbench.core.geometry import invert_rigid
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.release.release import Target
+from kinectbench.scoring.camera.score_view import Asked, ViewResult, empty_rows, score_shape
 from kinectbench.scoring.camera.truth import SpaceTruth, ViewFiles, read_space_truth
-from kinectbench.scoring.camera.view import Asked, ViewResult, empty_rows, score_shape
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.counts import Prediction, occupied
 from kinectbench.scoring.prediction_file import load_hashed

@@ -22,8 +22,7 @@ TILE_AZIMUTH_DEG = 32.0
 TILE_RAISED_DEG = 10.0
 TILE_ELEVATIONS_DEG = (12.0, 50.0)
 STEEP_SINE = 0.97
-# Isosurface levels of the smoothed grids; below a half, so that a part thinner than a cell of 64 does not
-# vanish.
+# Isosurface levels of smoothed grids; below a half, so that parts thinner than a cell of 64 do not vanish.
 FULL_LEVEL = 0.25
 PARTIAL_LEVEL = 0.15
 

@@ -1,4 +1,4 @@
-"""Read method.json of a folder of predictions, and check what it declares."""
+"""Read method.json of a folder of predictions, and check its declarations."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -74,11 +74,11 @@ def form_problem(method: MethodFile | None, suffix: str) -> str | None:
 
 
 def method_problems(folder: Path, method: MethodFile | None, release: Release) -> list[str]:
-    """Return reasons, one line each, why a folder's predictions may be incomplete or of another release.
+    """Return signs, one line each, that a folder's predictions are incomplete or for another release.
 
     Args:
         folder: the folder of predictions.
-        method: what `read_method` returned for it.
+        method: method.json, as `read_method` returns it.
         release: the release that is scored.
     """
     if method is None:

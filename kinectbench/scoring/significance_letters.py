@@ -17,7 +17,7 @@ from string import ascii_lowercase
 MOST_GROUPS = 2 * len(ascii_lowercase)
 
 
-def letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str, str]:
+def significance_letters(names: Sequence[str], apart: Collection[frozenset[str]]) -> dict[str, str]:
     """Return the letters of each method; the best method has an `a`.
 
     Args:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from kinectbench.release.release import Release
-from kinectbench.scoring.baselines.counted import score_baselines
+from kinectbench.scoring.baselines.in_grids import score_baselines
 
 
 def test_baselines_scored_as_methods_are_kept(release: Release, tmp_path: Path) -> None:

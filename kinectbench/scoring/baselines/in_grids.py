@@ -1,4 +1,4 @@
-"""Score baselines in memory, pair by pair; prediction files of the baselines would give the same tables."""
+"""Score baselines in memory under the grid protocols; prediction files would give the same tables."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -14,15 +14,15 @@ from kinectbench.core.types import Progress, Split, no_progress
 from kinectbench.core.voxels.resample import HALF_PIXEL
 from kinectbench.release.release import Release, Target
 from kinectbench.scoring.assemble import as_of_baseline, describe, make_table, rows_of
+from kinectbench.scoring.base_rates import base_rates
 from kinectbench.scoring.baselines.in_space import space_baselines, space_baselines_that_differ
-from kinectbench.scoring.baselines.kept import Scoring, kept_tables
 from kinectbench.scoring.baselines.predict import BaselineTask, baseline_tasks, possible_baselines, predicted
 from kinectbench.scoring.baselines.registry import WITHOUT_SURFACE
-from kinectbench.scoring.camera.score import settings_in_space
+from kinectbench.scoring.baselines.reuse import Scoring, reusable_tables
+from kinectbench.scoring.camera.score_camera_method import settings_in_space
 from kinectbench.scoring.pair_result import Counting, ceilings, count, counting_of, drawn, surfaces
 from kinectbench.scoring.protocols import space_alone
 from kinectbench.scoring.read_table import differing, read_table
-from kinectbench.scoring.references import base_rates
 from kinectbench.scoring.request import check_words
 from kinectbench.scoring.rounds import pairs_to_score
 from kinectbench.scoring.thresholds import Thresholds, searched_thresholds, thresholds_for
@@ -46,8 +46,8 @@ def score_baselines(
 ) -> list[ScoreTable]:
     """Score every baseline that a release allows, write `out/<name>/scores.json`, and return the tables.
 
-    Tables of an earlier run in `out` are used again (`kept_tables`). They are those that `write_baselines`
-    followed by `score_methods` would give, but without hashes of prediction files: none are written.
+    Valid tables of an earlier run in `out` are reused (`reusable_tables`). No prediction files are written;
+    `write_baselines` and `score_methods` would give the same tables, with hashes of such files.
 
     Args:
         release: the release that is predicted.
@@ -74,7 +74,7 @@ def score_baselines(
     in_space = space_alone(protocols, upsampling)
     scoring = scoring_of(in_space or counting_of(release, protocols, upsampling, surface), names)
     folders = {} if thresholds_file else {name: out / name for name in scoring.names}
-    tables = kept_tables(folders, release, scoring, jobs, beside=False)
+    tables = reusable_tables(folders, release, scoring, jobs, for_comparison=False)
     if wanted := [name for name in scoring.names if name not in tables]:
         made = scoring.make(release, wanted, thresholds_file=thresholds_file, jobs=jobs, progress=progress)
         for table in made:
@@ -84,7 +84,7 @@ def score_baselines(
 
 
 def scoring_of(how: Counting | tuple[str, ...], names: Sequence[str]) -> Scoring:
-    """Return how baselines are scored: in grids as `how` says, or in space under these protocols."""
+    """Return how to score baselines: in grids, given options, or in space, given protocols."""
     if isinstance(how, Counting):
         make = partial(counted_baselines, counting=how)
         differ = partial(baselines_that_differ, counting=how)
@@ -98,7 +98,7 @@ def scoring_of(how: Counting | tuple[str, ...], names: Sequence[str]) -> Scoring
 
 
 def _refuse_to_replace(paths: Sequence[Path]) -> None:
-    """Refuse to write the scores of baselines over those of other methods that have their names.
+    """Refuse to overwrite the scores of methods that are named like baselines.
 
     Raises:
         SettingsError: a file has the scores of a method that is no baseline.
@@ -171,14 +171,14 @@ def baselines_that_differ(
     *,
     every: bool = False,
 ) -> set[str]:
-    """Count some test pairs again; return the baselines whose tables have other rows for them.
+    """Score some test pairs again; return the baselines whose tables have other rows for these pairs.
 
     Args:
         release: the release that was predicted.
         tables: {baseline: its table}, made with `release` and `counting`.
         counting: how pairs are counted.
         jobs: number of processes.
-        every: whether all pairs are counted again; else a few that are randomly drawn.
+        every: whether all pairs are scored again; else a few that are randomly drawn.
 
     Raises:
         PairError, ReleaseError: a pair cannot be read.
@@ -216,7 +216,7 @@ def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> 
 
 
 def _count(counting: Counting, thresholds: Mapping[str, Thresholds], task: BaselineTask) -> Counts:
-    """Return {baseline: its counts of the pair of a task}.
+    """Return {baseline: voxel counts of its prediction for the task's pair}.
 
     For a test pair, the counts include the best IoU that a grid of the prediction's side can reach. If
     surface metrics are requested, they are included too, at the baseline's threshold for the category.
