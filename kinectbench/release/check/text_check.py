@@ -7,6 +7,7 @@ version are checked, because other versions use other words.
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 
 from pydantic import ValidationError
 
@@ -14,10 +15,11 @@ from kinectbench._version import __version__
 from kinectbench.core import KinectBenchError, ReleaseError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, PRIVACY_JSON, Lineage, Privacy
-from kinectbench.core.artefacts.targets import Target, by_recording
+from kinectbench.core.artefacts.targets import Target, by_recording, columns_of
 from kinectbench.release.contents import CARD, Contents, release_json
 from kinectbench.release.publish.gate import ADVICE
 from kinectbench.release.publish.index_page import NO_PICTURE
+from kinectbench.release.publish.schemas import schema_texts
 from kinectbench.release.publish.texts import release_facts, release_texts, stated_warnings
 from kinectbench.settings.models import BenchmarkSettings
 
@@ -80,7 +82,8 @@ def _other_texts(contents: Contents, metadata: ReleaseInfo, targets: Sequence[Ta
     settings = release_settings(metadata)
     warnings = stated_warnings(metadata, settings, targets, contents.text(CARD))
     color = Privacy.parse(contents.text(PRIVACY_JSON), PRIVACY_JSON).color
-    for name, wanted in release_texts(metadata, settings, targets, warnings, color):
+    texts = release_texts(metadata, settings, targets, warnings, color)
+    for name, wanted in chain(texts, schema_texts(contents.entries, columns_of(targets))):
         if name in contents.entries:
             yield from text_difference(name, _plain(contents.text(name)), _plain(wanted))
     lineage = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON)

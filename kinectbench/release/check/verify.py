@@ -33,6 +33,7 @@ from kinectbench.core.voxels.pair_file import (
     pair_values,
 )
 from kinectbench.release.check.agreement_check import Stated, agreement_problems
+from kinectbench.release.check.missing_files import missing_files
 from kinectbench.release.check.object_check import object_problems, recording_of, surface_lines
 from kinectbench.release.check.pair_check import input_problems, pair_problems
 from kinectbench.release.check.text_check import text_problems
@@ -311,25 +312,12 @@ def _small_file_problems(
     if metadata and BENCHMARK_JSON not in damaged:
         lines += recording_problems(targets, metadata)
     if metadata:
-        lines += [*_without_object(metadata, sums), *_of_nobody(metadata, sums)]
+        lines += [*missing_files(metadata, targets, sums), *_of_nobody(metadata, sums)]
     if SPLITS_JSON not in damaged and TARGETS_CSV not in damaged:
         lines += _split_problems(contents, targets)
     if metadata and not {BENCHMARK_JSON, TARGETS_CSV} & set(damaged):
         lines += agreement_problems(contents, Stated(targets, metadata, sums), damaged)
     return metadata, targets, lines
-
-
-def _without_object(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a message for each missing mesh or volume of a recording: it is needed to check the pairs."""
-    if metadata.benchmark_sha256_version is None:
-        return  # earlier releases may have fewer files
-    stated = metadata.settings.recordings or metadata.settings.views
-    if not stated and not any(name.startswith("views/") and name.endswith(".png") for name in sums):
-        return  # models and imported pairs have no recorded object
-    for recording in metadata.recordings:
-        for file in OBJECT_FILES if metadata.has_solid(recording) else ():
-            if (name := f"objects/{recording}/{file}") not in sums:
-                yield f"{printable(name, 200)}: missing, a release of recordings has it"
 
 
 def _of_nobody(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from kinectbench.core import pretty_json, printable, pydantic_message
+from kinectbench.core import pretty_json, printable, pydantic_message, write_below
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
 from kinectbench.core.artefacts.provenance import Lineage, Privacy, ThresholdsFile
@@ -46,6 +46,26 @@ MOST_CHARACTERS, MOST_FAULTS = 200, 50
 PATTERNS = {"view": "^[0-9]{3,6}$", "file": r"^pairs/[^/]+/[0-9]+\.npz$", "sha256": "^[0-9a-f]{64}$"}
 
 
+def schema_texts(names: Iterable[str], columns: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield (file, text) of the schemas of a release.
+
+    Args:
+        names: names of the release's files.
+        columns: columns of its targets.csv.
+    """
+    stored = resources.files("kinectbench.release.publish").joinpath(SCHEMAS)
+    present = list(names)
+    for schema, (files, _) in JSON_FILES.items():
+        if schema == "benchmark" or any(fnmatchcase(name, files) for name in present):
+            name = f"{schema}.schema.json"
+            yield f"{SCHEMAS}/{name}", stored.joinpath(name).read_text(encoding="utf-8")
+    for name in (TABLE_SCHEMA, PAIR_SCHEMA):
+        text = stored.joinpath(name).read_text(encoding="utf-8")
+        if name == TABLE_SCHEMA and TRUTH_COLUMN in columns:
+            text = pretty_json(targets_schema(columns))
+        yield f"{SCHEMAS}/{name}", text
+
+
 def write_schemas(folder: Path, columns: Sequence[str]) -> None:
     """Write the schemas of all files in the release folder, and the schema of benchmark.json.
 
@@ -53,15 +73,9 @@ def write_schemas(folder: Path, columns: Sequence[str]) -> None:
         folder: the release's folder; benchmark.json is written later.
         columns: columns of the release's targets.csv.
     """
-    (folder / SCHEMAS).mkdir()
-    stored = resources.files("kinectbench.release.publish").joinpath(SCHEMAS)
-    written = [
-        name for name, (files, _) in JSON_FILES.items() if name == "benchmark" or any(folder.glob(files))
-    ]
-    for name in (*(f"{name}.schema.json" for name in written), TABLE_SCHEMA, PAIR_SCHEMA):
-        (folder / SCHEMAS / name).write_bytes(stored.joinpath(name).read_bytes())
-    if TRUTH_COLUMN in columns:
-        (folder / SCHEMAS / TABLE_SCHEMA).write_text(pretty_json(targets_schema(columns)), encoding="utf-8")
+    names = [path.relative_to(folder).as_posix() for path in folder.rglob("*.json")]
+    for name, text in schema_texts(names, columns):
+        write_below(folder / name, text.encode())
 
 
 def schema_problems(name: str, text: str) -> Iterator[str]:
