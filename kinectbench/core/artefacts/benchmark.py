@@ -5,6 +5,7 @@ from typing import ClassVar, Literal, Self
 
 from pydantic import Field
 
+from kinectbench._version import __version__
 from kinectbench.core.artefacts.object import QualityFile
 from kinectbench.core.artefacts.reference import ReferenceInfo
 from kinectbench.core.artefacts.stored import JSON_BYTES, Stored, StoredPart
@@ -192,6 +193,11 @@ class ReleaseInfo(ReleaseFile):
     def inputs_only(self) -> tuple[Split, ...]:
         """Splits whose pair files lack the truth: it is held back, or is an open mesh in another file."""
         return (*self.held_back, *self.surface_truth)
+
+    @property
+    def of_this_version(self) -> bool:
+        """Whether this version of the package published the release, of recordings: it can be made again."""
+        return self.package_version == __version__ and bool(self.settings.recordings)
 
     def hides(self, recording: str) -> bool:
         """Whether the release holds back a recording's ground truth; False for a recording not in it."""

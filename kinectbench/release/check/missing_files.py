@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Iterator, Sequence
 
-from kinectbench._version import __version__
 from kinectbench.core import printable
 from kinectbench.core.artefacts.benchmark import ReleaseInfo
 from kinectbench.core.artefacts.object import FloorFile, QualityFile
@@ -47,7 +46,7 @@ def missing_files(metadata: ReleaseInfo, targets: Sequence[Target], names: Colle
     if not stated and not any(name.startswith("views/") and name.endswith(".png") for name in names):
         return  # models and imported pairs have no recorded object
     wanted = list(_of_objects(metadata))
-    if metadata.package_version == __version__ and metadata.settings.recordings:
+    if metadata.of_this_version:
         wanted += _of_this_version(metadata, targets, names)
     for name in wanted:
         if name not in names:

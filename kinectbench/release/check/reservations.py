@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from kinectbench._version import __version__
 from kinectbench.core import listed, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.targets import SHA256SUMS, parse_sums
@@ -25,7 +24,7 @@ def reservations(path: Path, *, checksums_only: bool = False) -> list[str]:
     clauses = list[str]()
     if poor := [name for name, recording in info.recordings.items() if recording.poor]:
         clauses.append(f"published below its own limits: {printable(listed(poor), 300)}")
-    if info.package_version != __version__ and info.settings.recordings and not checksums_only:
+    if info.settings.recordings and not (info.of_this_version or checksums_only):
         clauses.append(f"no text was written again: kinectbench {printable(info.package_version)} wrote them")
     if info.benchmark_sha256_version is None:
         clauses.append(

@@ -11,7 +11,6 @@ from itertools import chain
 
 from pydantic import ValidationError
 
-from kinectbench._version import __version__
 from kinectbench.core import KinectBenchError, ReleaseError, printable
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, ReleaseInfo
 from kinectbench.core.artefacts.provenance import LINEAGE_JSON, PRIVACY_JSON, Lineage, Privacy
@@ -65,7 +64,7 @@ def text_problems(contents: Contents, metadata: ReleaseInfo, targets: Sequence[T
         metadata: content of benchmark.json.
         targets: the lines of targets.csv.
     """
-    if metadata.package_version != __version__ or not metadata.settings.recordings:
+    if not metadata.of_this_version:
         return []
     if not {CARD, PRIVACY_JSON, LINEAGE_JSON} <= contents.entries.keys():
         return []
