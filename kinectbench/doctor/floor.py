@@ -19,7 +19,7 @@ from kinectbench.doctor.probe import Probe, SmallFrame
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.recording import Recording
 from kinectbench.stages.segment.find.floor import Floor, find_floor
-from kinectbench.stages.segment.find.gravity import hint_of
+from kinectbench.stages.segment.find.hints import hint_of
 from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, floor_of_frames, oriented
 
 # Number of frames that are searched one by one, or together by their poses; limited to save time.

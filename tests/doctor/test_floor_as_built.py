@@ -29,7 +29,7 @@ from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.readers.tum import TumRecording
 from kinectbench.stages.ingest.recording import Recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.stages.segment.find.gravity import FloorHint, floor_hint
+from kinectbench.stages.segment.find.hints import FloorHint, floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.track import track
 

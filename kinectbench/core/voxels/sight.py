@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.core.voxels.distance import distance_within_m
 from kinectbench.core.voxels.fine_sight import further_directions
 from kinectbench.core.voxels.line_kernels import BLOCKED, LEVEL, MOST_WAYS, ONE_WAY, PASSABLE, PLACE, SEEN
 from kinectbench.core.voxels.lines_of_sight import Space, directions, seen_outwards, ways_along
-from kinectbench.core.voxels.morphology import dilated, from_beyond, reached_from_beyond
+from kinectbench.core.voxels.morphology import dilated, distance_within_m, from_beyond, reached_from_beyond
 
 # Distances from voxel to voxel are exact except for rounding.
 ROUNDING_M = 1e-6

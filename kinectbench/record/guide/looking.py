@@ -19,7 +19,7 @@ from kinectbench.core.types import Float64, Int64
 from kinectbench.settings.models import FloorCuts, FusionSettings
 from kinectbench.stages.fuse import fuse, observe
 from kinectbench.stages.segment.find.floor import floor_cut_m
-from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.hints import floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels

@@ -6,27 +6,24 @@ from functools import partial
 import numpy as np
 
 from kinectbench.core import ShapeError
-from kinectbench.core.geometry import Camera, Grid, OrientedBox, TriangleMesh
+from kinectbench.core.geometry import Camera, Grid, TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress, Underside, no_progress
 from kinectbench.core.voxels.observation import Observation, merge
-from kinectbench.settings.models import FusionSettings, ObjectCuts, Vector4
+from kinectbench.settings.models import FusionSettings, ObjectCuts
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m, some_frames
-from kinectbench.stages.segment.find.distance_scale import enlarged_transform
 from kinectbench.stages.segment.find.floor import Floor
-from kinectbench.stages.segment.find.gravity import floor_hint
-from kinectbench.stages.segment.find.masked_scene import segment_masked_scene
+from kinectbench.stages.segment.find.given import NOTHING_GIVEN, GivenObject, check_picked
+from kinectbench.stages.segment.find.hints import enlarged_transform, floor_hint
+from kinectbench.stages.segment.find.moving import segment_masked_scene
 from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
-from kinectbench.stages.segment.find.picked import PickedPoint, check_picked
 from kinectbench.stages.segment.find.seen_floor import other_floor
 from kinectbench.stages.segment.judge.coverage_report import coverage_report
-from kinectbench.stages.segment.judge.estimate import pose_error_of
-from kinectbench.stages.segment.judge.floor_cut import FloorCut, taken_by_floor_cut
-from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
-from kinectbench.stages.segment.judge.obstacles import is_obstructed
+from kinectbench.stages.segment.judge.estimate import FloorCut, pose_error_of, taken_by_floor_cut
+from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers, is_obstructed
 from kinectbench.stages.segment.judge.quality import measure_quality, solid_box, surface_sigma_m
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
@@ -41,26 +38,6 @@ from kinectbench.stages.segment.solid.grids import (
 )
 from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape, make_solid, solidify
 
-
-@dataclass(frozen=True)
-class GivenObject:
-    """What the user states about the object; nothing by default.
-
-    Attributes:
-        box: around it, floor frame; None: it is the piece that the cameras look at.
-        plane_world: (a, b, c, d) of a x + b y + c z + d = 0, the plane it stands on, metres, world of the
-            trajectory; None: the plane is found.
-        underside: whether its underside is closed or open, where no frame saw it; "unseen": not stated.
-        picked: a point on it; None: none was picked.
-    """
-
-    box: OrientedBox | None = None
-    plane_world: Vector4 | None = None
-    underside: Underside = "unseen"
-    picked: PickedPoint | None = None
-
-
-NOTHING_GIVEN = GivenObject()
 # Solids are made from the odd, from the even, and from all frames.
 SOLIDS = 3
 
@@ -161,7 +138,7 @@ def _find(
     else:  # only the object's own depth was fused
         chosen = segment_masked_scene(scene, trajectory, given.box, hint)
     if picked is not None and chosen.how == "automatic":
-        check_picked(picked, chosen)
+        check_picked(picked, chosen.beside_m(picked.point_world), chosen.cell_m)
     resolution = choose_resolution(chosen.box, chosen.floor, sequence.camera, trajectory, fusion)
     with chosen.floor.explained_in_errors():
         grid = object_grid(chosen.box, chosen.floor, resolution.voxel_size_m, given=given.box is not None)

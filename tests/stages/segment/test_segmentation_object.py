@@ -18,7 +18,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.voxels.surface_points import surface_points
+from kinectbench.core.voxels.point_cells import surface_points
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import fuse
@@ -32,7 +32,7 @@ from kinectbench.stages.sample_views.masks import (
 )
 from kinectbench.stages.sample_views.views import read_masks
 from kinectbench.stages.segment.find.object import find_floor_and_object
-from kinectbench.stages.segment.find.select import fit_box, select_object
+from kinectbench.stages.segment.find.pieces import fit_box, select_object
 
 pytestmark = pytest.mark.xdist_group("segmentation")
 

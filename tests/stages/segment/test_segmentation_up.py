@@ -15,7 +15,7 @@ from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quatern
 from kinectbench.core.sequence import GivenTrajectory, Sequence, UpSample
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.stages.segment.find.floor import Floor, find_floor, floor_cut_m, low_cut_m
-from kinectbench.stages.segment.find.gravity import FloorHint, facings, floor_hint
+from kinectbench.stages.segment.find.hints import FloorHint, facings, floor_hint
 
 WORLD = rigid(rotation_from_quaternion_xyzw([0.4, -0.5, 0.2, 0.7]), [1.0, -2.0, 0.7])
 UP = WORLD[:3, :3] @ [0, 0, 1]

@@ -12,16 +12,21 @@ from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_point
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
-from kinectbench.core.voxels.morphology import cell_numbers
-from kinectbench.core.voxels.surface_points import spacing_m
+from kinectbench.core.voxels.point_cells import cell_numbers, spacing_m
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.box_anchor import SAME_M, anchor_of
-from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M, FINEST_CUT
 from kinectbench.stages.segment.find.floor import Floor, floor_cut_m
-from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
+from kinectbench.stages.segment.find.given import BESIDE_CELLS, SAME_M, anchor_of
+from kinectbench.stages.segment.find.hints import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.object import Scene, find_object, find_scene
-from kinectbench.stages.segment.find.picked import BESIDE_CELLS
-from kinectbench.stages.segment.find.select import CELL_M, FLAT, fit_box, label_pieces, standing
+from kinectbench.stages.segment.find.pieces import (
+    CELL_M,
+    FINE_CELL_M,
+    FINEST_CUT,
+    FLAT,
+    fit_box,
+    label_pieces,
+    standing,
+)
 
 # Edge of cells, and whether cells must share a face: pieces that touch in the first cut may come apart in the
 # next cuts.

@@ -12,7 +12,6 @@ from kinectbench.core.geometry import Camera, invert_rigid, ransac_plane, refine
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.distance_scale import distance_scale, enlarged_transform
 from kinectbench.stages.segment.find.floor_choice import (
     FOCUS_M,
     MIN_NEAR_POINTS,
@@ -24,11 +23,13 @@ from kinectbench.stages.segment.find.floor_choice import (
     choose_plane,
     refined_near,
 )
-from kinectbench.stages.segment.find.gravity import (
+from kinectbench.stages.segment.find.hints import (
     MIN_GRAVITY_COSINE,
     MIN_UP_COSINE,
     NOTHING_KNOWN,
     FloorHint,
+    distance_scale,
+    enlarged_transform,
 )
 from kinectbench.stages.segment.find.planes import (
     FLAT_COSINE,

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from kinectbench.core.geometry import ransac_plane, refine, transform_points
 from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.morphology import cell_numbers
-from kinectbench.stages.segment.find.gravity import Facing, facings
+from kinectbench.core.voxels.point_cells import cell_numbers
+from kinectbench.stages.segment.find.hints import Facing, facings
 from kinectbench.stages.segment.find.planes import (
     FLAT_COSINE,
     INLIER_M,

@@ -11,18 +11,25 @@ from kinectbench.core import SegmentationError
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.core.voxels.surface_points import spacing_m, surface_points
-from kinectbench.core.voxels.touching_cells import connected
+from kinectbench.core.voxels.point_cells import connected, spacing_m, surface_points
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.box_anchor import check_anchor
-from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M, LOOK, Selection, choice_warnings
-from kinectbench.stages.segment.find.distance_scale import cell_scale, distance_scale, enlarged_box
 from kinectbench.stages.segment.find.floor import Floor, find_floor, floor_cut_m, level_floor, low_cut_m
-from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
-from kinectbench.stages.segment.find.select import (
+from kinectbench.stages.segment.find.given import check_anchor
+from kinectbench.stages.segment.find.hints import (
+    NOTHING_KNOWN,
+    FloorHint,
+    cell_scale,
+    distance_scale,
+    enlarged_box,
+)
+from kinectbench.stages.segment.find.pieces import (
     CELL_M,
+    FINE_CELL_M,
     FLAT,
+    LOOK,
     NOTHING_STANDS,
+    Selection,
+    choice_warnings,
     fit_box,
     label_pieces,
     select_in_box,
@@ -224,6 +231,11 @@ class Segmentation:
     def hangs(self) -> bool:
         """Whether the object hangs or is held, so that no floor is known below it."""
         return self.how == "masks" and not self.floor.found
+
+    def beside_m(self, point_world: Float64) -> float:
+        """Return the distance of a point (3,) from the middle of the nearest cell of the object, metres."""
+        point_floor = transform_points(self.floor.T_floor_world, point_world)
+        return float(np.linalg.norm((self.object_cells + 0.5) * self.cell_m - point_floor, axis=1).min())
 
     def neighbours(self, grid: Grid) -> Bools:
         """Return a mask of an upright grid: voxels near other surface, but not near the object's surface."""

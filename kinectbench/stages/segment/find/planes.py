@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import invert_rigid, transform_points
 from kinectbench.core.types import Float64, Int64
-from kinectbench.core.voxels.touching_cells import connected
-from kinectbench.stages.segment.find.select import GROUNDED_M, SMALL_CELLS, fit_box
+from kinectbench.core.voxels.point_cells import connected
+from kinectbench.stages.segment.find.pieces import GROUNDED_M, SMALL_CELLS, fit_box
 
 # Points this near to a plane are on it: floors scatter by 1 to 6 mm, and this holds three times the worst
 # (chosen by hand).

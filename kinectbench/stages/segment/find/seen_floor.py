@@ -9,12 +9,11 @@ from kinectbench.core.geometry import Camera, image_normals, transform_points
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float32, Float64
-from kinectbench.core.voxels.surface_points import thinned
+from kinectbench.core.voxels.point_cells import thinned
 from kinectbench.stages.fuse.depth_range import some_frames
-from kinectbench.stages.segment.find.distance_scale import distance_scale
 from kinectbench.stages.segment.find.floor import Floor, find_floor
-from kinectbench.stages.segment.find.gravity import FloorHint
-from kinectbench.stages.segment.find.select import CELL_M
+from kinectbench.stages.segment.find.hints import FloorHint, distance_scale
+from kinectbench.stages.segment.find.pieces import CELL_M
 
 # Images about this wide, and a stride of this many pixels, save time (chosen by hand).
 COLUMNS, STEP_PX = 160, 4

@@ -20,12 +20,11 @@ from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.core.voxels.surface_points import spacing_m
+from kinectbench.core.voxels.point_cells import spacing_m
 from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor import GIVEN, Floor
 from kinectbench.stages.segment.find.object import Segmentation
-from kinectbench.stages.segment.judge.frontiers import turn_in_words
-from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
+from kinectbench.stages.segment.judge.frontiers import MOVE_AWAY, is_obstructed, turn_in_words
 
 # Images are looked at in about this many columns: a person who walks by is many of them wide.
 COLUMNS = 160

@@ -15,20 +15,19 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import OrientedBox, transform_points
 from kinectbench.core.types import CLOSED_MEANS, OPEN_MEANS, Int32, Int64, Underside
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.find.choice_warnings import LOOK
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
-from kinectbench.stages.segment.find.select import fit_box, nearest_within
+from kinectbench.stages.segment.find.pieces import LOOK, fit_box, nearest_within
 from kinectbench.stages.segment.judge.coverage_report import CoverageReport
 from kinectbench.stages.segment.judge.estimate import (
     MAX_VOLUME_SHARE_PER_MM,
+    FloorCut,
     IouEstimate,
     PoseError,
     estimate_iou,
     unresolved_share,
     volume_share_per_mm,
 )
-from kinectbench.stages.segment.judge.floor_cut import FloorCut
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.solid.evidence import Rules

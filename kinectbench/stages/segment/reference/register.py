@@ -31,7 +31,7 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.geometry.gauss_newton import NormalEquations, descend, robust_weights, weighted_products
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.solid.solid import SolidShape
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Underside
-from kinectbench.core.voxels.distance import distance_within_m
 from kinectbench.core.voxels.lines_of_sight import Space
+from kinectbench.core.voxels.morphology import distance_within_m
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
 from kinectbench.core.voxels.sight import swept_from_outside
 

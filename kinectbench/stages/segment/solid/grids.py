@@ -12,8 +12,8 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.observation import RAY_WIDTHS_VOXELS, Observation, ray_width_m
 from kinectbench.settings.models import FloorCuts, FusionSettings
-from kinectbench.stages.segment.find.distance_scale import enlarged_transform
 from kinectbench.stages.segment.find.floor import Floor, floor_cut_m, low_cut_m
+from kinectbench.stages.segment.find.hints import enlarged_transform
 from kinectbench.stages.segment.solid.evidence import NO_LAYERS, FloorLayers
 
 # Margin around the object; less where this many voxels are less.

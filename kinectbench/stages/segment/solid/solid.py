@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import ShapeError
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import Grid, TriangleMesh, isosurface, transform_points
 from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.morphology import from_beyond, piece_sizes, values_of_pieces
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
 from kinectbench.stages.segment.solid.guess import inside_probability, measured_probability
-from kinectbench.stages.segment.solid.labels import voxel_labels
 
 # A wider Gaussian thins slats, a narrower one leaves the sensor's noise.
 SMOOTHING_VOXELS = 0.7
@@ -22,6 +22,8 @@ SMOOTHING_VOXELS = 0.7
 LEAST_FIELD, LEAST_SMOOTHED = 0.1, 0.02
 # Probability of a voxel that a rule calls solid, or air, against what was measured there.
 RULED_SOLID, RULED_AIR = 0.75, 0.05
+# A voxel this near to a measured surface, in voxels, is measured.
+MEASURED_VOXELS = 1.5
 # A piece with less than this share of the largest one's voxels is noise.
 SPECK_SHARE = 0.02
 # A lower piece on the floor may be noise; a piece that ends farther below the object carries something else.
@@ -124,7 +126,7 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     voxel_m, below = observation.grid.voxel_size_m, rules.layers.below
     guess = _guess(observation, evidence, rules)
     body = _body(observation, evidence, guess, rules)
-    labels = voxel_labels(evidence, body.solid, voxel_m, below)
+    labels = _voxel_labels(evidence, body.solid, voxel_m, below)
     probability = _probability(voxel_m, evidence, guess, body.solid)
     probability[:, :, :below] = 0
     return SolidShape(body.grid, body.solid, body.mesh, labels, probability, evidence.underside)
@@ -154,6 +156,29 @@ def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rul
         )
     mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
     return SolidBody(observation.grid, solid, mesh)
+
+
+def _voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: int) -> NDArray[np.uint8]:
+    """Return a label (`Label`) for each voxel by its evidence: (i, j, k) uint8.
+
+    If smoothing removed a voxel behind a measured surface from the solid, it is UNKNOWN, because no frame saw
+    it empty.
+
+    Args:
+        evidence: the class of each voxel.
+        solid: (i, j, k) bool, the voxels of the object.
+        voxel_m: edge of a voxel, metres.
+        below: number of layers below the floor.
+    """
+    near = np.abs(evidence.signed_m) <= MEASURED_VOXELS * voxel_m
+    measured = evidence.observed & near & ~evidence.free
+    labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
+    labels[~solid & evidence.free] = Label.FREE
+    labels[~solid & evidence.excluded] = Label.OTHER
+    labels[solid & evidence.closed] = Label.INTERIOR
+    labels[solid & (evidence.near_surface | measured) & ~evidence.unknown] = Label.SURFACE
+    labels[:, :, :below] = Label.OTHER
+    return labels
 
 
 def _without_specks(solid: Bools) -> Bools:
