@@ -186,7 +186,7 @@ def test_an_accelerometer_counts(
         raise SegmentationError("looked at")
 
     monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_, **__: recording)
-    for module in ("doctor.floor", "stages.segment.find.seen_floor"):
+    for module in ("doctor.floor", "stages.segment.find.floor"):
         monkeypatch.setattr(f"kinectbench.{module}.find_floor", find_floor)
     inspect(recording.path, mode="ignore" if ignored else None)
     ups = [hint.up_world for hint in hints if hint.up_world is not None]

@@ -15,12 +15,11 @@ from kinectbench.core.voxels.observation import Observation, merge
 from kinectbench.settings.models import FusionSettings, ObjectCuts
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m, some_frames
-from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.floor import Floor, explained, other_floor
 from kinectbench.stages.segment.find.given import NOTHING_GIVEN, GivenObject, check_picked
 from kinectbench.stages.segment.find.hints import enlarged_transform, floor_hint
 from kinectbench.stages.segment.find.moving import segment_masked_scene
 from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
-from kinectbench.stages.segment.find.seen_floor import other_floor
 from kinectbench.stages.segment.judge.coverage_report import coverage_report
 from kinectbench.stages.segment.judge.estimate import FloorCut, pose_error_of, taken_by_floor_cut
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers, is_obstructed
@@ -140,7 +139,7 @@ def _find(
     if picked is not None and chosen.how == "automatic":
         check_picked(picked, chosen.beside_m(picked.point_world), chosen.cell_m)
     resolution = choose_resolution(chosen.box, chosen.floor, sequence.camera, trajectory, fusion)
-    with chosen.floor.explained_in_errors():
+    with explained(lambda: chosen.floor.against):
         grid = object_grid(chosen.box, chosen.floor, resolution.voxel_size_m, given=given.box is not None)
     max_depth_m = grid_range_m(trajectory.T_world_camera[trajectory.good_frames], grid, fusion)
     if chosen.how != "masks":  # warn where single frames show another floor than the fused scene

@@ -30,7 +30,6 @@ ASIDE = {
     "planes": "planes of the scene, from which the floor is chosen: floor.json has the one that is",
     "quality": "warnings and the verdict, which say what they found",
     "register": "where a reference lies: reference.json has the pose and what is left",
-    "seen_floor": "warnings, which say what they found",
     "truth": "a reference in place of what was made solid: `truth` in quality.json says so",
 }
 # Constants that shape nothing but words, extents of grids, or solids that are only compared.

@@ -20,23 +20,16 @@ from kinectbench.core.geometry import (
 from kinectbench.core.own_pixels import Masks
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, watch_some
-from kinectbench.core.trajectory.coverage import looked_at
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
 from kinectbench.core.voxels.point_cells import cell_numbers, connected, spacing_m, surface_points
-from kinectbench.stages.segment.find.floor import (
-    GIVEN,
-    Floor,
-    against_gravity,
-    find_floor,
-    level_floor,
-)
+from kinectbench.stages.segment.find.floor import Floor, find_floor, level_floor
 from kinectbench.stages.segment.find.floor_choice import MIN_PLANE_POINTS
 from kinectbench.stages.segment.find.given import check_anchor
 from kinectbench.stages.segment.find.hints import NOTHING_KNOWN, FloorHint, cell_scale, distance_scale
 from kinectbench.stages.segment.find.object import MIN_BOX_POINTS, Segmentation
 from kinectbench.stages.segment.find.pieces import CELL_M, fit_box
-from kinectbench.stages.segment.find.planes import floor_frame
+from kinectbench.stages.segment.find.planes import GIVEN, against_gravity, floor_frame
 
 # Neighbours on each side whose points make a normal (chosen by hand).
 NORMAL_REACH_PX = 2
@@ -280,9 +273,8 @@ def segment_masked_scene(
             frame, or most of it lies below the given plane.
     """
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
-    near = distance_scale(T_world_camera, looked_at(T_world_camera, hint.middle_depth_m))
-    scale = cell_scale(near, spacing_m(mesh), CELL_M) if len(mesh.faces) else near
-    cell_m = CELL_M * scale
+    near = distance_scale(T_world_camera, hint.focus_world(T_world_camera))
+    cell_m = CELL_M * cell_scale(near, spacing_m(mesh), CELL_M)
     surface = surface_points(mesh, cell_m)
     points_world = surface.points
     if len(points_world) < MIN_BOX_POINTS:
@@ -314,6 +306,4 @@ def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scal
         against = against_gravity(hint.plane_world, hint.up_world)
         frame = floor_frame(hint.plane_world)
         return Floor(hint.plane_world, frame, 0.0, 0.0, scale=scale, given=True, against=against)
-    level = level_floor(points_world, T_world_camera, hint.up_world, scale)
-    plane = level.plane_world + np.array([0, 0, 0, BELOW_M * scale])
-    return Floor(plane, floor_frame(plane), 0.0, 0.0, found=False, scale=scale)
+    return level_floor(points_world, T_world_camera, hint.up_world, scale, BELOW_M * scale)

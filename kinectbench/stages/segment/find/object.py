@@ -1,7 +1,5 @@
 """Find the floor of a fused scene, and the object on it."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +11,14 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.point_cells import connected, spacing_m, surface_points
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.floor import Floor, find_floor, floor_cut_m, level_floor, low_cut_m
+from kinectbench.stages.segment.find.floor import (
+    Floor,
+    explained,
+    find_floor,
+    floor_cut_m,
+    level_floor,
+    low_cut_m,
+)
 from kinectbench.stages.segment.find.given import check_anchor
 from kinectbench.stages.segment.find.hints import (
     NOTHING_KNOWN,
@@ -93,7 +98,7 @@ def find_scene(
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     focus_world = hint.focus_world(T_world_camera)
     near = distance_scale(T_world_camera, focus_world)
-    scale = cell_scale(near, spacing_m(mesh), CELL_M) if len(mesh.faces) else near
+    scale = cell_scale(near, spacing_m(mesh), CELL_M)
     surface = surface_points(mesh, CELL_M * scale)
     if len(surface.points) == 0:
         raise SegmentationError(
@@ -294,22 +299,10 @@ def find_floor_and_object(
         SegmentationError: an empty scene, no floor (without a box), a given plane above the cameras, no
             object where they look, or a box that holds nothing or was chosen in another floor frame.
     """
-    with _far_poses_named(trajectory):
+    with explained(lambda: far_warnings(trajectory.T_world_camera)):
         scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
-        with scene.floor.explained_in_errors():
+        with explained(lambda: scene.floor.against):
             return _find_on_floor(scene, mesh, trajectory, given_box, settings)
-
-
-@contextmanager
-def _far_poses_named(trajectory: Trajectory) -> Iterator[None]:
-    """Within the block, let a `SegmentationError` also name poses far away from all others, if any."""
-    try:
-        yield
-    except SegmentationError as error:
-        far = far_warnings(trajectory.T_world_camera)
-        if not far:
-            raise
-        raise SegmentationError(f"{error}; {far[0]}", what=error.what) from error
 
 
 def _find_on_floor(

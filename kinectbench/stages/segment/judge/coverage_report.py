@@ -22,8 +22,9 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.point_cells import spacing_m
 from kinectbench.stages.fuse.depth_range import some_frames
-from kinectbench.stages.segment.find.floor import GIVEN, Floor
+from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
+from kinectbench.stages.segment.find.planes import GIVEN
 from kinectbench.stages.segment.judge.frontiers import MOVE_AWAY, is_obstructed, turn_in_words
 
 # Images are looked at in about this many columns: a person who walks by is many of them wide.
