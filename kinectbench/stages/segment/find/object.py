@@ -233,9 +233,9 @@ class Segmentation:
     cell_m: float = CELL_M
 
     @property
-    def hangs(self) -> bool:
-        """Whether the object hangs or is held, so that no floor is known below it."""
-        return self.how == "masks" and not self.floor.found
+    def support(self) -> Floor | None:
+        """The plane that the object stands on; None if it hangs, or is held."""
+        return None if self.how == "masks" and not self.floor.found else self.floor
 
     def beside_m(self, point_world: Float64) -> float:
         """Return the distance of a point (3,) from the middle of the nearest cell of the object, metres."""

@@ -64,10 +64,6 @@ class FloorLayers:
         return self.first + self.low
 
 
-# Without a known plane, the space below the object is unknown.
-NO_LAYERS = FloorLayers(below=0, contact=0)
-
-
 @dataclass(frozen=True)
 class Rules:
     """The parameters of a solid; lengths in metres.
