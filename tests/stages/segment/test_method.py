@@ -23,14 +23,11 @@ ASIDE = {
     "floor_choice": "the floor, as above; floor.json has the planes among which it was chosen",
     "given": "what a person says: it stands in the settings, and the box in quality.json",
     "hints": "which planes may be the floor, and how near cameras were: floor.json has both",
-    "judge": "whether a reference fits: reference.json has the figures and the reason",
     "moving": "what is chosen, not how it is made solid: `selection` in quality.json says how",
     "object": "what is chosen, as above",
     "pieces": "what is chosen, as above, and warnings, which say what they found",
     "planes": "planes of the scene, from which the floor is chosen: floor.json has the one that is",
     "quality": "warnings and the verdict, which say what they found",
-    "register": "where a reference lies: reference.json has the pose and what is left",
-    "truth": "a reference in place of what was made solid: `truth` in quality.json says so",
 }
 # Constants that shape nothing but words, extents of grids, or solids that are only compared.
 NO_FIGURES = {

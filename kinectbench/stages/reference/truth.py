@@ -28,11 +28,11 @@ from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_obj, read_ply_surfa
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
+from kinectbench.stages.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.pieces import fit_box
 from kinectbench.stages.segment.judge.quality import BOX_DECIMALS_M, BOX_DECIMALS_RAD, OF_REPORT
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.solid.evidence import SHELL_M
 from kinectbench.stages.segment.solid.grids import (
     FLOOR_LAYERS,
