@@ -14,7 +14,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.point_cells import cell_numbers, spacing_m
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.floor import Floor, floor_cut_m
+from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.given import BESIDE_CELLS, SAME_M, anchor_of
 from kinectbench.stages.segment.find.hints import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.object import Scene, find_object, find_scene
@@ -87,7 +87,7 @@ def find_candidates(
     """
     scene = find_scene(mesh, trajectory, settings, floor_may_lack=True, hint=hint)
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
-    points_floor = vertices_floor[vertices_floor[:, 2] > floor_cut_m(scene.floor, settings)]
+    points_floor = vertices_floor[vertices_floor[:, 2] > scene.floor.cut_m(settings)]
     least_m = spacing_m(mesh)
     candidates = [] if len(points_floor) == 0 else _automatic(scene, vertices_floor, settings, least_m)
     for cell_m, through_faces in CUTS:

@@ -11,14 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import SegmentationError
-from kinectbench.core.geometry import (
-    Camera,
-    image_normals,
-    invert_rigid,
-    transform_points,
-)
+from kinectbench.core.geometry import Camera, image_normals, invert_rigid, transform_points
 from kinectbench.core.sequence import Sequence as Recorded
-from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float32, Float64
 from kinectbench.core.voxels.point_cells import thinned
@@ -37,6 +31,7 @@ from kinectbench.stages.segment.find.hints import (
     FloorHint,
     distance_scale,
     enlarged_transform,
+    up_or_held,
 )
 from kinectbench.stages.segment.find.pieces import CELL_M
 from kinectbench.stages.segment.find.planes import (
@@ -125,6 +120,21 @@ class Floor:
         """Warnings about the floor, one line each."""
         return (*self.against, *self.choice.warnings())
 
+    def cut_m(self, settings: FloorCuts) -> float:
+        """Return the height up to which surface is floor, metres: the setting, reduced for near cameras."""
+        return settings.floor_cut_m * self.scale
+
+    def low_cut_m(self, settings: FloorCuts) -> float:
+        """Return the height from which surface can belong to the object if it goes on above the floor cut.
+
+        It is the setting `low_cut_m`, reduced for near cameras, but at least four standard deviations of the
+        floor and at most the floor cut, in metres. If no floor was measured, it is the floor cut.
+        """
+        if not self.found:
+            return self.cut_m(settings)
+        low_m = max(settings.low_cut_m * self.scale, FLOOR_SIGMAS * self.noise_m)
+        return min(low_m, self.cut_m(settings))
+
     @property
     def T_world_floor(self) -> Float64:
         """(4, 4), maps the floor frame to the world."""
@@ -180,12 +190,11 @@ def find_floor(
     surface = SceneSurface(points_world / scale, normals_world, focus_world / scale, INLIER_M * scale)
     if hint.plane_world is not None:
         return _given_floor(hint.plane_world, points_world, T_world_camera, hint.up_world, surface, scale)
-    choice, against = _choose(surface, enlarged_transform(T_world_camera, scale), hint.up_world, seed)
+    choice, held, against = _choose(surface, enlarged_transform(T_world_camera, scale), hint.up_world, seed)
     if choice.chosen is None:
         raise SegmentationError(NO_FLOOR.format(why=choice.likeliest), what="no-floor")
-    held = T_world_camera @ HALF_TURN if against else T_world_camera
     plane, noise_m = refined_near(choice.chosen.plane, surface)
-    tilt_rad = _tilt_rad(plane, held, hint.up_world)
+    tilt_rad = turn_rad(plane, up_or_held(held, hint.up_world))
     plane = plane * [1, 1, 1, scale]
     return Floor(
         plane,
@@ -201,15 +210,19 @@ def find_floor(
 
 def _choose(
     surface: SceneSurface, T_world_camera: Float64, up_world: Float64 | None, seed: int
-) -> tuple[PlaneChoice, tuple[str, ...]]:
-    """Choose a plane, for cameras held upside down only if there is no floor otherwise; and say so."""
+) -> tuple[PlaneChoice, Float64, tuple[str, ...]]:
+    """Choose a plane, of cameras held upside down only if there is no floor otherwise.
+
+    Returns:
+        The choice; the poses, turned upright; and a warning if they had to be turned.
+    """
     choice = choose_plane(surface, T_world_camera, up_world, seed)
     if choice.chosen is None and up_world is None:
         T_world_turned = T_world_camera @ HALF_TURN
         turned = choose_plane(surface, T_world_turned, None, seed)
         if turned.chosen is not None and _is_plain(turned.chosen, T_world_turned):
-            return turned, (UPSIDE_DOWN,)
-    return choice, ()
+            return turned, T_world_turned, (UPSIDE_DOWN,)
+    return choice, T_world_camera, ()
 
 
 def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
@@ -241,7 +254,7 @@ def _given_floor(
     inlier_m = INLIER_M * scale**2
     near = points_world[np.abs(above_m(plane_world, points_world)) < 2 * inlier_m]
     noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
-    tilt_rad = _tilt_rad(plane_world, T_world_camera, up_world)
+    tilt_rad = turn_rad(plane_world, up_or_held(T_world_camera, up_world))
     against, share = against_plane(plane_world, surface, up_world, scale), len(near) / len(points_world)
     frame = floor_frame(plane_world)
     return Floor(plane_world, frame, noise_m, share, tilt_rad, scale=scale, given=True, against=against)
@@ -255,32 +268,10 @@ def level_floor(
     It only defines a floor frame, in which a box can be given. If `up_world` (3,) is None, up is estimated
     from how the cameras (m, 4, 4) were held.
     """
-    up = from_above(T_world_camera)[2] if up_world is None else up_world
+    up = up_or_held(T_world_camera, up_world)
     lowest_m = float(np.quantile(points_world @ up, LOWEST_SHARE))
     plane = np.append(up, below_m - lowest_m)
     return Floor(plane, floor_frame(plane), 0.0, 0.0, 0.0, found=False, scale=scale)
-
-
-def floor_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """Return the height up to which surface is floor, metres: the setting, reduced for near cameras."""
-    return settings.floor_cut_m * floor.scale
-
-
-def low_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """Return the height from which surface can belong to the object if it goes on above the floor cut.
-
-    It is the setting `low_cut_m`, reduced for near cameras, but at least four standard deviations of the
-    floor and at most the floor cut, in metres. If no floor was measured, it is the floor cut.
-    """
-    cut_m = floor_cut_m(floor, settings)
-    if not floor.found:
-        return cut_m
-    return min(max(settings.low_cut_m * floor.scale, FLOOR_SIGMAS * floor.noise_m), cut_m)
-
-
-def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None) -> float:
-    up = from_above(T_world_camera)[2] if up_world is None else up_world
-    return turn_rad(plane, up)
 
 
 def oriented(depth_m: Float32, camera: Camera) -> tuple[Float64, Float64]:

@@ -7,10 +7,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import ransac_plane, refine, transform_points
-from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.point_cells import cell_numbers
-from kinectbench.stages.segment.find.hints import Facing, facings
+from kinectbench.stages.segment.find.hints import Facing, facings, up_or_held
 from kinectbench.stages.segment.find.planes import (
     MAX_NOISE_M,
     SceneSurface,
@@ -177,7 +176,7 @@ def choose_plane(
         up_world: (3,) unit, up by gravity; None if unknown.
         seed: of RANSAC.
     """
-    up = from_above(T_world_camera)[2] if up_world is None else up_world
+    up = up_or_held(T_world_camera, up_world)
     surface = replace(surface, times_noise=_times_noise(surface, T_world_camera))
     candidates: list[PlaneCandidate] = []
     for way, facing in enumerate(facings(T_world_camera, up_world)):

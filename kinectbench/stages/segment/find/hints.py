@@ -150,6 +150,11 @@ def _up_world(T_world_camera: Float64, up_cameras: Float64) -> Float64 | None:
     return up / length if length > MIN_AGREEMENT * len(up_cameras) else None
 
 
+def up_or_held(T_world_camera: Float64, up_world: Float64 | None) -> Float64:
+    """Return up (3,), unit: by gravity if that is known, else as the cameras (n, 4, 4) were held."""
+    return from_above(T_world_camera)[2] if up_world is None else up_world
+
+
 def facings(T_world_camera: Float64, up_world: Float64 | None) -> list[Facing]:
     """Return tests whether a normal may be that of a floor, one per way of holding cameras, likeliest first.
 

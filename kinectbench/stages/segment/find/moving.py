@@ -183,7 +183,9 @@ def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
     local = transform_points(floor.T_floor_world, moving)
     ground = local[local[:, 2] > CLEAR_M, :2]
     (x, y), radius_m = cv2.minEnclosingCircle(ground.astype(np.float32))
-    top = _moved_up(floor, _plate_m(floor, watched, camera, local, np.array([x, y]), radius_m))
+    top_m = _plate_m(floor, watched, camera, local, np.array([x, y]), radius_m)
+    plane_world = floor.plane_world - np.array([0, 0, 0, top_m])
+    top = replace(floor, plane_world=plane_world, T_floor_world=floor_frame(plane_world))
     return Turntable(top, np.array([x, y, 0.0]), WIDER * radius_m + MARGIN_M)
 
 
@@ -211,12 +213,6 @@ def _plate_m(
     top_m = float(edges[np.argmax(counts)]) + CLEAR_M / 4
     on_top = np.abs(heights_m - top_m) < CLEAR_M / 2
     return float(np.median(heights_m[on_top])) if on_top.sum() >= MIN_PLATE_POINTS else 0.0
-
-
-def _moved_up(floor: Floor, by_m: float) -> Floor:
-    """Return the floor moved up by a height, metres."""
-    plane_world = floor.plane_world - np.array([0, 0, 0, by_m])
-    return replace(floor, plane_world=plane_world, T_floor_world=floor_frame(plane_world))
 
 
 def _before(depth_m: Float32, watched: Watched) -> Bools:

@@ -11,14 +11,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
 from kinectbench.core.voxels.point_cells import connected, spacing_m, surface_points
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.floor import (
-    Floor,
-    explained,
-    find_floor,
-    floor_cut_m,
-    level_floor,
-    low_cut_m,
-)
+from kinectbench.stages.segment.find.floor import Floor, explained, find_floor, level_floor
 from kinectbench.stages.segment.find.given import check_anchor
 from kinectbench.stages.segment.find.hints import (
     NOTHING_KNOWN,
@@ -189,7 +182,7 @@ def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell
     scale = scene.scale
     points_floor, vertices_floor = scene.points_floor / scale, vertices_floor / scale
     heights_m, focus_floor = vertices_floor[:, 2], scene.focus_floor / scale
-    cut_m, low_m = (cut(scene.floor, settings) / scale for cut in (floor_cut_m, low_cut_m))
+    cut_m, low_m = scene.floor.cut_m(settings) / scale, scene.floor.low_cut_m(settings) / scale
     chosen = select_object(points_floor, cut_m, focus_floor)
     box = fit_box(points_floor[chosen])
     if not scene.picked:
@@ -315,7 +308,7 @@ def _find_on_floor(
     """Find the object on the known floor of a scene: the piece in view, or the content of a given box."""
     if given_box is not None:
         check_anchor(given_box, scene.floor, trajectory, scene.scale)
-    cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale
+    cut_m, scale = scene.floor.cut_m(settings), scene.scale
     points_floor, above = scene.points_floor, scene.points_floor[:, 2] > cut_m
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
     left = vertices_floor[:, 2] > cut_m

@@ -58,37 +58,17 @@ NOTHING_STANDS = (
 
 
 def label_pieces(points_floor: Float64, cell_m: float, through_faces: bool = False) -> Int32:
-    """Label each point with the connected piece of surface that it belongs to.
+    """Label points (n, 3), n > 0, floor frame, with the connected piece that each belongs to, from 1: (n,).
 
-    A piece in the air, such as a table top whose underside is unseen, is merged into the nearest piece that
-    stands on the floor. It stays separate if that is over 0.3 m away, or if it has fewer than ten points
-    itself.
-
-    Args:
-        points_floor: (n, 3) points above the floor, at least one per cell, floor frame, metres; n > 0.
-        cell_m: cells of this edge that touch are connected.
-        through_faces: whether connected cells must share a face; otherwise a corner suffices.
-
-    Returns:
-        (n,) int32, from 1; some numbers may not occur.
+    They are connected as by `connected`. A piece in the air, such as a table top whose underside is unseen,
+    is merged into the nearest piece that stands on the floor, so that some numbers may not occur. It stays
+    separate if that is over 0.3 m away, or if it has fewer than ten points itself.
     """
-    return _with_floating_merged(connected(points_floor, cell_m, through_faces), points_floor)
-
-
-def standing(label: Int32, points_floor: Float64) -> Bools:
-    """Whether the points of each label reach down to 0.12 m above the floor: (largest label + 1,) bool."""
-    lowest_m = np.full(int(label.max()) + 1, np.inf)
-    np.minimum.at(lowest_m, label, points_floor[:, 2])
-    return np.asarray(lowest_m <= GROUNDED_M)
-
-
-def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
-    """Labels (n,) with floating pieces merged into their nearest standing piece."""
-    stands = standing(label, points_floor)
-    sizes = np.bincount(label)
-    if not stands[label].any():
-        return label
+    label = connected(points_floor, cell_m, through_faces)
+    stands, sizes = standing(label, points_floor), np.bincount(label)
     on_floor = np.flatnonzero(stands[label])
+    if not len(on_floor):
+        return label
     tree = cKDTree(points_floor[on_floor])
     holder = np.arange(len(sizes), dtype=label.dtype)
     for piece in np.flatnonzero(~stands & (sizes >= MIN_HANGING_CELLS)):
@@ -96,6 +76,13 @@ def _with_floating_merged(label: Int32, points_floor: Float64) -> Int32:
         if nearest is not None:
             holder[piece] = label[on_floor[nearest]]
     return holder[label]
+
+
+def standing(label: Int32, points_floor: Float64) -> Bools:
+    """Whether the points of each label reach down to 0.12 m above the floor: (largest label + 1,) bool."""
+    lowest_m = np.full(int(label.max()) + 1, np.inf)
+    np.minimum.at(lowest_m, label, points_floor[:, 2])
+    return np.asarray(lowest_m <= GROUNDED_M)
 
 
 def nearest_within(tree: cKDTree, points: Float64, most_m: float) -> tuple[float, int | None]:

@@ -12,7 +12,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.observation import RAY_WIDTHS_VOXELS, Observation, ray_width_m
 from kinectbench.settings.models import FloorCuts, FusionSettings
-from kinectbench.stages.segment.find.floor import Floor, floor_cut_m, low_cut_m
+from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.hints import enlarged_transform
 from kinectbench.stages.segment.solid.evidence import FloorLayers
 
@@ -74,9 +74,9 @@ def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: flo
     """Return how many layers of the object's grid lie about the floor; all are 0 if there is no floor."""
     if floor is None:
         return FloorLayers(below=0, contact=0)
-    cut = max(1, round(floor_cut_m(floor, segmentation) / voxel_size_m))
+    cut = max(1, round(floor.cut_m(segmentation) / voxel_size_m))
     # Rounded up, as a surface below the low cut may be the floor.
-    low_m = low_cut_m(floor, segmentation)
+    low_m = floor.low_cut_m(segmentation)
     contact = min(max(1, int(np.ceil(low_m / voxel_size_m - 1e-6))), cut)
     return FloorLayers(FLOOR_LAYERS, contact, cut - contact)
 
