@@ -125,12 +125,9 @@ def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least
 
 
 def _pieces(points_floor: Float64, cell_m: float, through_faces: bool) -> list[Float64]:
-    """Return the points (k, 3) of each large piece on the floor.
+    """Return the points (k, 3) of each large piece on the floor, as `label_pieces` finds them.
 
-    Args:
-        points_floor: (n, 3) points above the floor, metres divided by the scale of the scene.
-        cell_m: cells of this edge that touch are connected.
-        through_faces: whether connected cells must share a face; otherwise a corner suffices.
+    The points (n, 3), above the floor, are in metres divided by the scale of the scene.
     """
     if len(points_floor) == 0:
         return []

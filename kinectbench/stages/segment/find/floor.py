@@ -277,9 +277,7 @@ def level_floor(
 def oriented(depth_m: Float32, camera: Camera) -> tuple[Float64, Float64]:
     """Return points and unit normals towards the camera, (n, 3) each, of every fourth row and column.
 
-    Args:
-        depth_m: (height, width) metres, 0 = none.
-        camera: of the image; the points are in its axes.
+    They are in the camera's axes; `depth_m` is (height, width), 0 = none.
     """
     surface = camera.backproject(depth_m)
     normals = image_normals(surface, depth_m, reach_px=2)
@@ -294,11 +292,7 @@ def floor_of_frames(
 ) -> tuple[Floor, list[Float64]]:
     """Find the common floor of some frames, as in a fused scene.
 
-    Args:
-        depths_m: (height, width) each, metres, 0 = none.
-        camera: of the images.
-        T_world_camera: (n, 4, 4) their poses.
-        hint: known facts about the floor.
+    The depth of each is (height, width), metres, 0 = none; the poses are (n, 4, 4).
 
     Returns:
         The floor, and the points (k, 3) of each frame, world frame.

@@ -234,15 +234,10 @@ def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
 def _candidate(
     plane: Float64, inliers: Bools, surface: SceneSurface, cameras_world: Float64, up: Float64, way: int
 ) -> PlaneCandidate:
-    """Measure the evidence for a plane.
+    """Measure the evidence for a plane (4,), its unit normal up; `inliers` (n,) are the points on it.
 
-    Args:
-        plane: (4,), its unit normal up.
-        inliers: (n,) bool, which points of the surface are on it.
-        surface: the scene's surface, n points.
-        cameras_world: (m, 3) positions of the cameras.
-        up: (3,) unit, the direction from which the plane's tilt is measured.
-        way: index in `facings` of the way of holding the cameras for which its normal is up.
+    `cameras_world` (m, 3) are the cameras' positions, `up` (3,) is the unit vector from which its tilt is
+    measured, and `way` is as in `PlaneCandidate`.
     """
     local = transform_points(floor_frame(plane), surface.points_world)
     below = local[:, 2] < -BELOW_INLIERS * surface.inlier_m * surface.times_noise

@@ -9,17 +9,16 @@ cuts and gaps shrink with `distance_scale`.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
 from kinectbench.core.geometry import OrientedBox
-from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.sequence import Sequence as Recorded
 from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.coverage import from_above, looked_at, median_middle_depth_m
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
+from kinectbench.stages.ingest.recording import Recording
 
 # Gravity is not interpolated between given poses that are farther apart; directions change little within it.
 MAX_GAP_S = 1.0
@@ -79,22 +78,6 @@ class FloorHint:
 NOTHING_KNOWN = FloorHint()
 
 
-class KnowsUp(Protocol):
-    """A recording or sequence that may state the up direction."""
-
-    @property
-    def given_trajectory(self) -> GivenTrajectory | None:
-        """The trajectory that came with the recording; None if there is none."""
-
-    @property
-    def up_world(self) -> Float64 | tuple[float, float, float] | None:
-        """(3,) unit: up by gravity, in the frame of the given trajectory; None: unknown."""
-
-    @property
-    def up_cameras(self) -> tuple[UpSample, ...]:
-        """Up by an accelerometer, in the camera axes of some frames."""
-
-
 def floor_hint(
     sequence: Recorded,
     trajectory: Trajectory,
@@ -109,7 +92,10 @@ def floor_hint(
 
 
 def hint_of(
-    known: KnowsUp, stamps_ns: Int64, T_world_camera: Float64, plane: Sequence[float] | None = None
+    known: Recorded | Recording,
+    stamps_ns: Int64,
+    T_world_camera: Float64,
+    plane: Sequence[float] | None = None,
 ) -> FloorHint:
     """Make a hint from a recording's gravity and the user's plane, in the world of the poses.
 

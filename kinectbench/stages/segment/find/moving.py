@@ -112,17 +112,11 @@ def turntable_masks(sequence: Sequence) -> Masks:
 
 
 def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
-    """Return the plane that the object turns on, in the object's own frame, which is the trajectory's world.
+    """Return the plane (4,) that the object turns on, its normal up, in the object's own frame.
 
-    The plane does not move relative to the camera. Each pose transforms it to the object's frame, where the
-    results agree up to noise: their mean normal and median distance are used.
-
-    Args:
-        sequence: the recording of a still camera.
-        trajectory: poses of the camera relative to the object.
-
-    Returns:
-        (4,) a, b, c, d of a x + b y + c z + d = 0, metres, (a, b, c) unit and up; None: no plane is in view.
+    That frame is the trajectory's world. The plane does not move relative to the camera. Each pose of the
+    camera, which stands still, transforms it to the object's frame, where the results agree up to noise:
+    their mean normal and median distance are used. The result is None if no plane is in view.
 
     Raises:
         SegmentationError: as `turntable_masks`.

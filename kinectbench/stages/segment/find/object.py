@@ -134,14 +134,10 @@ def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
 
 
 def low_parts(low_floor: Float64, object_floor: Float64, box: OrientedBox, cell_m: float) -> Bools:
-    """Which low points are connected to the object: (n,) bool.
+    """Which low points (n, 3) are connected to the object's points (m, 3): (n,) bool.
 
-    Args:
-        low_floor: (n, 3) points of the surface between the low cut and the floor cut, and of low pieces,
-            floor frame, metres.
-        object_floor: (m, 3) points of the object above the floor cut, m > 0.
-        box: around the object's points; low points more than 0.3 m outside it are left out.
-        cell_m: cells of this edge that touch are connected.
+    Cells of edge `cell_m` that touch are connected. All points are in the floor frame, metres, m > 0. Low
+    points more than 0.3 m outside `box`, which is around the object's points, are left out.
     """
     held = box.grown(MAX_BEYOND_M).contains(low_floor)
     if not held.any():
@@ -170,11 +166,8 @@ class ObjectOnFloor:
 def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell_m: float) -> ObjectOnFloor:
     """Choose the piece that the cameras look at, with the parts near the floor that are connected to it.
 
-    Args:
-        scene: the fused surface in the floor frame.
-        vertices_floor: (v, 3) vertices of its mesh, floor frame, metres.
-        settings: floor cut and low cut.
-        cell_m: cells of this edge that touch are connected.
+    The vertices (v, 3) of the scene's mesh are in the floor frame, metres; cells of edge `cell_m` that touch
+    are connected.
 
     Raises:
         SegmentationError: nothing stands on the floor, or nothing where the cameras look.
@@ -281,12 +274,7 @@ def find_floor_and_object(
 ) -> Segmentation:
     """Find the floor, and the object on it: the piece that the cameras look at, or what a given box holds.
 
-    Args:
-        mesh: the fused scene, world frame.
-        trajectory: poses of the frames.
-        given_box: the box that the user gave, floor frame; None if there is none.
-        settings: seed, floor cut and low cut.
-        hint: known facts about the floor.
+    The box is in the floor frame, the mesh of the fused scene in that of the world.
 
     Raises:
         SegmentationError: an empty scene, no floor (without a box), a given plane above the cameras, no

@@ -102,14 +102,10 @@ def nearest_within(tree: cKDTree, points: Float64, most_m: float) -> tuple[float
 
 
 def select_object(points_floor: Float64, floor_cut_m: float, target_floor: Float64) -> Bools:
-    """Choose the piece above the floor that lies nearest to a target point: (n,) bool.
+    """Choose the piece above the floor cut, metres, that lies nearest to where the cameras look: (n,) bool.
 
+    The points (n, 3), spread evenly over the surface, and the target (3,) are in the floor frame, metres.
     Specks are ignored. A small piece is chosen only if it lies right where the cameras look.
-
-    Args:
-        points_floor: (n, 3) evenly spread surface points, floor frame, metres.
-        floor_cut_m: lower points belong to the floor.
-        target_floor: (3,) the point that the cameras look at, floor frame, metres.
 
     Raises:
         SegmentationError: nothing stands on the floor.
@@ -154,11 +150,8 @@ def select_in_box(points_floor: Float64, in_box: Bools) -> Bools:
 
     The object consists of all pieces that end inside the box. A piece that continues beyond the box, such as
     the corner of a table top over a chair, is something else. If all pieces that end inside are much smaller
-    than the largest piece, the box cuts the object, and the largest piece belongs to it, too.
-
-    Args:
-        points_floor: (n, 3) evenly spread points above the floor, floor frame, metres.
-        in_box: (n,) bool, which of them the box holds; at least one.
+    than the largest piece, the box cuts the object, and the largest piece belongs to it, too. The points (n,
+    3) are spread evenly above the floor, floor frame, metres; `in_box` (n,) holds at least one.
     """
     which, pairs = touching_cells(points_floor, CELL_M)
     inside, outside = np.zeros((2, int(which.max()) + 1), dtype=bool)

@@ -143,8 +143,8 @@ def estimate_iou(
     In the known part, only the surface error lowers the IoU. This error is the sum of a constant, a term for
     thin parts, the deviation between the halves of odd and even frames, and the poses' errors, which both
     halves share. Of parts too thin to be resolved, half of the measured thickness is expected, and for the
-    interval's lower end nothing. In the unknown part, the voxels' probabilities give the expected
-    volumes. For the interval, each unknown region is inside or outside as a whole.
+    interval's lower end nothing. In the unknown part, the voxels' probabilities give the expected volumes.
+    For the interval, each unknown region is inside or outside as a whole.
 
     Args:
         shape: the solid.
@@ -337,15 +337,8 @@ def taken_by_floor_cut(
     """Measure the surface in the layers that count as floor that is connected to the solid, beside it.
 
     The lower half of these layers is not looked at: mats and the floor's noise are there. Of a single layer
-    nothing is looked at.
-
-    Args:
-        evidence: classes of the voxels.
-        solid: bool, the solid on the same upright grid.
-        others: bool, voxels near other things, or outside a given box.
-        layers: of the floor on that grid.
-        voxel_m: edge of a voxel, metres.
-        floor: the floor.
+    nothing is looked at. `solid` and `others`, voxels near other things or outside a given box, are bool in
+    the shape of the evidence.
     """
     if layers.contact < 2:
         return FloorCut(0.0, True, layers.contact * voxel_m, None, floor.noise_m)

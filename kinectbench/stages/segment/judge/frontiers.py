@@ -159,13 +159,8 @@ def find_frontiers(
     share of the solid's volume. Pieces thinner than a line of sight are skipped, with two exceptions:
     undersides always count, and if no frontier was found at all, large pieces of any thickness count. View
     directions that show at least 80 % as much of the piece as the best one are candidates for `look_from`;
-    the candidate closest to the elevation of a hand-held camera is chosen.
-
-    Args:
-        shape: the solid.
-        evidence: the class of each voxel.
-        limits: of the sensor; they give the width of a line of sight.
-        T_floor_grid: (4, 4), maps the solid's grid to the floor frame.
+    the candidate closest to the elevation of a hand-held camera is chosen. `T_floor_grid` (4, 4) maps the
+    solid's grid to the floor frame.
     """
     unknown = (shape.labels == Label.UNKNOWN) & (shape.probability > LEAST_PROBABILITY) & evidence.unknown
     aside, below = unknown & ~evidence.underside, unknown & evidence.underside

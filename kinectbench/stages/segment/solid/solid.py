@@ -103,7 +103,8 @@ def solidify(
         ShapeError: no voxel is occupied.
     """
     evidence = classify_voxels(observation, neighbours, rules, beyond_box, roughly=True)
-    return _body(observation, evidence, _guess(observation, evidence, rules), rules)
+    guess = inside_probability(evidence, rules, observation.grid.voxel_size_m)
+    return _body(observation, evidence, guess, rules)
 
 
 def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> SolidShape:
@@ -113,27 +114,18 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     could see. An unknown voxel is occupied if its probability (`guess`) exceeds 0.5. Near the floor nothing
     is measured: the layer above `contact` is extruded down to the floor. Legs whose upper end was hidden are
     extended up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks
-    are dropped, and voids are filled.
-
-    Args:
-        observation: TSDF and votes on an upright grid.
-        evidence: the class of each voxel.
-        rules: by which the solid is made.
+    are dropped, and voids are filled. The observation is on an upright grid.
 
     Raises:
         ShapeError: no voxel is occupied.
     """
     voxel_m, below = observation.grid.voxel_size_m, rules.layers.below
-    guess = _guess(observation, evidence, rules)
+    guess = inside_probability(evidence, rules, voxel_m)
     body = _body(observation, evidence, guess, rules)
     labels = _voxel_labels(evidence, body.solid, voxel_m, below)
     probability = _probability(voxel_m, evidence, guess, body.solid)
     probability[:, :, :below] = 0
     return SolidShape(body.grid, body.solid, body.mesh, labels, probability, evidence.underside)
-
-
-def _guess(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> Float32:
-    return inside_probability(evidence, rules, observation.grid.voxel_size_m)
 
 
 def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rules: Rules) -> SolidBody:
@@ -159,16 +151,10 @@ def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rul
 
 
 def _voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: int) -> NDArray[np.uint8]:
-    """Return a label (`Label`) for each voxel by its evidence: (i, j, k) uint8.
+    """Return a label (`Label`) for each voxel by its evidence, uint8; `below` layers lie below the floor.
 
     If smoothing removed a voxel behind a measured surface from the solid, it is UNKNOWN, because no frame saw
     it empty.
-
-    Args:
-        evidence: the class of each voxel.
-        solid: (i, j, k) bool, the voxels of the object.
-        voxel_m: edge of a voxel, metres.
-        below: number of layers below the floor.
     """
     near = np.abs(evidence.signed_m) <= MEASURED_VOXELS * voxel_m
     measured = evidence.observed & near & ~evidence.free
