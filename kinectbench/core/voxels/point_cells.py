@@ -55,13 +55,11 @@ class SurfacePoints:
     Attributes:
         points: (n, 3) float64, metres: mean of the mesh vertices in the cell.
         normals: (n, 3) float64, unit vectors: mean normal of these vertices.
-        cells: (n, 3) int64, index of each point's cell along x, y and z.
         owner: (v,) int64, for each vertex of the mesh the index of its cell's point.
     """
 
     points: Float64
     normals: Float64
-    cells: Int64
     owner: Int64
 
 
@@ -84,16 +82,14 @@ def thinned(points_world: Float64, normals_world: Float64, cell_m: float) -> Sur
     The normals (n, 3) of a cell are averaged, too; each counts by its length.
     """
     of_points = np.floor(points_world / cell_m).astype(np.int64)
-    _, first, owner, counts = np.unique(
-        cell_numbers(of_points), return_index=True, return_inverse=True, return_counts=True
-    )
-    cells, owner = of_points[first], owner.reshape(-1)
-    points, mean_normals = np.zeros((len(cells), 3)), np.zeros((len(cells), 3))
+    _, owner, counts = np.unique(cell_numbers(of_points), return_inverse=True, return_counts=True)
+    owner = owner.reshape(-1)
+    points, mean_normals = np.zeros((2, len(counts), 3))
     for axis in range(3):
-        points[:, axis] = np.bincount(owner, weights=points_world[:, axis], minlength=len(cells)) / counts
-        mean_normals[:, axis] = np.bincount(owner, weights=normals_world[:, axis], minlength=len(cells))
+        points[:, axis] = np.bincount(owner, weights=points_world[:, axis], minlength=len(counts)) / counts
+        mean_normals[:, axis] = np.bincount(owner, weights=normals_world[:, axis], minlength=len(counts))
     mean_normals /= np.maximum(np.linalg.norm(mean_normals, axis=1, keepdims=True), 1e-12)
-    return SurfacePoints(points, mean_normals, cells, owner)
+    return SurfacePoints(points, mean_normals, owner)
 
 
 def sample_surface(
