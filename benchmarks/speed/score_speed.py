@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.artefacts.counted import Tally
 from kinectbench.core.types import Bools
-from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import pack
 from kinectbench.core.voxels.resample import CORNER_ALIGNED, upsampled_planes
+from kinectbench.core.voxels.solid import packed_shell
 from kinectbench.scoring.counts import THRESHOLDS, cross_entropy, ious, protocol_counts, tally
 from kinectbench.scoring.prediction_file import load_prediction
 from kinectbench.scoring.surface_kernels import cells_of, nearest_cells

@@ -19,7 +19,7 @@ from kinectbench.lab.simulate.truth import mesh_occupancy, read_truth, truth_fol
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m
-from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.hints import floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.solid.evidence import FloorLayers
 from kinectbench.stages.segment.solid.grids import (

@@ -19,7 +19,7 @@ from figures import Figure, arguments, at_least, at_most, run, stated
 
 from kinectbench.core.geometry.boxes import yaw_rotation
 from kinectbench.core.types import Float64
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.lab.simulate.objects import families, make_object
 from kinectbench.lab.simulate.objects.shapes import Subject
 from kinectbench.release.triage.same_object import LEAST_AGREEMENT, SIZES_APART, Shape, shape_agreement

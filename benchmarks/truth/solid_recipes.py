@@ -7,8 +7,8 @@ import numpy as np
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.types import Bools
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.core.voxels.ray_hits import INSIDE, OUTSIDE, UNSEEN, cast_26_rays
 from kinectbench.lab.simulate.truth import mesh_occupancy
+from kinectbench.stages.segment.solid.guess import INSIDE, OUTSIDE, UNSEEN, cast_26_rays
 
 POISSON_DEPTH = 8
 # Frames that saw through, so many times as many as measured a surface there, carve a voxel.

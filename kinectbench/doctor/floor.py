@@ -18,9 +18,8 @@ from kinectbench.doctor.pose_delay import longest_gap_s, on_clock
 from kinectbench.doctor.probe import Probe, SmallFrame
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.recording import Recording
-from kinectbench.stages.segment.find.floor import Floor, find_floor
-from kinectbench.stages.segment.find.gravity import hint_of
-from kinectbench.stages.segment.find.seen_floor import MIN_POINTS, floor_of_frames, oriented
+from kinectbench.stages.segment.find.floor import MIN_POINTS, Floor, find_floor, floor_of_frames, oriented
+from kinectbench.stages.segment.find.hints import hint_of
 
 # Number of frames that are searched one by one, or together by their poses; limited to save time.
 FRAMES, POSED_FRAMES = 6, 40

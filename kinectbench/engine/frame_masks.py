@@ -11,7 +11,7 @@ from kinectbench.core.upright import upright_masks
 from kinectbench.settings.models import SegmentBy, Vector4
 from kinectbench.stages.sample_views.masks import mask_name
 from kinectbench.stages.sample_views.views import read_masks
-from kinectbench.stages.segment.find.turntable import plane_below, turntable_masks
+from kinectbench.stages.segment.find.moving import plane_below, turntable_masks
 
 
 def frame_masks(sequence: Sequence, by: SegmentBy | None, folder: Path | None) -> Masks | None:

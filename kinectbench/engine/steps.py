@@ -40,14 +40,13 @@ from kinectbench.stages.ingest.partial_sequence import partial_sequence
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.pairs import full_shape, write_pairs
+from kinectbench.stages.reference.truth import reference_as_truth
 from kinectbench.stages.sample_views.views import read_masks, read_views, sample_views, write_views
-from kinectbench.stages.segment.find.box_anchor import reanchored
 from kinectbench.stages.segment.find.candidates import find_candidates, write_candidates
-from kinectbench.stages.segment.find.gravity import floor_hint
-from kinectbench.stages.segment.find.picked import PickedPoint, picked_point
+from kinectbench.stages.segment.find.given import GivenObject, PickedPoint, picked_point, reanchored
+from kinectbench.stages.segment.find.hints import floor_hint
 from kinectbench.stages.segment.object_model import read_object, write_object
-from kinectbench.stages.segment.reference.truth import reference_as_truth
-from kinectbench.stages.segment.segment import GivenObject, segment
+from kinectbench.stages.segment.segment import segment
 from kinectbench.stages.track import track
 from kinectbench.stages.track.own_pixels import track_own_pixels
 from kinectbench.stages.track.pictures import COMPARISON, write_pictures

@@ -12,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from kinectbench.core.types import Bools, Float64, Int32, Int64
-from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Packed
+from kinectbench.core.voxels.solid import packed_shell
 
 _SIDE = 32  # blocks along an axis; a packed byte is one column of a block
 # Number of cells matched at a time, at some 50 bytes each. A shape has fewer cells; noise takes 32 such

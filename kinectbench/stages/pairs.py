@@ -14,13 +14,13 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.types import Progress
 from kinectbench.core.voxels.known_cells import KnownGrid, known_grid, known_in
-from kinectbench.core.voxels.morphology import containment_of_cells, packed_shell
 from kinectbench.core.voxels.pair_file import BLOCK, Pair, pack, packed_count, pair_bytes, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
 from kinectbench.core.voxels.seen_cells import seen_cells
-from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.core.voxels.solid import packed_shell, voxelize_solid
 from kinectbench.core.voxels.view_grids import (
     MAX_CUT_SHARE,
+    containment_of_cells,
     depth_cells,
     object_cube,
     partial_grids,

@@ -29,7 +29,7 @@ from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.readers.tum import TumRecording
 from kinectbench.stages.ingest.recording import Recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.stages.segment.find.gravity import FloorHint, floor_hint
+from kinectbench.stages.segment.find.hints import FloorHint, floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.track import track
 
@@ -186,7 +186,7 @@ def test_an_accelerometer_counts(
         raise SegmentationError("looked at")
 
     monkeypatch.setattr("kinectbench.doctor.examine.open_recording", lambda *_, **__: recording)
-    for module in ("doctor.floor", "stages.segment.find.seen_floor"):
+    for module in ("doctor.floor", "stages.segment.find.floor"):
         monkeypatch.setattr(f"kinectbench.{module}.find_floor", find_floor)
     inspect(recording.path, mode="ignore" if ignored else None)
     ups = [hint.up_world for hint in hints if hint.up_world is not None]

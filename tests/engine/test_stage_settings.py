@@ -16,7 +16,7 @@ from kinectbench.engine.stages import STAGES, SUGGEST, Job, Stage
 from kinectbench.engine.steps import STEPS
 from kinectbench.settings.base import Settings
 from kinectbench.settings.models import BenchmarkSettings, ObjectCuts
-from kinectbench.stages.segment.segment import GivenObject
+from kinectbench.stages.segment.find.given import GivenObject
 
 EVERY = (*STAGES, SUGGEST)
 # Values of which each optional setting takes one.

@@ -19,9 +19,9 @@ from kinectbench.core.geometry.rigid import rotation_angle_rad
 from kinectbench.core.types import Float64
 from kinectbench.lab.evaluate.reference import solids_iou
 from kinectbench.lab.simulate.objects import make_object
+from kinectbench.stages.reference.judge import register_reference
+from kinectbench.stages.reference.register import mirror_image, sampled
 from kinectbench.stages.segment.object_model import read_object
-from kinectbench.stages.segment.reference.judge import register_reference
-from kinectbench.stages.segment.reference.register import mirror_image, sampled
 
 Command = Callable[..., Run]
 # As `fetch recipes/ycb` writes a recording.

@@ -17,7 +17,7 @@ from kinectbench.release.check.reservations import reservations
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.gate import WITHHELD, gate
 from kinectbench.release.publish.publish import publish
-from kinectbench.stages.segment.find.choice_warnings import LOOK
+from kinectbench.stages.segment.find.pieces import LOOK
 
 NAME = RECORDINGS[0][0]
 NAMES = [recording[0] for recording in RECORDINGS]

@@ -18,10 +18,9 @@ from kinectbench.core.artefacts.object import FloorFile
 from kinectbench.core.artefacts.object_grids import Label, ObjectVolume
 from kinectbench.core.geometry import Grid
 from kinectbench.core.geometry.mesh import parse_ply, read_own_ply, write_ply
-from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.open_mesh import voxelize_open
 from kinectbench.core.voxels.pair_file import Pair, pack, pair_bytes, read_pair, unpack
-from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
+from kinectbench.core.voxels.solid import costs_too_much, packed_shell, voxelize_solid
 from kinectbench.release.check.truth_check import ObjectTruth, truth_problems
 from kinectbench.release.check.verify import verify
 from kinectbench.release.publish.object_glb import glb_bytes

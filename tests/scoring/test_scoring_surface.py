@@ -11,8 +11,8 @@ from score_surfaces import surface_of, surface_reference
 from synthetic_release import ball
 
 from kinectbench.core.artefacts.score_figures import SurfaceMetrics
-from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import pack, unpack
+from kinectbench.core.voxels.solid import packed_shell
 from kinectbench.scoring.counts import occupied
 from kinectbench.scoring.surface import SAME, size_cells, surface_metrics
 from kinectbench.scoring.surface_kernels import cells_of, moments, nearest_cells, normal_agreement

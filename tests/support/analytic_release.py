@@ -22,10 +22,9 @@ from kinectbench.core.geometry import (
     transform_points,
 )
 from kinectbench.core.geometry.mesh import read_own_ply
-from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
-from kinectbench.core.voxels.solid import voxelize_solid
+from kinectbench.core.voxels.solid import packed_shell, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube, partial_grids, view_cube
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.release.publish.publish import PublishSummary, publish

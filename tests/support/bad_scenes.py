@@ -14,11 +14,12 @@ from kinectbench.settings.models import FusionSettings, PairSettings, Segmentati
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.sample_views.views import Views, sample_views
 from kinectbench.stages.segment.find.candidates import Candidates, find_candidates
-from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.given import GivenObject
+from kinectbench.stages.segment.find.hints import floor_hint
 from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
 from kinectbench.stages.segment.judge.coverage_report import CoverageReport, coverage_report
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.segment import GivenObject, segment
+from kinectbench.stages.segment.segment import segment
 from kinectbench.stages.segment.solid.grids import object_grid
 from kinectbench.stages.track import Trajectory
 

@@ -7,8 +7,9 @@ from analytic_scenes import Furniture, furniture, small_spec
 
 from kinectbench.settings.models import FusionSettings, SegmentationSettings, TrackingSettings
 from kinectbench.stages.fuse import fuse
+from kinectbench.stages.segment.find.given import GivenObject
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.segment import GivenObject, segment
+from kinectbench.stages.segment.segment import segment
 from kinectbench.stages.track import Trajectory, track
 
 FUSION = FusionSettings(voxel_size_m=0.008, scene_voxel_size_m=0.016, max_depth_m=2.4)

@@ -31,7 +31,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory, write_trajectory
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import Pair, pair_bytes
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.engine.artefact import Artefact
 from kinectbench.engine.stages import STAGES, Job
 from kinectbench.lab.evaluate.build import Build

@@ -219,3 +219,30 @@ def _is_seen(state, start, shifts, count, enough, entering, layers):  # type: ig
         if here == PLACE and steps >= enough - 2:
             return True
         steps += 1
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def sees(state, i, j, k, way, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    """Return whether some camera sees the voxel (i, j, k); `way` (3,) is the direction from it to the camera.
+
+    The camera is in a PLACE at least `near_m` away, or outside the grid and at least `least_m` high. `state`,
+    `heights_m` and the lengths are as in `Space`.
+    """
+    nx, ny, nz = state.shape
+    along = max(abs(way[0]), abs(way[1]), abs(way[2]))
+    dx, dy, dz = way[0] / along, way[1] / along, way[2] / along
+    step = np.float32(voxel_m / along)
+    distance_m = np.float32(0)
+    last_k = k
+    count = 0
+    while True:
+        a, b, c = (i + int(np.rint(dx * count)), j + int(np.rint(dy * count)), k + int(np.rint(dz * count)))
+        if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
+            return distance_m - step + beyond_grid_m(heights_m[last_k], way[2], least_m) >= near_m
+        if state[a, b, c] == BLOCKED:
+            return False
+        if state[a, b, c] == PLACE and distance_m >= near_m:
+            return True
+        last_k = c
+        distance_m += step
+        count += 1

@@ -1,119 +1,16 @@
-"""Surfaces, dilated blocks and containment of packed grids; binary opening of large masks."""
+"""Large masks of voxels: openings, dilations, what is reached from outside, sizes of pieces, distances."""
 
+import math
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core.types import Bools, Int32, Int64
-from kinectbench.core.voxels.pair_file import BLOCK, Packed, unpack
+from kinectbench.core.types import Bools, Float32, Int64
 
 Value = TypeVar("Value", bound=np.generic)
-
-
-def blocks_touched(full: Packed) -> Bools:
-    """Return the blocks of 4^3 cells that hold a set cell, or touch such a block (26 neighbours).
-
-    Args:
-        full: (n, n, n / 8) uint8, packed.
-
-    Returns:
-        (n / 4, n / 4, n / 4) bool.
-    """
-    result: NDArray[Any] = full
-    for axis in range(3):
-        if axis == 2:  # along x and y eight cells are looked at at once
-            result = unpack(result)
-        layers = np.moveaxis(result, axis, 0)
-        touched = layers[0::BLOCK] | layers[1::BLOCK] | layers[2::BLOCK] | layers[3::BLOCK]
-        touched[1:] |= layers[BLOCK - 1 : -1 : BLOCK]
-        touched[:-1] |= layers[BLOCK::BLOCK]
-        result = np.moveaxis(touched, 0, axis)
-    return result
-
-
-def cell_numbers(cells: Int64 | Int32) -> Int64:
-    """Return one integer per cell; its order is that of the cells by first, then second ... coordinate.
-
-    Integers are sorted 17 times as fast as rows, and sorting a million rows keeps signals waiting for 2 s.
-
-    Args:
-        cells: (n, k) integer coordinates; their bounding box holds fewer than 2^63 cells.
-
-    Returns:
-        (n,) int64; equal cells have equal numbers.
-    """
-    if not len(cells):
-        return np.zeros(0, np.int64)
-    shifted = cells.astype(np.int64) - cells.min(axis=0).astype(np.int64)
-    numbers = shifted[:, 0]
-    for axis in range(1, shifted.shape[1]):
-        numbers = numbers * (shifted[:, axis].max() + 1) + shifted[:, axis]
-    return np.asarray(numbers)
-
-
-def containment_of_cells(cells: Int64, full: Packed) -> float:
-    """Return the share of a partial view's cells that touch the full shape, as in `blocks_touched`.
-
-    Args:
-        cells: (n, 3) int64, indices of blocks of 4^3 cells of `full`; repeated indices count once.
-        full: (m, m, m / 8) uint8, packed, over the same box.
-
-    Returns:
-        In [0, 1]; 1 if there are no cells. Cells outside the grid do not touch.
-    """
-    if len(cells) == 0:
-        return 1.0
-    distinct = cells[np.unique(cell_numbers(cells), return_index=True)[1]]
-    inside = distinct[np.all((distinct >= 0) & (distinct < full.shape[0] // BLOCK), axis=1)]
-    return int(blocks_touched(full)[tuple(inside.T)].sum()) / len(distinct)
-
-
-def containment(partial: Packed, full: Packed) -> float:
-    """Return `containment_of_cells` of a packed partial; its sides have a quarter of the cells of `full`."""
-    cells = unpack(partial)
-    count = np.count_nonzero(cells)
-    return np.count_nonzero(cells & blocks_touched(full)) / count if count else 1.0
-
-
-def packed_shell(full: Packed) -> Packed:
-    """Return the occupied cells with an empty 6-neighbour; outside the grid is empty.
-
-    Args:
-        full: (nx, ny, nz / 8) uint8, a solid packed along z, most significant bit first.
-
-    Returns:
-        The same shape, packed the same way.
-    """
-    return np.asarray(_shell(np.ascontiguousarray(full)))
-
-
-@numba.njit(cache=True, nogil=True)
-def _shell(full):  # type: ignore[no-untyped-def]
-    nx, ny, nb = full.shape
-    shell = np.zeros_like(full)
-    none = np.zeros(nb, np.uint8)
-    for i in range(nx):
-        for j in range(ny):
-            here = full[i, j]
-            left = full[i - 1, j] if i > 0 else none
-            right = full[i + 1, j] if i < nx - 1 else none
-            above = full[i, j - 1] if j > 0 else none
-            below = full[i, j + 1] if j < ny - 1 else none
-            for b in range(nb):
-                bits = np.int64(here[b])
-                if bits == 0:
-                    continue
-                before, after = bits >> 1, bits << 1
-                if b > 0:
-                    before |= (np.int64(here[b - 1]) & 1) << 7
-                if b < nb - 1:
-                    after |= np.int64(here[b + 1]) >> 7
-                inner = left[b] & right[b] & above[b] & below[b] & before & after
-                shell[i, j, b] = bits & ~inner
-    return shell
 
 
 def opened(mask: Bools, size: Sequence[int]) -> Bools:
@@ -272,3 +169,87 @@ def _runs(mask: Bools, axis: int, length: int) -> Bools:
         runs = runs[:-step] & runs[step:]
         done += step
     return np.moveaxis(runs, 0, axis)
+
+
+def distance_within_m(of: Bools, voxel_size_m: float, within_m: float) -> Float32:
+    """Return the distance of each voxel to the nearest set voxel: exact, and infinite beyond a limit.
+
+    Squared distances are separable: along each axis in turn, each voxel takes the minimum, over its
+    neighbours, of their value plus the squared distance to them (Felzenszwalb, Huttenlocher: Distance
+    Transforms of Sampled Functions, 2012). Only the few neighbours within the limit are tried, one by one.
+    For 11 M voxels and a limit of 15 voxels, this takes a tenth of the time of scipy's
+    `distance_transform_edt`, which has no limit.
+
+    Args:
+        of: (nx, ny, nz) bool, the set voxels.
+        voxel_size_m: edge of a voxel, metres.
+        within_m: the limit, metres, rounded down to whole voxels; larger distances are infinite.
+
+    Returns:
+        (nx, ny, nz) float32, metres.
+    """
+    # No two voxels are farther apart than the grid's diagonal.
+    reach = min(math.floor(within_m / voxel_size_m + 1e-6), math.ceil(math.hypot(*of.shape)))
+    kind = np.uint16 if 2 * reach * reach < np.iinfo(np.uint16).max else np.int32
+    squared = np.empty(of.shape, kind)
+    _along_last(np.ascontiguousarray(of), reach, squared)
+    squared = _across(_across(squared, reach, 1), reach, 0)
+    roots = voxel_size_m * np.sqrt(np.arange(reach * reach + 2, dtype=np.float64))
+    roots[-1] = np.inf
+    return np.asarray(_looked_up(squared, roots.astype(np.float32)))
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True)
+def _along_last(cells, reach, squared):  # type: ignore[no-untyped-def]
+    """Write each cell's squared distance, voxels, to the nearest set cell along the last axis into `squared`.
+
+    `cells` and `squared` are (nx, ny, nz). A distance larger than `reach` is written as reach^2 + 1.
+    """
+    nx, ny, nz = cells.shape
+    beyond = reach * reach + 1
+    for i in range(nx):
+        for j in range(ny):
+            since = reach + 1
+            for k in range(nz):
+                since = 0 if cells[i, j, k] else since + 1
+                squared[i, j, k] = since * since if since <= reach else beyond
+            since = reach + 1
+            for k in range(nz - 1, -1, -1):
+                since = 0 if cells[i, j, k] else since + 1
+                if since <= reach:
+                    squared[i, j, k] = min(squared[i, j, k], squared.dtype.type(since * since))
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True)
+def _across(squared, reach, axis):  # type: ignore[no-untyped-def]
+    """Return squared distances, in voxels, after one more pass along axis 0 or 1.
+
+    Each voxel gets the minimum of value plus squared offset over the voxels within `reach` along the axis.
+    """
+    nx, ny, nz = squared.shape
+    least = np.empty_like(squared)
+    kind, count = squared.dtype.type, squared.shape[axis]
+    for n in range(nx * ny):
+        # Along the axis, so that rows that are looked at several times lie in the cache.
+        i, j = (n % nx, n // nx) if axis == 0 else (n // ny, n % ny)
+        own, at = least[i, j], i if axis == 0 else j
+        own[:] = squared[i, j]
+        for step in range(1, reach + 1):
+            way = step * step
+            for neighbour in (at - step, at + step):
+                if 0 <= neighbour < count:
+                    other = squared[neighbour, j] if axis == 0 else squared[i, neighbour]
+                    for k in range(nz):
+                        own[k] = min(own[k], kind(other[k] + way))
+    return least
+
+
+@numba.njit(cache=True, error_model="numpy", nogil=True)
+def _looked_up(squared, roots_m):  # type: ignore[no-untyped-def]
+    """Return the entries of `roots_m`, metres, at squared distances in voxels; beyond it, its last entry."""
+    distance_m = np.empty(squared.shape, np.float32)
+    flat, into = squared.reshape(-1), distance_m.reshape(-1)
+    last = len(roots_m) - 1
+    for n in range(len(flat)):
+        into[n] = roots_m[min(flat[n], last)]
+    return distance_m

@@ -17,9 +17,8 @@ from kinectbench.core import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh, invert_rigid, rigid, transform_points
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.core.voxels.fine_sight import seen_around_corners
-from kinectbench.core.voxels.line_kernels import BLOCKED
-from kinectbench.core.voxels.lines_of_sight import directions, seen_along
+from kinectbench.core.voxels.line_kernels import BLOCKED, FROM_ABOVE, FROM_BELOW, LEVEL, sees
+from kinectbench.core.voxels.lines_of_sight import Space, directions, seen_along
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.sight import grown, line_space
 
@@ -65,6 +64,83 @@ def seen_from_outside(
     reached = seen_around_corners(space, first, directions(FINE_DIRECTIONS))
     dilated = grown(reached, obstacle, voxel_size_m, limits)
     return dilated if seen is None else dilated | seen
+
+
+def seen_around_corners(space: Space, seen: NDArray[np.uint8], to_camera: Float64) -> NDArray[np.uint8]:
+    """Find more visible voxels along additional directions, outwards from the edge of the visible region.
+
+    Few directions pass through a narrow gap. If a voxel is seen, so are all points between it and the camera;
+    newly seen voxels are therefore next to voxels seen before.
+
+    Args:
+        space: the voxels.
+        seen: result of `seen_along`.
+        to_camera: (n, 3) unit vectors, from a point to a camera: the additional directions.
+
+    Returns:
+        `seen` with more bits set.
+    """
+    state = space.state
+    more = seen.copy()
+    up = to_camera[:, 2] >= -LEVEL
+    # Whether a voxel that is seen from above is seen from below as well decides nothing.
+    for bit, enough, ways in (
+        (FROM_ABOVE, FROM_ABOVE, to_camera[up]),
+        (FROM_BELOW, FROM_ABOVE | FROM_BELOW, to_camera[~up]),
+    ):
+        # Each is asked once at most.
+        stack = np.empty(np.count_nonzero((state != BLOCKED) & (more & enough == 0)), np.int64)
+        bits = np.uint8(bit), np.uint8(enough)
+        _grow(more, state, bits, np.ascontiguousarray(ways), stack, space.heights_m, *space.lengths_m)
+    return more
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _grow(seen, state, bits, ways, stack, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    nx, ny, nz = state.shape
+    bit, enough = bits
+    asked = np.zeros(state.shape, np.bool_)
+    count = 0
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if seen[i, j, k] & enough:
+                    count = _push_around(seen, state, asked, enough, stack, count, i, j, k)
+    last = 0
+    while count > 0:
+        count -= 1
+        cell = stack[count]
+        i, j, k = cell // (ny * nz), cell // nz % ny, cell % nz
+        for turn in range(len(ways)):
+            # Neighbours are mostly seen along the same direction.
+            way = (last + turn) % len(ways)
+            if sees(state, i, j, k, ways[way], heights_m, voxel_m, near_m, least_m):
+                last = way
+                seen[i, j, k] |= bit
+                count = _push_around(seen, state, asked, enough, stack, count, i, j, k)
+                break
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _push_around(seen, state, asked, enough, stack, count, i, j, k):  # type: ignore[no-untyped-def]
+    """Push the 6 neighbours of (i, j, k) that must be tested onto the stack; return its new length.
+
+    These are not BLOCKED (`state`), have none of the bits `enough` in `seen`, and are not marked in `asked`.
+    `count` is the stack's length before.
+    """
+    nx, ny, nz = state.shape
+    for side in range(6):
+        step = 1 if side % 2 else -1
+        a = i + step if side // 2 == 0 else i
+        b = j + step if side // 2 == 1 else j
+        c = k + step if side // 2 == 2 else k
+        if a < 0 or a >= nx or b < 0 or b >= ny or c < 0 or c >= nz:
+            continue
+        if state[a, b, c] != BLOCKED and not seen[a, b, c] & enough and not asked[a, b, c]:
+            asked[a, b, c] = True
+            stack[count] = (a * ny + b) * nz + c
+            count += 1
+    return count
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,21 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from kinectbench.core.even_choice import evenly
 from kinectbench.core.sensor_limits import SensorLimits
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.core.voxels.distance import distance_within_m
-from kinectbench.core.voxels.fine_sight import further_directions
-from kinectbench.core.voxels.line_kernels import BLOCKED, LEVEL, MOST_WAYS, ONE_WAY, PASSABLE, PLACE, SEEN
+from kinectbench.core.voxels.line_kernels import (
+    BLOCKED,
+    LEVEL,
+    MOST_WAYS,
+    ONE_WAY,
+    PASSABLE,
+    PLACE,
+    SEEN,
+    sees,
+)
 from kinectbench.core.voxels.lines_of_sight import Space, directions, seen_outwards, ways_along
-from kinectbench.core.voxels.morphology import dilated, from_beyond, reached_from_beyond
+from kinectbench.core.voxels.morphology import dilated, distance_within_m, from_beyond, reached_from_beyond
 
 # Distances from voxel to voxel are exact except for rounding.
 ROUNDING_M = 1e-6
@@ -21,6 +29,15 @@ ROUNDING_M = 1e-6
 OPEN_WAYS = 5
 # Within this distance of a camera position there is one whose ways out no leg blocks: legs are thinner.
 BESIDE_M = 0.3
+# This many directions, 1.8 degrees apart, are tried behind gaps. 1,600 narrow lines miss 1.6 % (.5 %) of the
+# volume of a crate with a hole of 5 cm (7 cm) in its top. 6,400 wide lines miss .6 % (.2 %), and 12,800 or
+# 25,600 wide lines .3 % (.1 %).
+FINER = 12_800
+# Voxels that few directions see lie behind few gaps: at most this many of them are asked for the directions
+# that see them.
+MOST_ASKED = 1000
+# Fewer of them, of all voxels, lead to nothing: a chair's 37 to 22 others, a desk's 139 to 84.
+LEAST_ASKED_SHARE = 5e-5
 
 
 @dataclass(frozen=True)
@@ -287,3 +304,76 @@ def _grown_back(reached, obstacle, radius):  # type: ignore[no-untyped-def]
             for k in range(nz):
                 own[k] = reached[i, j, k] if obstacle[i, j, k] else own[k]
     return grown
+
+
+def further_directions(
+    space: Space, marks: NDArray[np.uint8], to_camera: Float64, spacing_rad: float, already: NDArray[np.uint8]
+) -> Float64:
+    """Return the directions of a finer lattice along which more may be seen behind gaps.
+
+    Deep behind a gap, a voxel is seen along few directions. Its neighbour may be seen along none of
+    `to_camera`, but along a direction between them. So directions of a finer lattice are added, near those
+    that see such voxels.
+
+    Args:
+        space: the voxels.
+        marks: what `ways_along` returns for `to_camera`, wherever `already` is 0, and in voxels beside these.
+        to_camera: (n, 3) unit vectors, from a point to a camera; all level or up, or all down.
+        spacing_rad: angle between neighbouring directions of `to_camera`, radians.
+        already: (nx, ny, nz), not 0 where a voxel was seen before; these are not searched for.
+
+    Returns:
+        (m, 3) unit vectors, all level or up, or all down, as `to_camera`.
+    """
+    edge = _rarely_seen_beside_unseen(marks, (marks & np.uint8(SEEN)) | already, space.state)
+    if len(edge) <= LEAST_ASKED_SHARE * marks.size:
+        return np.zeros((0, 3))
+    cells = edge[evenly(len(edge), MOST_ASKED)]
+    seeing = _some_see(space.state, cells, to_camera, space.heights_m, *space.lengths_m)
+    if not seeing.any():
+        return np.zeros((0, 3))
+    finer = directions(FINER)
+    finer = finer[(finer[:, 2] >= -LEVEL) == (to_camera[0, 2] >= -LEVEL)]
+    near = (finer @ to_camera[seeing].T).max(axis=1) > np.cos(spacing_rad)
+    return np.asarray(finer[near])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _rarely_seen_beside_unseen(marks, seen, state):  # type: ignore[no-untyped-def]
+    """Return flat indices of voxels seen along one or two directions that have an unseen neighbour (of 26).
+
+    `marks` is the result of `ways_along`. `seen` is 0 at unseen voxels; BLOCKED voxels of `state` do not
+    count.
+    """
+    nx, ny, nz = marks.shape
+    found = []
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                if not 0 < marks[i, j, k] & MOST_WAYS < MOST_WAYS:
+                    continue
+                beside = False
+                for a in range(max(i - 1, 0), min(i + 2, nx)):
+                    for b in range(max(j - 1, 0), min(j + 2, ny)):
+                        for c in range(max(k - 1, 0), min(k + 2, nz)):
+                            beside |= seen[a, b, c] == 0 and state[a, b, c] != BLOCKED
+                if beside:
+                    found.append((i * ny + j) * nz + k)
+    return np.array(found, np.int64)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _some_see(state, cells, ways, heights_m, voxel_m, near_m, least_m):  # type: ignore[no-untyped-def]
+    """Return for each direction in `ways` (n, 3) whether a camera sees one of the cells (flat indices).
+
+    The other arguments are those of `sees`.
+    """
+    _, ny, nz = state.shape
+    seeing = np.zeros(len(ways), np.bool_)
+    for n in range(len(ways)):
+        for cell in cells:
+            i, j, k = cell // (ny * nz), cell // nz % ny, cell % nz
+            if sees(state, i, j, k, ways[n], heights_m, voxel_m, near_m, least_m):
+                seeing[n] = True
+                break
+    return seeing

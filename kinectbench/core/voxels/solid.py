@@ -1,4 +1,4 @@
-"""Convert a closed triangle mesh to a solid voxel grid, by signed-winding scanlines.
+"""Convert a closed triangle mesh to a solid voxel grid by signed-winding scanlines; find a solid's shell.
 
 `open_mesh` uses the same crossings of scanlines with triangles.
 """
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Grid
 from kinectbench.core.types import Float64, Int32, Int64
+from kinectbench.core.voxels.pair_file import Packed
 
 # Vertices are snapped to 2^-16 of a cell, so that the tests on shared edges are exact integers.
 SUBCELL_BITS = 16
@@ -277,3 +278,41 @@ def _set(row, begin, end):  # type: ignore[no-untyped-def]
     while begin < end:
         row[begin >> 3] |= 128 >> (begin & 7)
         begin += 1
+
+
+def packed_shell(full: Packed) -> Packed:
+    """Return the occupied cells with an empty 6-neighbour; outside the grid is empty.
+
+    Args:
+        full: (nx, ny, nz / 8) uint8, a solid packed along z, most significant bit first.
+
+    Returns:
+        The same shape, packed the same way.
+    """
+    return np.asarray(_shell(np.ascontiguousarray(full)))
+
+
+@numba.njit(cache=True, nogil=True)
+def _shell(full):  # type: ignore[no-untyped-def]
+    nx, ny, nb = full.shape
+    shell = np.zeros_like(full)
+    none = np.zeros(nb, np.uint8)
+    for i in range(nx):
+        for j in range(ny):
+            here = full[i, j]
+            left = full[i - 1, j] if i > 0 else none
+            right = full[i + 1, j] if i < nx - 1 else none
+            above = full[i, j - 1] if j > 0 else none
+            below = full[i, j + 1] if j < ny - 1 else none
+            for b in range(nb):
+                bits = np.int64(here[b])
+                if bits == 0:
+                    continue
+                before, after = bits >> 1, bits << 1
+                if b > 0:
+                    before |= (np.int64(here[b - 1]) & 1) << 7
+                if b < nb - 1:
+                    after |= np.int64(here[b + 1]) >> 7
+                inner = left[b] & right[b] & above[b] & below[b] & before & after
+                shell[i, j, b] = bits & ~inner
+    return shell

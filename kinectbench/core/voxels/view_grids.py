@@ -1,4 +1,9 @@
-"""The cube of a pair in the world, and the cells that its view's depth falls into: the partial shape."""
+"""The cube of a pair in the world, and the partial shape: the cells that its view's depth falls into.
+
+The share of the partial shape that lies in the full shape is its containment.
+"""
+
+from typing import Any
 
 import numba
 import numpy as np
@@ -6,7 +11,8 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Camera, Grid, rigid, transform_points
 from kinectbench.core.types import Bools, Float32, Float64, Int64
-from kinectbench.core.voxels.pair_file import BLOCK, FULL_CELLS
+from kinectbench.core.voxels.pair_file import BLOCK, FULL_CELLS, Packed, unpack
+from kinectbench.core.voxels.point_cells import cell_numbers
 
 # Two cells of margin on either side of the shape's longest extent.
 OBJECT_SCALE = FULL_CELLS / (FULL_CELLS - 4)
@@ -131,3 +137,48 @@ def corner_in_camera(grid: Grid, T_world_camera: Float64) -> Float64:
     """Return the corner (3,) of a grid that has the view's axes, in the camera frame, metres."""
     corner: Float64 = (grid.T_world_grid[:3, 3] - T_world_camera[:3, 3]) @ T_world_camera[:3, :3]
     return corner
+
+
+def blocks_touched(full: Packed) -> Bools:
+    """Return the blocks of 4^3 cells that hold a set cell, or touch such a block (26 neighbours).
+
+    Args:
+        full: (n, n, n / 8) uint8, packed.
+
+    Returns:
+        (n / 4, n / 4, n / 4) bool.
+    """
+    result: NDArray[Any] = full
+    for axis in range(3):
+        if axis == 2:  # along x and y eight cells are looked at at once
+            result = unpack(result)
+        layers = np.moveaxis(result, axis, 0)
+        touched = layers[0::BLOCK] | layers[1::BLOCK] | layers[2::BLOCK] | layers[3::BLOCK]
+        touched[1:] |= layers[BLOCK - 1 : -1 : BLOCK]
+        touched[:-1] |= layers[BLOCK::BLOCK]
+        result = np.moveaxis(touched, 0, axis)
+    return result
+
+
+def containment_of_cells(cells: Int64, full: Packed) -> float:
+    """Return the share of a partial view's cells that touch the full shape, as in `blocks_touched`.
+
+    Args:
+        cells: (n, 3) int64, indices of blocks of 4^3 cells of `full`; repeated indices count once.
+        full: (m, m, m / 8) uint8, packed, over the same box.
+
+    Returns:
+        In [0, 1]; 1 if there are no cells. Cells outside the grid do not touch.
+    """
+    if len(cells) == 0:
+        return 1.0
+    distinct = cells[np.unique(cell_numbers(cells), return_index=True)[1]]
+    inside = distinct[np.all((distinct >= 0) & (distinct < full.shape[0] // BLOCK), axis=1)]
+    return int(blocks_touched(full)[tuple(inside.T)].sum()) / len(distinct)
+
+
+def containment(partial: Packed, full: Packed) -> float:
+    """Return `containment_of_cells` of a packed partial; its sides have a quarter of the cells of `full`."""
+    cells = unpack(partial)
+    count = np.count_nonzero(cells)
+    return np.count_nonzero(cells & blocks_touched(full)) / count if count else 1.0

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import Camera, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.types import Bools, Float32, Float64, Int64
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.lab.evaluate.build import Build, BuildRegistration
 from kinectbench.lab.evaluate.surface import ReferenceSurface
 from kinectbench.lab.simulate.render import LIFT_M

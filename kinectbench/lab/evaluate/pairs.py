@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from kinectbench.core import RecordingError
 from kinectbench.core.geometry import Grid, invert_rigid
 from kinectbench.core.types import Progress
-from kinectbench.core.voxels.morphology import containment
 from kinectbench.core.voxels.pair_file import Pair, pack, unpack
 from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.view_grids import containment
 from kinectbench.lab.evaluate.build import Build, BuildRegistration
 from kinectbench.lab.evaluate.solid import grid_iou, known_iou, share
 from kinectbench.lab.simulate.truth import Truth

@@ -23,9 +23,9 @@ from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
 from kinectbench.lab.evaluate.solid import grid_iou, known_iou
 from kinectbench.stages.pairs import full_shape
+from kinectbench.stages.reference.judge import RegisteredReference, register_reference
+from kinectbench.stages.reference.truth import SUFFIXES, read_reference
 from kinectbench.stages.segment.object_model import MESH, ObjectModel, read_object
-from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
-from kinectbench.stages.segment.reference.mesh import SUFFIXES, read_reference
 
 # Path of the mesh in an object's folder, as in YCB's archives of Google's scanner.
 YCB_MESH = "google_16k/nontextured.ply"

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import TriangleMesh, invert_rigid, raycaster, transform_points
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.lab.simulate.truth import Truth
 
 THRESHOLDS_M = (0.005, 0.010)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core import SettingsError, replaced_file, replaced_folder, sha256_file
 from kinectbench.core.geometry import OrientedBox, invert_rigid, rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.types import Float32, Float64, Progress, no_progress
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.engine.locks import sweep
 from kinectbench.lab.simulate.color import expose, exposure_gains
 from kinectbench.lab.simulate.kinect import KinectUnit, draw_device, measured_depth

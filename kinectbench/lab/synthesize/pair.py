@@ -3,13 +3,18 @@
 import numpy as np
 
 from kinectbench.core.geometry import Grid, transform_points
-from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.open_mesh import voxelize_open
 from kinectbench.core.voxels.pair_file import Packed, Pair, pack, unpack
 from kinectbench.core.voxels.recgan_file import recgan_file_bytes
 from kinectbench.core.voxels.seen_cells import seen_cells
-from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.core.voxels.view_grids import MAX_CUT_SHARE, object_cube, partial_grids, view_cube
+from kinectbench.core.voxels.solid import packed_shell, voxelize_solid
+from kinectbench.core.voxels.view_grids import (
+    MAX_CUT_SHARE,
+    containment,
+    object_cube,
+    partial_grids,
+    view_cube,
+)
 from kinectbench.lab.synthesize.mesh_check import CheckedMesh
 from kinectbench.lab.synthesize.models import SynthesisSettings
 from kinectbench.lab.synthesize.views import DepthCamera, ViewAngles, camera_pose

@@ -26,7 +26,7 @@ from kinectbench.record.guide.sentences import (
 )
 from kinectbench.record.guide.tracker import KeyframesSoFar, LiveTracker
 from kinectbench.record.interface import Frame, Setup
-from kinectbench.stages.segment.find.picked import point_under
+from kinectbench.stages.segment.find.given import point_under
 from kinectbench.stages.track.keyframe_graph import KeyframeGraph
 
 # Interval, by the clock of the frames, at which the graph is built and the object is looked at, if a new

@@ -18,8 +18,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64, Int64
 from kinectbench.settings.models import FloorCuts, FusionSettings
 from kinectbench.stages.fuse import fuse, observe
-from kinectbench.stages.segment.find.floor import floor_cut_m
-from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.hints import floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
@@ -116,9 +115,7 @@ def look(maps: MapCache, graph: KeyframeGraph, picked_world: Float64 | None = No
     frontiers = find_frontiers(solid, evidence, rules.limits, T_floor_world @ grid.T_world_grid)
     mesh = _around(scene, T_floor_world, found.box)
     unknown_share = _unknown_share(solid)
-    return ObjectLook(
-        T_floor_world, found.box, mesh, frontiers, unknown_share, floor_cut_m(found.floor, CUTS)
-    )
+    return ObjectLook(T_floor_world, found.box, mesh, frontiers, unknown_share, found.floor.cut_m(CUTS))
 
 
 def _unknown_share(shape: SolidShape) -> float:

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from kinectbench.core.geometry import ORTHONORMAL_TOLERANCE, is_rigid
-from kinectbench.core.voxels.morphology import containment, packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
     OPTIONAL,
@@ -17,6 +16,8 @@ from kinectbench.core.voxels.pair_file import (
     unpack,
 )
 from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.solid import packed_shell
+from kinectbench.core.voxels.view_grids import containment
 
 LEAST_TRUSTED_SHARE = 0.5
 

@@ -27,7 +27,6 @@ from kinectbench.core.artefacts.stored import Matrix3, Matrix4, Stored, StoredPa
 from kinectbench.core.artefacts.targets import Target, check_names
 from kinectbench.core.artefacts.views import ViewName
 from kinectbench.core.types import Framing, PartialRule, Progress, Split, no_progress
-from kinectbench.core.voxels.morphology import packed_shell
 from kinectbench.core.voxels.pair_file import (
     FULL_CELLS,
     Pair,
@@ -39,6 +38,7 @@ from kinectbench.core.voxels.pair_file import (
 )
 from kinectbench.core.voxels.recgan_file import read_recgan_file, recgan_file_bytes
 from kinectbench.core.voxels.resample import reduce_blocks
+from kinectbench.core.voxels.solid import packed_shell
 from kinectbench.release.exchange.layouts import (
     EXPORT_JSON,
     MATRICES,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from kinectbench.core.geometry import Grid
 from kinectbench.core.types import Float32, Float64, Int32, Int64
-from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.core.voxels.point_cells import cell_numbers
 
 # Voxels along a block: distance, weight and votes of 8^3 are 6 kB, which stay in a core's cache.
 BLOCK_VOXELS = 8

@@ -8,8 +8,8 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64, Int32, Int64
-from kinectbench.core.voxels.morphology import cell_numbers
 from kinectbench.core.voxels.observation import evident_weight, without_fringe
+from kinectbench.core.voxels.point_cells import cell_numbers
 from kinectbench.stages.fuse.blocks import BLOCK_VOXELS, BlockVolume
 from kinectbench.stages.fuse.depth_range import some_frames
 

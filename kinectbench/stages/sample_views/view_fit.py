@@ -7,10 +7,9 @@ import numpy as np
 from kinectbench.core.geometry import Camera, DepthRenderer
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.core.voxels.morphology import containment_of_cells
 from kinectbench.core.voxels.pair_file import BLOCK
 from kinectbench.core.voxels.solid import voxelize_solid
-from kinectbench.core.voxels.view_grids import depth_cells, object_cube
+from kinectbench.core.voxels.view_grids import containment_of_cells, depth_cells, object_cube
 from kinectbench.settings.models import FitLimits, ViewSettings
 from kinectbench.stages.sample_views.masks import inner_silhouette
 from kinectbench.stages.segment.object_model import ObjectModel

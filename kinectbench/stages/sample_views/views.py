@@ -36,7 +36,6 @@ from kinectbench.stages.sample_views.masks import (
 )
 from kinectbench.stages.sample_views.view_fit import ViewFit, fit_of_view, refusal
 from kinectbench.stages.sample_views.view_order import frame_order
-from kinectbench.stages.segment.find.floor import low_cut_m
 from kinectbench.stages.segment.object_model import ObjectModel
 
 # Only for colour that was not recorded as JPEG (chosen by hand: artefacts are hardly visible).
@@ -191,7 +190,7 @@ def _look(
         rendered_m = renderer.depth_m(camera, T_world_camera)
     if recorded is None:
         heights_m = floor.heights_m(depth_m, camera, T_world_camera)
-        mask = object_mask(depth_m, rendered_m, heights_m, tolerance_m, low_cut_m(floor, segmentation))
+        mask = object_mask(depth_m, rendered_m, heights_m, tolerance_m, floor.low_cut_m(segmentation))
     else:
         points = camera.backproject(depth_m)
         points_floor = transform_points(floor.T_floor_world @ T_world_camera, points.reshape(-1, 3))

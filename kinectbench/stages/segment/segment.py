@@ -6,27 +6,23 @@ from functools import partial
 import numpy as np
 
 from kinectbench.core import ShapeError
-from kinectbench.core.geometry import Camera, Grid, OrientedBox, TriangleMesh
+from kinectbench.core.geometry import Grid, TriangleMesh
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.types import Bools, Progress, Underside, no_progress
+from kinectbench.core.types import Bools, Progress, no_progress
 from kinectbench.core.voxels.observation import Observation, merge
-from kinectbench.settings.models import FusionSettings, ObjectCuts, Vector4
+from kinectbench.settings.models import FusionSettings, ObjectCuts
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m, some_frames
-from kinectbench.stages.segment.find.distance_scale import enlarged_transform
-from kinectbench.stages.segment.find.floor import Floor
-from kinectbench.stages.segment.find.gravity import floor_hint
-from kinectbench.stages.segment.find.masked_scene import segment_masked_scene
+from kinectbench.stages.segment.find.floor import explained, other_floor
+from kinectbench.stages.segment.find.given import NOTHING_GIVEN, GivenObject, check_picked
+from kinectbench.stages.segment.find.hints import enlarged_transform, floor_hint
+from kinectbench.stages.segment.find.moving import segment_masked_scene
 from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
-from kinectbench.stages.segment.find.picked import PickedPoint, check_picked
-from kinectbench.stages.segment.find.seen_floor import other_floor
 from kinectbench.stages.segment.judge.coverage_report import coverage_report
-from kinectbench.stages.segment.judge.estimate import pose_error_of
-from kinectbench.stages.segment.judge.floor_cut import FloorCut, taken_by_floor_cut
-from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers
-from kinectbench.stages.segment.judge.obstacles import is_obstructed
+from kinectbench.stages.segment.judge.estimate import FloorCut, pose_error_of, taken_by_floor_cut
+from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers, is_obstructed
 from kinectbench.stages.segment.judge.quality import measure_quality, solid_box, surface_sigma_m
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
@@ -41,49 +37,31 @@ from kinectbench.stages.segment.solid.grids import (
 )
 from kinectbench.stages.segment.solid.solid import SolidBody, Solids, SolidShape, make_solid, solidify
 
-
-@dataclass(frozen=True)
-class GivenObject:
-    """What the user states about the object; nothing by default.
-
-    Attributes:
-        box: around it, floor frame; None: it is the piece that the cameras look at.
-        plane_world: (a, b, c, d) of a x + b y + c z + d = 0, the plane it stands on, metres, world of the
-            trajectory; None: the plane is found.
-        underside: whether its underside is closed or open, where no frame saw it; "unseen": not stated.
-        picked: a point on it; None: none was picked.
-    """
-
-    box: OrientedBox | None = None
-    plane_world: Vector4 | None = None
-    underside: Underside = "unseen"
-    picked: PickedPoint | None = None
-
-
-NOTHING_GIVEN = GivenObject()
 # Solids are made from the odd, from the even, and from all frames.
 SOLIDS = 3
 
 
 @dataclass(frozen=True)
 class _Found:
-    """The object that was found, and the grid around it.
+    """The object that was found, the grid around it, and the rules by which it is made solid there.
 
     Attributes:
         chosen: its floor, box and cells.
         grid: the fine grid around it.
-        scale: the solid is made in a world that is 1 / scale times as large (`ObjectResolution`).
         neighbours: bool in the grid's shape, voxels near the surface of other things.
         beyond_box: bool in the grid's shape, voxels outside the given box; None if no box is given.
         max_depth_m: depth up to this is fused into the grid, metres.
+        scale: the solid is made in a world that is 1 / scale times as large (`choose_resolution`).
+        rules: in the world as it is.
     """
 
     chosen: Segmentation
     grid: Grid
-    scale: float
     neighbours: Bools
     beyond_box: Bools | None
     max_depth_m: float
+    scale: float
+    rules: Rules
 
 
 def segment(
@@ -115,33 +93,32 @@ def segment(
         ShapeError: no solid can be made.
     """
     found = _find(sequence, trajectory, scene, segmentation, fusion, given)
-    rules = _rules(found, sequence.camera, trajectory, segmentation, given.underside)
-    # Fuse the frames into the grid around the object, and label its voxels.
-    range_is_set = fusion.max_depth_m is not None
-    fusion, good = fusion.model_copy(update={"max_depth_m": found.max_depth_m}), trajectory.good_frames
+    chosen, grid, good = found.chosen, found.grid, trajectory.good_frames
+    # Fuse both halves of the frames into the grid around the object; make a solid of each, and of all.
+    within = fusion.model_copy(update={"max_depth_m": found.max_depth_m})
     odd, even = (
-        observe(sequence, trajectory, half, found.grid, fusion, progress) for half in (good[0::2], good[1::2])
+        observe(sequence, trajectory, half, grid, within, progress) for half in (good[0::2], good[1::2])
     )
     bodies: list[SolidBody] = []
-    for body in ahead(partial(_solid_of_half, found=found, rules=rules), (odd, even)):
+    for body in ahead(partial(_solid_of_half, found=found), (odd, even)):
         bodies.append(body)
         progress(len(bodies), SOLIDS)
     sigma_m = surface_sigma_m(odd, even)
     together = enlarged_observation(merge(odd, even), found.scale)
     del odd, even  # of a large object each is a gigabyte
-    whole, frontiers, floor_cut = _solid_of_all(together, found, rules)
+    whole, frontiers, floor_cut = _solid_of_all(together, found)
     progress(SOLIDS, SOLIDS)
     del together
     solids = Solids(whole, bodies[0], bodies[1], sigma_m, len(good))
     # Label the space around it, coarsely.
-    chosen, around = found.chosen, surround_grid(found.grid, found.chosen.floor)
-    surround = observe(sequence, trajectory, some_frames(good), around, fusion)
-    labels_around = surround_labels(surround, _support(chosen))
-    # Judge the solid.
-    seen = (sequence, trajectory, scene, chosen, found.grid, found.max_depth_m, rules.limits)
-    report = coverage_report(*seen, range_is_set=range_is_set)
+    around = surround_grid(grid, chosen.floor)
+    surround = observe(sequence, trajectory, some_frames(good), around, within)
+    labels_around = surround_labels(surround, chosen.support)
+    # Judge the recording and the solid.
+    seen, range_is_set = (sequence, trajectory, scene, chosen, grid), fusion.max_depth_m is not None
+    report = coverage_report(*seen, found.max_depth_m, found.rules.limits, range_is_set=range_is_set)
     box, pose_error = solid_box(whole, chosen.floor), pose_error_of(trajectory)
-    quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, rules, floor_cut)
+    quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, found.rules, floor_cut)
     return ObjectModel(chosen.floor, box, whole, around, labels_around, sigma_m, quality)
 
 
@@ -153,44 +130,32 @@ def _find(
     fusion: FusionSettings,
     given: GivenObject,
 ) -> _Found:
-    """Find the floor and the object on it; choose the grid around it, and the range of depth."""
-    picked = given.picked
+    """Find the floor and the object on it; choose the grid around it, the range of depth, and the rules."""
+    picked, camera = given.picked, sequence.camera
     hint = floor_hint(sequence, trajectory, given.plane_world, picked and picked.point_world)
     if sequence.beside_m is None:
         chosen = find_floor_and_object(scene, trajectory, given.box, segmentation, hint)
     else:  # only the object's own depth was fused
         chosen = segment_masked_scene(scene, trajectory, given.box, hint)
     if picked is not None and chosen.how == "automatic":
-        check_picked(picked, chosen)
-    resolution = choose_resolution(chosen.box, chosen.floor, sequence.camera, trajectory, fusion)
-    with chosen.floor.explained_in_errors():
-        grid = object_grid(chosen.box, chosen.floor, resolution.voxel_size_m, given=given.box is not None)
+        check_picked(picked, chosen.beside_m(picked.point_world), chosen.cell_m)
+    voxel_m, scale = choose_resolution(chosen.box, chosen.floor, camera, trajectory, fusion)
+    with explained(lambda: chosen.floor.against):
+        grid = object_grid(chosen.box, chosen.floor, voxel_m, given=given.box is not None)
     max_depth_m = grid_range_m(trajectory.T_world_camera[trajectory.good_frames], grid, fusion)
     if chosen.how != "masks":  # warn where single frames show another floor than the fused scene
         lines = other_floor(chosen.floor, sequence, trajectory, hint, max_depth_m)
         chosen = replace(chosen, warnings=(*lines, *chosen.warnings))
-    neighbours, beyond_box = chosen.neighbours(grid), chosen.beyond_box(grid)
-    return _Found(chosen, grid, resolution.scale, neighbours, beyond_box, max_depth_m)
+    layers = floor_layers(chosen.support, segmentation, voxel_m)
+    ray_width_m = grid_ray_width_m(camera, trajectory, grid)
+    stands = chosen.support is not None
+    rules = Rules(layers, ray_width_m, segmentation.limits(), given.underside, stands=stands)
+    return _Found(chosen, grid, chosen.neighbours(grid), chosen.beyond_box(grid), max_depth_m, scale, rules)
 
 
-def _support(chosen: Segmentation) -> Floor | None:
-    """Return the plane that the object stands on; None if it hangs, or is held."""
-    return None if chosen.hangs else chosen.floor
-
-
-def _rules(
-    found: _Found, camera: Camera, trajectory: Trajectory, segmentation: ObjectCuts, underside: Underside
-) -> Rules:
-    """Return the rules by which the voxels of the found object's grid are labelled."""
-    support = _support(found.chosen)
-    layers = floor_layers(support, segmentation, found.grid.voxel_size_m)
-    ray_width_m = grid_ray_width_m(camera, trajectory, found.grid)
-    return Rules(layers, ray_width_m, segmentation.limits(), underside, stands=support is not None)
-
-
-def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidBody:
+def _solid_of_half(half: Observation, found: _Found) -> SolidBody:
     """Return the solid from the odd or the even frames alone, for comparison."""
-    seen, larger = enlarged_observation(half, found.scale), rules.enlarged(found.scale)
+    seen, larger = enlarged_observation(half, found.scale), found.rules.enlarged(found.scale)
     try:
         shape = solidify(seen, found.neighbours, larger, found.beyond_box)
     except ShapeError as error:
@@ -198,23 +163,22 @@ def _solid_of_half(half: Observation, found: _Found, rules: Rules) -> SolidBody:
     return shape.restored(found.grid, found.scale)
 
 
-def _solid_of_all(
-    together: Observation, found: _Found, rules: Rules
-) -> tuple[SolidShape, tuple[Frontier, ...], FloorCut]:
+def _solid_of_all(together: Observation, found: _Found) -> tuple[SolidShape, tuple[Frontier, ...], FloorCut]:
     """Make the solid from all frames; find the openings that no frame saw into, and what the floor cut took.
 
     The solid is made in an enlarged world (see `_Found.scale`) and scaled back.
     """
-    scale, floor, larger = found.scale, found.chosen.floor, rules.enlarged(found.scale)
+    scale, floor, rules = found.scale, found.chosen.floor, found.rules
+    larger = rules.enlarged(scale)
     evidence = classify_voxels(together, found.neighbours, larger, found.beyond_box)
     whole = make_solid(together, evidence, larger)
     T_floor_grid = enlarged_transform(floor.T_floor_world @ found.grid.T_world_grid, scale)
     frontiers = []
-    for each in find_frontiers(whole, evidence, larger.limits, T_floor_grid):
-        opening = each.restored(scale)
-        center_m, look_from = np.array(opening.center_m), np.array(opening.look_from)
+    for opening in find_frontiers(whole, evidence, larger.limits, T_floor_grid):
+        each = opening.restored(scale)
+        center_m, look_from = np.array(each.center_m), np.array(each.look_from)
         obstructed = is_obstructed(found.chosen, center_m, look_from, rules.limits)
-        frontiers.append(replace(opening, obstructed=obstructed))
+        frontiers.append(replace(each, obstructed=obstructed))
     others = found.neighbours if found.beyond_box is None else found.neighbours | found.beyond_box
     voxel_m = found.grid.voxel_size_m
     cut = taken_by_floor_cut(evidence, whole.solid, others, rules.layers, voxel_m, floor)

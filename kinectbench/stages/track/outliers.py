@@ -7,7 +7,7 @@ import numpy as np
 from kinectbench.core.artefacts.trajectory import Source
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.touching_cells import far_apart
+from kinectbench.core.voxels.point_cells import far_apart
 
 OUTLIER_REASON = "its depth lies farther from the frames around it than that of nearly all others"
 ADVICE: dict[Source, str] = {

@@ -11,7 +11,7 @@ from kinectbench.core.geometry.mesh import isosurface
 from kinectbench.scoring.camera_shape import CameraShape
 from kinectbench.scoring.closed_mesh import closed_mesh
 from kinectbench.scoring.prediction_file import load_prediction
-from kinectbench.stages.segment.reference.mesh import read_reference
+from kinectbench.stages.reference.truth import read_reference
 
 VOXEL_M = 0.004
 

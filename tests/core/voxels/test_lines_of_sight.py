@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from kinectbench.core.voxels import lines_of_sight
-from kinectbench.core.voxels.fine_sight import FINER, further_directions, seen_around_corners
 from kinectbench.core.voxels.line_kernels import (
     BLOCKED,
     FROM_ABOVE,
@@ -28,6 +27,8 @@ from kinectbench.core.voxels.lines_of_sight import (
     seen_outwards,
     ways_along,
 )
+from kinectbench.core.voxels.seeable import seen_around_corners
+from kinectbench.core.voxels.sight import FINER, further_directions
 
 VOXEL_M, NEAR_M, LEAST_M = 0.1, 0.25, 0.15
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from kinectbench.core.voxels.touching_cells import connected, far_apart
+from kinectbench.core.voxels.point_cells import connected, far_apart
 
 CELL_M = 0.03
 

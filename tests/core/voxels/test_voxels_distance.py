@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from kinectbench.core.voxels.distance import distance_within_m
+from kinectbench.core.voxels.morphology import distance_within_m
 
 VOXEL_M = 0.005
 

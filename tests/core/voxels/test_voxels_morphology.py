@@ -5,8 +5,9 @@ import pytest
 from references import shell_of
 from scipy import ndimage
 
-from kinectbench.core.voxels.morphology import from_beyond, packed_shell
+from kinectbench.core.voxels.morphology import from_beyond
 from kinectbench.core.voxels.pair_file import pack
+from kinectbench.core.voxels.solid import packed_shell
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.98, 1.0])

@@ -7,10 +7,17 @@ from scipy import ndimage
 
 from kinectbench.core.geometry import Camera, Grid, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.geometry.depth import depth_sigma_m
-from kinectbench.core.voxels.morphology import blocks_touched, containment, containment_of_cells, packed_shell
 from kinectbench.core.voxels.pair_file import pack, unpack
 from kinectbench.core.voxels.seen_cells import seen_cells
-from kinectbench.core.voxels.view_grids import depth_cells, object_cube, view_cube
+from kinectbench.core.voxels.solid import packed_shell
+from kinectbench.core.voxels.view_grids import (
+    blocks_touched,
+    containment,
+    containment_of_cells,
+    depth_cells,
+    object_cube,
+    view_cube,
+)
 
 CAMERA = Camera(60, 44, 50.0, 52.0, 30.3, 20.9)
 T_WORLD_CAMERA = rigid(rotation_from_quaternion_xyzw([0.3, -0.2, 0.1, 0.8]), [0.5, 1.0, -0.4])

@@ -21,7 +21,7 @@ from kinectbench.core.geometry import (
 from kinectbench.core.geometry.mesh import box_mesh, join
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.lab.evaluate.build import BuildRegistration, register_build
 from kinectbench.lab.evaluate.known import (
     Voxels,

@@ -13,8 +13,8 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import TriangleMesh, transform_points
 from kinectbench.core.geometry.rigid import rotation_angle_rad
 from kinectbench.lab.evaluate.reference import reference_figures
-from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
-from kinectbench.stages.segment.reference.register import mirror_image, sampled, sampled_object
+from kinectbench.stages.reference.judge import RegisteredReference, register_reference
+from kinectbench.stages.reference.register import mirror_image, sampled, sampled_object
 
 # None of them was looked at when the rules were chosen. A bottle and a stool have rotational symmetry.
 RIGHT = ["chair:7", "bottle:1", *map(slow, ["toy_car:1", "stool:0", "watering_can:2", "helmet:3"])]

@@ -5,7 +5,7 @@ import pytest
 
 from kinectbench.core.geometry import Camera, OrientedBox
 from kinectbench.core.geometry.mesh import box_mesh
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.lab.simulate.render import Renderer
 from kinectbench.lab.simulate.scene import Item

@@ -63,8 +63,8 @@ def _grown(folder: Path) -> None:
     """The true shape of a pair grown by five cells, with a surface that is its own."""
     from scipy import ndimage
 
-    from kinectbench.core.voxels.morphology import packed_shell
     from kinectbench.core.voxels.pair_file import pack, pair_bytes, read_pair, unpack
+    from kinectbench.core.voxels.solid import packed_shell
 
     pair = read_pair(folder / PAIR)
     full = pack(ndimage.binary_dilation(unpack(pair.full), iterations=5))

@@ -24,8 +24,9 @@ from kinectbench.stages.fuse import fuse
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
 from kinectbench.stages.sample_views.views import Views, sample_views
+from kinectbench.stages.segment.find.given import GivenObject
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.segment import GivenObject, segment
+from kinectbench.stages.segment.segment import segment
 from kinectbench.stages.track import Trajectory, track
 
 FRAMES = 12

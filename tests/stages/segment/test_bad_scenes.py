@@ -17,8 +17,7 @@ from kinectbench.core.errors import KinectBenchError, SegmentationError
 from kinectbench.core.geometry import OrientedBox, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.stages.fuse import fuse
-from kinectbench.stages.segment.find.choice_warnings import Selection, choice_warnings
-from kinectbench.stages.segment.find.select import CELL_M, select_in_box
+from kinectbench.stages.segment.find.pieces import CELL_M, Selection, choice_warnings, select_in_box
 from kinectbench.stages.segment.judge.coverage_report import unseen_side
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")

@@ -17,8 +17,8 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import BoxSettings
-from kinectbench.stages.segment.find.box_anchor import anchor_of, check_anchor, reanchored
 from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.given import anchor_of, check_anchor, reanchored
 from kinectbench.stages.segment.find.planes import floor_frame
 
 BOX = OrientedBox((0.4, 1.5, 0.45), (0.6, 0.5, 0.9), 0.3)

@@ -13,7 +13,7 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import SegmentationSettings
 from kinectbench.stages.segment.find.object import find_floor_and_object
-from kinectbench.stages.segment.find.select import select_in_box
+from kinectbench.stages.segment.find.pieces import select_in_box
 from kinectbench.stages.track.outliers import far_warnings
 
 AWAY = np.array([400.0, 300.0, 50.0])

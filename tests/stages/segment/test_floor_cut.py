@@ -11,11 +11,11 @@ from pydantic import ValidationError
 from kinectbench.core.artefacts.object import FLOOR_CUT, QualityFile
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.segment.find.floor import Floor
-from kinectbench.stages.segment.judge.estimate import IouEstimate
-from kinectbench.stages.segment.judge.floor_cut import (
+from kinectbench.stages.segment.judge.estimate import (
     LEAST_CUT_SHARE,
     LEAST_LOW_M,
     FloorCut,
+    IouEstimate,
     taken_by_floor_cut,
 )
 from kinectbench.stages.segment.segment import segment

@@ -8,8 +8,8 @@ from raising import raises
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import TriangleMesh
 from kinectbench.core.geometry.mesh import isosurface
-from kinectbench.stages.segment.find.gravity import FloorHint
-from kinectbench.stages.segment.find.masked_scene import segment_masked_scene
+from kinectbench.stages.segment.find.hints import FloorHint
+from kinectbench.stages.segment.find.moving import segment_masked_scene
 
 CAMERAS = trajectory_of(ring(12, 1.5, (0, 0, 0.2)))
 

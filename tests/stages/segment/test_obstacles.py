@@ -7,8 +7,7 @@ from kinectbench.core.geometry import OrientedBox
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
-from kinectbench.stages.segment.judge.frontiers import Frontier
-from kinectbench.stages.segment.judge.obstacles import is_obstructed
+from kinectbench.stages.segment.judge.frontiers import Frontier, is_obstructed
 
 CELL_M = 0.03
 # A cabinet 0.8 m wide, 0.4 m deep and 1.2 m high; its back, at y = 0.2, is looked at from y > 0.2.

@@ -18,7 +18,7 @@ from kinectbench.core.artefacts.trajectory import FrameHealth
 from kinectbench.core.box_pictures import COLORS_RGB, best_frame
 from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
-from kinectbench.core.voxels.morphology import cell_numbers
+from kinectbench.core.voxels.point_cells import cell_numbers
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.edit import box_line
 from kinectbench.settings.models import BoxSettings
@@ -28,15 +28,15 @@ from kinectbench.stages.segment.find.candidates import (
     find_candidates,
     write_candidates,
 )
-from kinectbench.stages.segment.find.choice_warnings import (
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.pieces import (
     Selection,
     choice_warnings,
     large_neighbours,
+    nearest_within,
     separate_parts,
     things_beside,
 )
-from kinectbench.stages.segment.find.floor import Floor
-from kinectbench.stages.segment.find.select import nearest_within
 
 pytestmark = pytest.mark.xdist_group("bad_scenes")
 # A table 75 mm beside a chest, less once fused: one piece at 30 mm cells, two at 20 mm. And a stool.

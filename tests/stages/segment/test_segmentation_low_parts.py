@@ -9,7 +9,7 @@ from bad_scenes import FINE, FLOOR, recorded
 
 from kinectbench.core.geometry import OrientedBox
 from kinectbench.settings.models import SegmentationSettings
-from kinectbench.stages.segment.find.floor import Floor, low_cut_m
+from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import low_parts, low_pieces
 from kinectbench.stages.segment.find.planes import floor_frame
 
@@ -23,11 +23,11 @@ BOX = OrientedBox((0, 0, 0.25), (0.4, 0.4, 0.5))
     ("noise_m", "cut_m"), [(0.0, 0.010), (0.0025, 0.010), (0.004, 0.016), (0.006, 0.020), (0.015, 0.020)]
 )
 def test_the_low_cut_lies_above_the_noise_of_the_floor(noise_m: float, cut_m: float) -> None:
-    assert low_cut_m(replace(FOUND, noise_m=noise_m), SETTINGS) == pytest.approx(cut_m)
+    assert replace(FOUND, noise_m=noise_m).low_cut_m(SETTINGS) == pytest.approx(cut_m)
 
 
 def test_without_a_floor_there_is_no_low_cut() -> None:
-    assert low_cut_m(replace(FOUND, noise_m=0.0, found=False), SETTINGS) == SETTINGS.floor_cut_m
+    assert replace(FOUND, noise_m=0.0, found=False).low_cut_m(SETTINGS) == SETTINGS.floor_cut_m
 
 
 def line(start: float, stop: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.core.geometry.depth import depth_sigma_m
 from kinectbench.core.trajectory.coverage import convergence_point
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.core.voxels.surface_points import surface_points
+from kinectbench.core.voxels.point_cells import surface_points
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import fuse
@@ -32,7 +32,7 @@ from kinectbench.stages.sample_views.masks import (
 )
 from kinectbench.stages.sample_views.views import read_masks
 from kinectbench.stages.segment.find.object import find_floor_and_object
-from kinectbench.stages.segment.find.select import fit_box, select_object
+from kinectbench.stages.segment.find.pieces import fit_box, select_object
 
 pytestmark = pytest.mark.xdist_group("segmentation")
 
@@ -106,7 +106,8 @@ def test_surface_points_weigh_area_not_vertices() -> None:
     assert len(surface.points) == 100
     np.testing.assert_allclose(surface.normals, np.tile([0, 0, 1.0], (100, 1)), atol=1e-9)
     np.testing.assert_allclose(surface.points[:, 2], 0.015)
-    np.testing.assert_array_equal(surface.cells, np.floor(surface.points / 0.03))
+    cells = np.floor(surface.points / 0.03)
+    np.testing.assert_array_equal(cells[surface.owner], np.floor(vertices / 0.03))
 
 
 # --- box

@@ -23,10 +23,10 @@ from kinectbench.settings.file import load_benchmark
 from kinectbench.settings.models import FusionSettings, SegmentationSettings
 from kinectbench.stages.fuse import fuse
 from kinectbench.stages.segment.find.candidates import find_candidates
-from kinectbench.stages.segment.find.gravity import floor_hint
+from kinectbench.stages.segment.find.given import GivenObject, PickedPoint, picked_point
+from kinectbench.stages.segment.find.hints import floor_hint
 from kinectbench.stages.segment.find.object import find_floor_and_object
-from kinectbench.stages.segment.find.picked import PickedPoint, picked_point
-from kinectbench.stages.segment.segment import GivenObject, segment
+from kinectbench.stages.segment.segment import segment
 
 
 @pytest.fixture(scope="module")

@@ -18,9 +18,9 @@ from kinectbench.settings.models import FusionSettings, PairSettings, Segmentati
 from kinectbench.stages.pairs import full_shape, make_pair
 from kinectbench.stages.sample_views.views import sample_views
 from kinectbench.stages.segment.find import planes
-from kinectbench.stages.segment.find.gravity import FloorHint
+from kinectbench.stages.segment.find.hints import FloorHint
 from kinectbench.stages.segment.find.object import find_floor_and_object, find_scene
-from kinectbench.stages.segment.find.select import MIN_CELLS
+from kinectbench.stages.segment.find.pieces import MIN_CELLS
 
 TOP_M = 0.74
 NEAR = FusionSettings()

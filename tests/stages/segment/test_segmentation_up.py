@@ -14,8 +14,8 @@ from kinectbench.core.errors import SegmentationError
 from kinectbench.core.geometry import invert_rigid, rigid, rotation_from_quaternion_xyzw, transform_points
 from kinectbench.core.sequence import GivenTrajectory, Sequence, UpSample
 from kinectbench.core.trajectory.trajectory import Trajectory
-from kinectbench.stages.segment.find.floor import Floor, find_floor, floor_cut_m, low_cut_m
-from kinectbench.stages.segment.find.gravity import FloorHint, facings, floor_hint
+from kinectbench.stages.segment.find.floor import Floor, find_floor
+from kinectbench.stages.segment.find.hints import FloorHint, facings, floor_hint
 
 WORLD = rigid(rotation_from_quaternion_xyzw([0.4, -0.5, 0.2, 0.7]), [1.0, -2.0, 0.7])
 UP = WORLD[:3, :3] @ [0, 0, 1]
@@ -132,10 +132,10 @@ def test_cuts_shrink_with_the_cameras_distance() -> None:
 
     settings = SegmentationSettings()
     far, near = (find_floor(*FLOOR, arc(45, distance_m=d), FOCUS, 0) for d in (1.5, 0.5))
-    assert far.scale == 1 and floor_cut_m(far, settings) == settings.floor_cut_m
-    assert floor_cut_m(near, settings) == pytest.approx(0.01, abs=1e-4)
-    assert low_cut_m(replace(near, noise_m=0.0), settings) == pytest.approx(0.005, abs=1e-4)
-    assert low_cut_m(replace(near, noise_m=0.1), settings) == floor_cut_m(near, settings)
+    assert far.scale == 1 and far.cut_m(settings) == settings.floor_cut_m
+    assert near.cut_m(settings) == pytest.approx(0.01, abs=1e-4)
+    assert replace(near, noise_m=0.0).low_cut_m(settings) == pytest.approx(0.005, abs=1e-4)
+    assert replace(near, noise_m=0.1).low_cut_m(settings) == near.cut_m(settings)
 
 
 def test_a_persons_plane_is_taken_as_it_is() -> None:

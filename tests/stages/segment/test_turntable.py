@@ -19,7 +19,7 @@ from kinectbench.lab.simulate.truth import Truth, read_truth, truth_folder
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.readers import open_recording
 from kinectbench.stages.ingest.sequence_folder import read_sequence, write_sequence
-from kinectbench.stages.segment.find.turntable import _on_floor, find_turntable, turntable_masks
+from kinectbench.stages.segment.find.moving import _on_floor, find_turntable, turntable_masks
 
 LEAST_IOU = 0.93
 

@@ -12,16 +12,21 @@ from kinectbench.core.geometry import OrientedBox, TriangleMesh, transform_point
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
-from kinectbench.core.voxels.morphology import cell_numbers
-from kinectbench.core.voxels.surface_points import spacing_m
+from kinectbench.core.voxels.point_cells import cell_numbers, spacing_m
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.box_anchor import SAME_M, anchor_of
-from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M, FINEST_CUT
-from kinectbench.stages.segment.find.floor import Floor, floor_cut_m
-from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.given import BESIDE_CELLS, SAME_M, anchor_of
+from kinectbench.stages.segment.find.hints import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.object import Scene, find_object, find_scene
-from kinectbench.stages.segment.find.picked import BESIDE_CELLS
-from kinectbench.stages.segment.find.select import CELL_M, FLAT, fit_box, label_pieces, standing
+from kinectbench.stages.segment.find.pieces import (
+    CELL_M,
+    FINE_CELL_M,
+    FINEST_CUT,
+    FLAT,
+    fit_box,
+    label_pieces,
+    standing,
+)
 
 # Edge of cells, and whether cells must share a face: pieces that touch in the first cut may come apart in the
 # next cuts.
@@ -82,7 +87,7 @@ def find_candidates(
     """
     scene = find_scene(mesh, trajectory, settings, floor_may_lack=True, hint=hint)
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
-    points_floor = vertices_floor[vertices_floor[:, 2] > floor_cut_m(scene.floor, settings)]
+    points_floor = vertices_floor[vertices_floor[:, 2] > scene.floor.cut_m(settings)]
     least_m = spacing_m(mesh)
     candidates = [] if len(points_floor) == 0 else _automatic(scene, vertices_floor, settings, least_m)
     for cell_m, through_faces in CUTS:
@@ -120,12 +125,9 @@ def _automatic(scene: Scene, vertices_floor: Float64, settings: FloorCuts, least
 
 
 def _pieces(points_floor: Float64, cell_m: float, through_faces: bool) -> list[Float64]:
-    """Return the points (k, 3) of each large piece on the floor.
+    """Return the points (k, 3) of each large piece on the floor, as `label_pieces` finds them.
 
-    Args:
-        points_floor: (n, 3) points above the floor, metres divided by the scale of the scene.
-        cell_m: cells of this edge that touch are connected.
-        through_faces: whether connected cells must share a face; otherwise a corner suffices.
+    The points (n, 3), above the floor, are in metres divided by the scale of the scene.
     """
     if len(points_floor) == 0:
         return []

@@ -1,41 +1,49 @@
-"""Find the floor: the plane that the cameras look down on, not just the largest; or judge a given plane."""
+"""Find the floor: the plane that the cameras look down on, not just the largest; or judge a given plane.
 
-from collections.abc import Iterator
+It is found in a fused scene, and in the frames themselves, with which a build compares it.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import SegmentationError
-from kinectbench.core.geometry import Camera, invert_rigid, ransac_plane, refine
-from kinectbench.core.trajectory.coverage import from_above
-from kinectbench.core.types import Float64
+from kinectbench.core.geometry import Camera, image_normals, invert_rigid, transform_points
+from kinectbench.core.sequence import Sequence as Recorded
+from kinectbench.core.trajectory.trajectory import Trajectory
+from kinectbench.core.types import Float32, Float64
+from kinectbench.core.voxels.point_cells import thinned
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.distance_scale import distance_scale, enlarged_transform
+from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor_choice import (
-    FOCUS_M,
-    MIN_NEAR_POINTS,
-    NEAR_PLANE_M,
     NO_CHOICE,
     REPORTED_ABOVE_SHARE,
     PlaneCandidate,
     PlaneChoice,
     choose_plane,
-    refined_near,
 )
-from kinectbench.stages.segment.find.gravity import (
-    MIN_GRAVITY_COSINE,
+from kinectbench.stages.segment.find.hints import (
     MIN_UP_COSINE,
     NOTHING_KNOWN,
     FloorHint,
+    distance_scale,
+    enlarged_transform,
+    up_or_held,
 )
+from kinectbench.stages.segment.find.pieces import CELL_M
 from kinectbench.stages.segment.find.planes import (
-    FLAT_COSINE,
     INLIER_M,
+    MIN_NEAR_POINTS,
     SceneSurface,
+    above_m,
+    against_plane,
     floor_frame,
     noise_about_m,
+    refined_near,
+    turn_rad,
 )
 
 NO_FLOOR = (
@@ -61,13 +69,19 @@ LEAST_UPSIDE_DOWN = 0.15
 LOWEST_SHARE = 0.001
 # The fused floor's surface strays from the plane by this many of its standard deviations at most.
 FLOOR_SIGMAS = 4.0
-GIVEN = "the plane that benchmark.yaml gives as `floor`"
-# The plane that is seen is the one given if it is off by at most this, or this many times its noise, and
-# turned by at most this (chosen by hand; floors scatter by 1 to 6 mm, their fits by less than 0.5 degrees).
-LEAST_OFF_M, OFF_SIGMAS, TURNED_DEG = 0.010, 3.0, 3.0
-# A person means the plane given if it has points of its own, within this distance: at least this share of the
-# points of the plane beside it. A board on a floor is one of two planes that are seen (chosen by hand).
-OWN_SHARE, LEAST_ON_M = 0.05, 0.005
+# Images about this wide, and a stride of this many pixels, save time (chosen by hand).
+COLUMNS, STEP_PX = 160, 4
+# No plane is looked for in fewer points (chosen by hand).
+MIN_POINTS = 200
+# The fused scene and its frames have one floor if their planes differ by less than this angle, and by less
+# than this share of the cameras' distance where the cameras look (chosen by hand; on six recordings .02 to
+# .43 degrees, and .0012 of that distance at most).
+SAME_DEG, SAME_SHARE = 5.0, 0.05
+OTHER_FLOOR = (
+    "the plane that was taken for the floor is not the one that the frames show by themselves: it is turned "
+    "by {turn_deg:.0f} degrees against it, and {apart_m:.2f} m away where the cameras look; see the scene "
+    "and give its plane: `floor: {{plane_world: [a, b, c, d]}}`"
+)
 
 
 @dataclass(frozen=True)
@@ -106,15 +120,20 @@ class Floor:
         """Warnings about the floor, one line each."""
         return (*self.against, *self.choice.warnings())
 
-    @contextmanager
-    def explained_in_errors(self) -> Iterator[None]:
-        """Within the block, add the first line of `against`, if any, to a `SegmentationError`."""
-        try:
-            yield
-        except SegmentationError as error:
-            if not self.against:
-                raise
-            raise SegmentationError(f"{error}; {self.against[0]}", what=error.what) from error
+    def cut_m(self, settings: FloorCuts) -> float:
+        """Return the height up to which surface is floor, metres: the setting, reduced for near cameras."""
+        return settings.floor_cut_m * self.scale
+
+    def low_cut_m(self, settings: FloorCuts) -> float:
+        """Return the height from which surface can belong to the object if it goes on above the floor cut.
+
+        It is the setting `low_cut_m`, reduced for near cameras, but at least four standard deviations of the
+        floor and at most the floor cut, in metres. If no floor was measured, it is the floor cut.
+        """
+        if not self.found:
+            return self.cut_m(settings)
+        low_m = max(settings.low_cut_m * self.scale, FLOOR_SIGMAS * self.noise_m)
+        return min(low_m, self.cut_m(settings))
 
     @property
     def T_world_floor(self) -> Float64:
@@ -128,6 +147,18 @@ class Floor:
         """
         up = (self.T_floor_world @ T_world_camera)[2]
         return np.asarray(depth_m * (camera.rays() @ up[:3]) + up[3])
+
+
+@contextmanager
+def explained(why: Callable[[], Sequence[str]]) -> Iterator[None]:
+    """Within the block, add the first line that `why` returns, if any, to a `SegmentationError`."""
+    try:
+        yield
+    except SegmentationError as error:
+        lines = why()
+        if not lines:
+            raise
+        raise SegmentationError(f"{error}; {lines[0]}", what=error.what) from error
 
 
 def find_floor(
@@ -158,42 +189,40 @@ def find_floor(
     scale = distance_scale(T_world_camera, focus_world)
     surface = SceneSurface(points_world / scale, normals_world, focus_world / scale, INLIER_M * scale)
     if hint.plane_world is not None:
-        given = _given_floor(
-            hint.plane_world, points_world, T_world_camera, INLIER_M * scale**2, hint.up_world
-        )
-        against = against_plane(hint.plane_world, surface, hint.up_world, scale)
-        return replace(given, scale=scale, given=True, against=against)
-    floor = _find_floor(surface, enlarged_transform(T_world_camera, scale), seed, hint.up_world)
-    plane = floor.plane_world * [1, 1, 1, scale]
-    return replace(
-        floor,
-        plane_world=plane,
-        T_floor_world=floor_frame(plane),
-        noise_m=floor.noise_m * scale,
+        return _given_floor(hint.plane_world, points_world, T_world_camera, hint.up_world, surface, scale)
+    choice, held, against = _choose(surface, enlarged_transform(T_world_camera, scale), hint.up_world, seed)
+    if choice.chosen is None:
+        raise SegmentationError(NO_FLOOR.format(why=choice.likeliest), what="no-floor")
+    plane, noise_m = refined_near(choice.chosen.plane, surface)
+    tilt_rad = turn_rad(plane, up_or_held(held, hint.up_world))
+    plane = plane * [1, 1, 1, scale]
+    return Floor(
+        plane,
+        floor_frame(plane),
+        noise_m * scale,
+        choice.chosen.inlier_share,
+        tilt_rad,
         scale=scale,
-        choice=floor.choice.scaled(scale),
+        choice=choice.scaled(scale),
+        against=against,
     )
 
 
-def _find_floor(surface: SceneSurface, T_world_camera: Float64, seed: int, up_world: Float64 | None) -> Floor:
-    """Find the floor among the planes of a world scaled so that the cameras are at least 1 m from the focus.
+def _choose(
+    surface: SceneSurface, T_world_camera: Float64, up_world: Float64 | None, seed: int
+) -> tuple[PlaneChoice, Float64, tuple[str, ...]]:
+    """Choose a plane, of cameras held upside down only if there is no floor otherwise.
 
-    In this world, `surface.inlier_m` is smaller for near cameras, because noise grows with the square of the
-    distance; otherwise a board that lies on the floor would pass as floor. If no plane can be the floor and
-    gravity is unknown, the search is repeated for cameras held upside down.
+    Returns:
+        The choice; the poses, turned upright; and a warning if they had to be turned.
     """
-    choice, against = choose_plane(surface, T_world_camera, up_world, seed), tuple[str, ...]()
+    choice = choose_plane(surface, T_world_camera, up_world, seed)
     if choice.chosen is None and up_world is None:
         T_world_turned = T_world_camera @ HALF_TURN
         turned = choose_plane(surface, T_world_turned, None, seed)
         if turned.chosen is not None and _is_plain(turned.chosen, T_world_turned):
-            choice, against, T_world_camera = turned, (UPSIDE_DOWN,), T_world_turned
-    if choice.chosen is None:
-        raise SegmentationError(NO_FLOOR.format(why=choice.likeliest), what="no-floor")
-    plane, noise_m = refined_near(choice.chosen.plane, surface)
-    tilt_rad = _tilt_rad(plane, T_world_camera, up_world)
-    share = choice.chosen.inlier_share
-    return Floor(plane, floor_frame(plane), noise_m, share, tilt_rad, choice=choice, against=against)
+            return turned, T_world_turned, (UPSIDE_DOWN,)
+    return choice, T_world_camera, ()
 
 
 def _is_plain(chosen: PlaneCandidate, T_world_camera: Float64) -> bool:
@@ -212,123 +241,102 @@ def _given_floor(
     plane_world: Float64,
     points_world: Float64,
     T_world_camera: Float64,
-    inlier_m: float,
     up_world: Float64 | None,
+    surface: SceneSurface,
+    scale: float,
 ) -> Floor:
-    """Return the floor at a given plane (4,); the points (n, 3) near it give its noise and inlier share.
+    """Return the floor at a given plane; the points near it give its noise and inlier share.
 
-    Near means within twice `inlier_m`. `up_world` (3,) is up by gravity; if it is None, the poses (m, 4, 4)
-    show how the cameras were held.
+    The arguments are those of `find_floor` and `against_plane`. A plane above most cameras is refused.
     """
-    _check_below_cameras(plane_world, T_world_camera)
-    near = points_world[np.abs(points_world @ plane_world[:3] + plane_world[3]) < 2 * inlier_m]
-    noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
-    tilt_rad = _tilt_rad(plane_world, T_world_camera, up_world)
-    return Floor(plane_world, floor_frame(plane_world), noise_m, len(near) / len(points_world), tilt_rad)
-
-
-def _check_below_cameras(plane_world: Float64, T_world_camera: Float64) -> None:
-    """Refuse a given plane (4,) that lies above most cameras (n, 4, 4)."""
-    if np.median(T_world_camera[:, :3, 3] @ plane_world[:3] + plane_world[3]) <= 0:
+    if np.median(above_m(plane_world, T_world_camera[:, :3, 3])) <= 0:
         raise SegmentationError(ABOVE_CAMERAS, what="bad-plane")
+    inlier_m = INLIER_M * scale**2
+    near = points_world[np.abs(above_m(plane_world, points_world)) < 2 * inlier_m]
+    noise_m = noise_about_m(plane_world, near, inlier_m) if len(near) >= MIN_NEAR_POINTS else 0.0
+    tilt_rad = turn_rad(plane_world, up_or_held(T_world_camera, up_world))
+    against, share = against_plane(plane_world, surface, up_world, scale), len(near) / len(points_world)
+    frame = floor_frame(plane_world)
+    return Floor(plane_world, frame, noise_m, share, tilt_rad, scale=scale, given=True, against=against)
 
 
 def level_floor(
-    points_world: Float64, T_world_camera: Float64, up_world: Float64 | None = None, scale: float = 1.0
+    points_world: Float64, T_world_camera: Float64, up_world: Float64 | None, scale: float, below_m: float = 0
 ) -> Floor:
-    """Return a substitute for the floor: a level plane at the lowest of the points (n, 3).
+    """Return a substitute for the floor: a level plane `below_m` below the lowest of the points (n, 3).
 
     It only defines a floor frame, in which a box can be given. If `up_world` (3,) is None, up is estimated
     from how the cameras (m, 4, 4) were held.
     """
-    up = from_above(T_world_camera)[2] if up_world is None else up_world
+    up = up_or_held(T_world_camera, up_world)
     lowest_m = float(np.quantile(points_world @ up, LOWEST_SHARE))
-    plane = np.append(up, -lowest_m)
+    plane = np.append(up, below_m - lowest_m)
     return Floor(plane, floor_frame(plane), 0.0, 0.0, 0.0, found=False, scale=scale)
 
 
-def floor_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """Return the height up to which surface is floor, metres: the setting, reduced for near cameras."""
-    return settings.floor_cut_m * floor.scale
+def oriented(depth_m: Float32, camera: Camera) -> tuple[Float64, Float64]:
+    """Return points and unit normals towards the camera, (n, 3) each, of every fourth row and column.
 
-
-def low_cut_m(floor: Floor, settings: FloorCuts) -> float:
-    """Return the height from which surface can belong to the object if it goes on above the floor cut.
-
-    It is the setting `low_cut_m`, reduced for near cameras, but at least four standard deviations of the
-    floor and at most the floor cut, in metres. If no floor was measured, it is the floor cut.
+    They are in the camera's axes; `depth_m` is (height, width), 0 = none.
     """
-    cut_m = floor_cut_m(floor, settings)
-    if not floor.found:
-        return cut_m
-    return min(max(settings.low_cut_m * floor.scale, FLOOR_SIGMAS * floor.noise_m), cut_m)
+    surface = camera.backproject(depth_m)
+    normals = image_normals(surface, depth_m, reach_px=2)
+    chosen = np.isfinite(normals).all(axis=-1) & (depth_m > 0)
+    keep = np.zeros_like(chosen)
+    keep[::STEP_PX, ::STEP_PX] = chosen[::STEP_PX, ::STEP_PX]
+    return surface[keep], normals[keep]
 
 
-def _tilt_rad(plane: Float64, T_world_camera: Float64, up_world: Float64 | None) -> float:
-    up = from_above(T_world_camera)[2] if up_world is None else up_world
-    return float(np.arccos(np.clip(plane[:3] @ up, -1, 1)))
+def floor_of_frames(
+    depths_m: Sequence[Float32], camera: Camera, T_world_camera: Float64, hint: FloorHint
+) -> tuple[Floor, list[Float64]]:
+    """Find the common floor of some frames, as in a fused scene.
+
+    The depth of each is (height, width), metres, 0 = none; the poses are (n, 4, 4).
+
+    Returns:
+        The floor, and the points (k, 3) of each frame, world frame.
+
+    Raises:
+        SegmentationError: there is no floor, or hardly any depth.
+    """
+    clouds, normals = [], []
+    for depth_m, T in zip(depths_m, T_world_camera, strict=True):
+        points, toward = oriented(depth_m, camera)
+        clouds.append(transform_points(T, points))
+        normals.append(toward @ T[:3, :3].T)
+    focus_world = hint.focus_world(T_world_camera)
+    cell_m = CELL_M * distance_scale(T_world_camera, focus_world)
+    surface = thinned(np.concatenate(clouds), np.concatenate(normals), cell_m)
+    if len(surface.points) < MIN_POINTS:
+        raise SegmentationError("the frames hardly show any surface", what="no-floor")
+    floor = find_floor(surface.points, surface.normals, T_world_camera, focus_world, 0, hint)
+    return floor, clouds
 
 
-def against_plane(
-    plane_world: Float64, surface: SceneSurface, up_world: Float64 | None, scale: float
+def other_floor(
+    floor: Floor, sequence: Recorded, trajectory: Trajectory, hint: FloorHint, max_depth_m: float
 ) -> tuple[str, ...]:
-    """Return objections to a given plane (4,), one line each, with advice after a semicolon.
+    """Return a warning if single frames show another floor than the fused scene; else none.
 
-    There are two: the plane is not level by gravity, or the frames show another plane close to it. The other
-    plane must lie within 0.1 m, differ by more than noise, and be the only one there. If the frames show both
-    planes, such as a table and the floor, the user decides which one is meant. The given plane is in a world
-    `scale` times as large as that of `surface`.
+    Depth beyond `max_depth_m` is ignored. A given plane is not compared here: `find_floor` judges it.
     """
-    gravity = against_gravity(plane_world, up_world)
-    beside = _beside(plane_world * [1, 1, 1, 1 / scale], surface)
-    if beside is None:
-        return gravity
-    seen, off_m, turn_deg = beside
-    way = f"{1000 * scale * abs(off_m):.0f} mm {'above' if off_m > 0 else 'below'} it"
-    turned = f", turned by {turn_deg:.0f} degrees" if turn_deg > TURNED_DEG else ", parallel to it"
-    numbers = ", ".join(f"{value:.5f}" for value in seen * [1, 1, 1, scale])
-    line = (
-        f"{GIVEN} is not one that the frames show: they show a plane {way}{turned}; if the object stands "
-        f"on that, write `floor: {{plane_world: [{numbers}]}}`"
-    )
-    return (*gravity, line)
-
-
-def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str, ...]:
-    """Return an objection if a plane (4,) is not level by gravity, else (); () if `up_world` is unknown."""
-    if up_world is None or plane_world[:3] @ up_world >= MIN_GRAVITY_COSINE:
+    frames = trajectory.good_frames
+    if hint.plane_world is not None or not floor.found or len(frames) < 2:
         return ()
-    turn_deg = float(np.degrees(np.arccos(np.clip(plane_world[:3] @ up_world, -1, 1))))
-    return (
-        f"{GIVEN} is turned by {turn_deg:.0f} degrees against level by gravity; give one whose normal "
-        "points up, in the frame of the trajectory",
-    )
-
-
-def _beside(plane: Float64, surface: SceneSurface) -> tuple[Float64, float, float] | None:
-    """Find a measured plane close to a given plane (4,), near the focus.
-
-    Return the measured plane (4,), its height in metres above the given plane, and the angle between them in
-    degrees. Return None if the surface near the focus shows no plane, or if it shows the given plane.
-    """
-    points, normals = surface.points_world, surface.normals_world
-    near = normals @ plane[:3] > FLAT_COSINE
-    near &= np.abs(points @ plane[:3] + plane[3]) < NEAR_PLANE_M
-    near &= np.linalg.norm(points - surface.focus_world, axis=1) < FOCUS_M
-    if near.sum() < MIN_NEAR_POINTS:
-        return None
-    points, normals, inlier_m = points[near], normals[near], surface.inlier_m
-    seen = ransac_plane(points, normals, np.random.default_rng(0), inlier_m)
-    seen = refine(points, seen, 2 * inlier_m, inlier_m)
-    on_seen = points[np.abs(points @ seen[:3] + seen[3]) < inlier_m]
-    if len(on_seen) < MIN_NEAR_POINTS:
-        return None
-    noise_m = noise_about_m(seen, on_seen, inlier_m)
-    off_m = float(on_seen.mean(axis=0) @ plane[:3] + plane[3])
-    turn_deg = float(np.degrees(np.arccos(np.clip(seen[:3] @ plane[:3], -1, 1))))
-    off_noise_m = max(LEAST_OFF_M, OFF_SIGMAS * noise_m)
-    if abs(off_m) <= off_noise_m and turn_deg <= TURNED_DEG:
-        return None
-    own = np.abs(points @ plane[:3] + plane[3]) < max(LEAST_ON_M, noise_m)
-    own &= np.abs(points @ seen[:3] + seen[3]) > off_noise_m
-    return None if own.sum() > OWN_SHARE * len(on_seen) else (seen, off_m, turn_deg)
+    frames = some_frames(frames)
+    step = max(1, round(sequence.camera.width / COLUMNS))
+    depths_m = sequence.depths_m(frames, step)
+    near_m = [np.where(depth_m <= max_depth_m, depth_m, np.float32(0)) for depth_m in depths_m]
+    T_world_camera = trajectory.T_world_camera[frames]
+    try:
+        seen, _ = floor_of_frames(near_m, sequence.camera.every(step), T_world_camera, hint)
+    except SegmentationError:
+        return ()
+    focus = np.append(hint.focus_world(T_world_camera), 1.0)
+    far_m = float(np.median(np.linalg.norm(T_world_camera[:, :3, 3] - focus[:3], axis=1)))
+    turn_deg = float(np.degrees(turn_rad(seen.plane_world, floor.plane_world)))
+    apart_m = abs(float((seen.plane_world - floor.plane_world) @ focus))
+    if turn_deg < SAME_DEG and apart_m < SAME_SHARE * far_m:
+        return ()
+    return (OTHER_FLOOR.format(turn_deg=turn_deg, apart_m=apart_m),)

@@ -7,20 +7,19 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from kinectbench.core.geometry import ransac_plane, refine, transform_points
-from kinectbench.core.trajectory.coverage import from_above
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.morphology import cell_numbers
-from kinectbench.stages.segment.find.gravity import Facing, facings
+from kinectbench.core.voxels.point_cells import cell_numbers
+from kinectbench.stages.segment.find.hints import Facing, facings, up_or_held
 from kinectbench.stages.segment.find.planes import (
-    FLAT_COSINE,
-    INLIER_M,
     MAX_NOISE_M,
     SceneSurface,
+    above_m,
     carries_what_is_looked_at,
     floor_frame,
     is_below,
     is_flat,
-    noise_about_m,
+    refined_near,
+    turn_rad,
 )
 
 # Planes tried for each way of holding the cameras.
@@ -41,10 +40,6 @@ MAX_UNDER_SHARE = 0.17
 # Weights of the evidence by how the cameras are held: mostly with the upper edge up, more rarely on their
 # left or right side, seldom looking steeply down (chosen by hand).
 FACING_WEIGHTS = (1.0, 0.2, 0.2, 0.02)
-# A plane is refined with the surface within this distance, near what the cameras look at.
-NEAR_PLANE_M, FOCUS_M = 0.1, 1.2
-# Fewer points there say less of the plane than the whole scene does.
-MIN_NEAR_POINTS = 100
 # A person is warned if a smaller share of the cameras looks down on the chosen plane, if a larger share of
 # the surface lies lower, or if another plane has this share of its evidence (chosen by hand).
 REPORTED_ABOVE_SHARE, REPORTED_BELOW_SHARE, REPORTED_RIVAL = 0.95, 0.05, 0.5
@@ -181,7 +176,7 @@ def choose_plane(
         up_world: (3,) unit, up by gravity; None if unknown.
         seed: of RANSAC.
     """
-    up = from_above(T_world_camera)[2] if up_world is None else up_world
+    up = up_or_held(T_world_camera, up_world)
     surface = replace(surface, times_noise=_times_noise(surface, T_world_camera))
     candidates: list[PlaneCandidate] = []
     for way, facing in enumerate(facings(T_world_camera, up_world)):
@@ -218,7 +213,7 @@ def _planes(surface: SceneSurface, facing: Facing, seed: int) -> list[tuple[Floa
             break
         plane = ransac_plane(points_world[indices], normals_world[indices], rng, inlier_m)
         plane = refine(points_world[indices], plane, 2 * inlier_m, inlier_m)
-        inliers = left & (np.abs(points_world @ plane[:3] + plane[3]) < 2 * inlier_m)
+        inliers = left & (np.abs(above_m(plane, points_world)) < 2 * inlier_m)
         left &= ~inliers
         if inliers.sum() >= MIN_INLIER_SHARE * len(points_world):
             planes.append((plane, inliers))
@@ -239,22 +234,17 @@ def _times_noise(surface: SceneSurface, T_world_camera: Float64) -> Float64:
 def _candidate(
     plane: Float64, inliers: Bools, surface: SceneSurface, cameras_world: Float64, up: Float64, way: int
 ) -> PlaneCandidate:
-    """Measure the evidence for a plane.
+    """Measure the evidence for a plane (4,), its unit normal up; `inliers` (n,) are the points on it.
 
-    Args:
-        plane: (4,), its unit normal up.
-        inliers: (n,) bool, which points of the surface are on it.
-        surface: the scene's surface, n points.
-        cameras_world: (m, 3) positions of the cameras.
-        up: (3,) unit, the direction from which the plane's tilt is measured.
-        way: index in `facings` of the way of holding the cameras for which its normal is up.
+    `cameras_world` (m, 3) are the cameras' positions, `up` (3,) is the unit vector from which its tilt is
+    measured, and `way` is as in `PlaneCandidate`.
     """
     local = transform_points(floor_frame(plane), surface.points_world)
     below = local[:, 2] < -BELOW_INLIERS * surface.inlier_m * surface.times_noise
     # Numbers of cells need no dense grid, which one pose kilometres off would make too large for the memory.
     cell = cell_numbers(np.floor(local[:, :2] / (2 * surface.spacing_m)).astype(np.int64))
     under = np.isin(cell[below], cell[inliers])
-    above = cameras_world @ plane[:3] + plane[3] > MIN_CAMERA_HEIGHT_M
+    above = above_m(plane, cameras_world) > MIN_CAMERA_HEIGHT_M
     return PlaneCandidate(
         plane=plane,
         points=int(inliers.sum()),
@@ -262,7 +252,7 @@ def _candidate(
         above_share=float(above.mean()),
         below_share=float(below.mean()),
         under_share=float(under.sum() / inliers.sum()),
-        tilt_rad=float(np.arccos(np.clip(plane[:3] @ up, -1, 1))),
+        tilt_rad=turn_rad(plane, up),
         way=way,
     )
 
@@ -318,24 +308,9 @@ def _with_reason(
     return replace(candidate, reason="lower" if lower else "less")
 
 
-def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]:
-    """Refine a plane (4,) by the surface near the focus. Do nothing if there are too few points.
-
-    Return the plane, and the robust standard deviation of the surface about the plane, metres.
-    """
-    points_world, inlier_m = surface.points_world, surface.inlier_m
-    flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M
-    flat &= surface.normals_world @ plane[:3] > FLAT_COSINE
-    near = points_world[flat & (np.abs(points_world @ plane[:3] + plane[3]) < NEAR_PLANE_M)]
-    if len(near) < MIN_NEAR_POINTS:
-        return plane, noise_about_m(plane, points_world, inlier_m)
-    plane = refine(near, plane, NEAR_PLANE_M if inlier_m == INLIER_M else inlier_m, inlier_m)
-    return plane, noise_about_m(plane, near, inlier_m)
-
-
 def _turn_deg(one: PlaneCandidate, other: PlaneCandidate) -> float:
     """Return the angle between the normals of two planes, degrees."""
-    return float(np.degrees(np.arccos(np.clip(one.plane[:3] @ other.plane[:3], -1, 1))))
+    return float(np.degrees(turn_rad(one.plane, other.plane)))
 
 
 def _outweighs(refused: PlaneCandidate, chosen: PlaneCandidate) -> bool:

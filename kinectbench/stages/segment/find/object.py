@@ -1,7 +1,5 @@
 """Find the floor of a fused scene, and the object on it."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,18 +9,25 @@ from kinectbench.core import SegmentationError
 from kinectbench.core.geometry import Grid, OrientedBox, TriangleMesh, invert_rigid, transform_points
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.core.voxels.surface_points import spacing_m, surface_points
-from kinectbench.core.voxels.touching_cells import connected
+from kinectbench.core.voxels.point_cells import connected, spacing_m, surface_points
 from kinectbench.settings.models import FloorCuts
-from kinectbench.stages.segment.find.box_anchor import check_anchor
-from kinectbench.stages.segment.find.choice_warnings import FINE_CELL_M, LOOK, Selection, choice_warnings
-from kinectbench.stages.segment.find.distance_scale import cell_scale, distance_scale, enlarged_box
-from kinectbench.stages.segment.find.floor import Floor, find_floor, floor_cut_m, level_floor, low_cut_m
-from kinectbench.stages.segment.find.gravity import NOTHING_KNOWN, FloorHint
-from kinectbench.stages.segment.find.select import (
+from kinectbench.stages.segment.find.floor import Floor, explained, find_floor, level_floor
+from kinectbench.stages.segment.find.given import check_anchor
+from kinectbench.stages.segment.find.hints import (
+    NOTHING_KNOWN,
+    FloorHint,
+    cell_scale,
+    distance_scale,
+    enlarged_box,
+)
+from kinectbench.stages.segment.find.pieces import (
     CELL_M,
+    FINE_CELL_M,
     FLAT,
+    LOOK,
     NOTHING_STANDS,
+    Selection,
+    choice_warnings,
     fit_box,
     label_pieces,
     select_in_box,
@@ -86,7 +91,7 @@ def find_scene(
     T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
     focus_world = hint.focus_world(T_world_camera)
     near = distance_scale(T_world_camera, focus_world)
-    scale = cell_scale(near, spacing_m(mesh), CELL_M) if len(mesh.faces) else near
+    scale = cell_scale(near, spacing_m(mesh), CELL_M)
     surface = surface_points(mesh, CELL_M * scale)
     if len(surface.points) == 0:
         raise SegmentationError(
@@ -129,14 +134,10 @@ def low_pieces(points_floor: Float64, cell_m: float) -> Bools:
 
 
 def low_parts(low_floor: Float64, object_floor: Float64, box: OrientedBox, cell_m: float) -> Bools:
-    """Which low points are connected to the object: (n,) bool.
+    """Which low points (n, 3) are connected to the object's points (m, 3): (n,) bool.
 
-    Args:
-        low_floor: (n, 3) points of the surface between the low cut and the floor cut, and of low pieces,
-            floor frame, metres.
-        object_floor: (m, 3) points of the object above the floor cut, m > 0.
-        box: around the object's points; low points more than 0.3 m outside it are left out.
-        cell_m: cells of this edge that touch are connected.
+    Cells of edge `cell_m` that touch are connected. All points are in the floor frame, metres, m > 0. Low
+    points more than 0.3 m outside `box`, which is around the object's points, are left out.
     """
     held = box.grown(MAX_BEYOND_M).contains(low_floor)
     if not held.any():
@@ -165,11 +166,8 @@ class ObjectOnFloor:
 def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell_m: float) -> ObjectOnFloor:
     """Choose the piece that the cameras look at, with the parts near the floor that are connected to it.
 
-    Args:
-        scene: the fused surface in the floor frame.
-        vertices_floor: (v, 3) vertices of its mesh, floor frame, metres.
-        settings: floor cut and low cut.
-        cell_m: cells of this edge that touch are connected.
+    The vertices (v, 3) of the scene's mesh are in the floor frame, metres; cells of edge `cell_m` that touch
+    are connected.
 
     Raises:
         SegmentationError: nothing stands on the floor, or nothing where the cameras look.
@@ -177,7 +175,7 @@ def find_object(scene: Scene, vertices_floor: Float64, settings: FloorCuts, cell
     scale = scene.scale
     points_floor, vertices_floor = scene.points_floor / scale, vertices_floor / scale
     heights_m, focus_floor = vertices_floor[:, 2], scene.focus_floor / scale
-    cut_m, low_m = (cut(scene.floor, settings) / scale for cut in (floor_cut_m, low_cut_m))
+    cut_m, low_m = scene.floor.cut_m(settings) / scale, scene.floor.low_cut_m(settings) / scale
     chosen = select_object(points_floor, cut_m, focus_floor)
     box = fit_box(points_floor[chosen])
     if not scene.picked:
@@ -221,9 +219,14 @@ class Segmentation:
     cell_m: float = CELL_M
 
     @property
-    def hangs(self) -> bool:
-        """Whether the object hangs or is held, so that no floor is known below it."""
-        return self.how == "masks" and not self.floor.found
+    def support(self) -> Floor | None:
+        """The plane that the object stands on; None if it hangs, or is held."""
+        return None if self.how == "masks" and not self.floor.found else self.floor
+
+    def beside_m(self, point_world: Float64) -> float:
+        """Return the distance of a point (3,) from the middle of the nearest cell of the object, metres."""
+        point_floor = transform_points(self.floor.T_floor_world, point_world)
+        return float(np.linalg.norm((self.object_cells + 0.5) * self.cell_m - point_floor, axis=1).min())
 
     def neighbours(self, grid: Grid) -> Bools:
         """Return a mask of an upright grid: voxels near other surface, but not near the object's surface."""
@@ -271,33 +274,16 @@ def find_floor_and_object(
 ) -> Segmentation:
     """Find the floor, and the object on it: the piece that the cameras look at, or what a given box holds.
 
-    Args:
-        mesh: the fused scene, world frame.
-        trajectory: poses of the frames.
-        given_box: the box that the user gave, floor frame; None if there is none.
-        settings: seed, floor cut and low cut.
-        hint: known facts about the floor.
+    The box is in the floor frame, the mesh of the fused scene in that of the world.
 
     Raises:
         SegmentationError: an empty scene, no floor (without a box), a given plane above the cameras, no
             object where they look, or a box that holds nothing or was chosen in another floor frame.
     """
-    with _far_poses_named(trajectory):
+    with explained(lambda: far_warnings(trajectory.T_world_camera)):
         scene = find_scene(mesh, trajectory, settings, given_box is not None, hint)
-        with scene.floor.explained_in_errors():
+        with explained(lambda: scene.floor.against):
             return _find_on_floor(scene, mesh, trajectory, given_box, settings)
-
-
-@contextmanager
-def _far_poses_named(trajectory: Trajectory) -> Iterator[None]:
-    """Within the block, let a `SegmentationError` also name poses far away from all others, if any."""
-    try:
-        yield
-    except SegmentationError as error:
-        far = far_warnings(trajectory.T_world_camera)
-        if not far:
-            raise
-        raise SegmentationError(f"{error}; {far[0]}", what=error.what) from error
 
 
 def _find_on_floor(
@@ -310,7 +296,7 @@ def _find_on_floor(
     """Find the object on the known floor of a scene: the piece in view, or the content of a given box."""
     if given_box is not None:
         check_anchor(given_box, scene.floor, trajectory, scene.scale)
-    cut_m, scale = floor_cut_m(scene.floor, settings), scene.scale
+    cut_m, scale = scene.floor.cut_m(settings), scene.scale
     points_floor, above = scene.points_floor, scene.points_floor[:, 2] > cut_m
     vertices_floor = transform_points(scene.floor.T_floor_world, mesh.vertices)
     left = vertices_floor[:, 2] > cut_m

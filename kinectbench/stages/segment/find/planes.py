@@ -1,4 +1,7 @@
-"""Planes of a scene: their frames, flatness and order, and whether one carries the object."""
+"""Planes of a scene: frames, heights, angles, flatness, what one carries, and whether a given one is seen.
+
+A plane is a, b, c, d with a x + b y + c z + d = 0; (a, b, c) is its unit normal.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,10 +9,11 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from kinectbench.core.geometry import invert_rigid, transform_points
+from kinectbench.core.geometry import invert_rigid, ransac_plane, refine, transform_points
 from kinectbench.core.types import Float64, Int64
-from kinectbench.core.voxels.touching_cells import connected
-from kinectbench.stages.segment.find.select import GROUNDED_M, SMALL_CELLS, fit_box
+from kinectbench.core.voxels.point_cells import connected
+from kinectbench.stages.segment.find.hints import MIN_GRAVITY_COSINE
+from kinectbench.stages.segment.find.pieces import GROUNDED_M, SMALL_CELLS, fit_box
 
 # Points this near to a plane are on it: floors scatter by 1 to 6 mm, and this holds three times the worst
 # (chosen by hand).
@@ -25,6 +29,10 @@ PARALLEL_COSINE, LOWER_M = 0.97, 0.2
 SPACING_QUANTILE = 0.9
 # The focus may lie this far below the support of a flat thing: people aim no better than a finger's breadth.
 FOCUS_BELOW_M = 0.03
+# A plane is refined with the surface within this distance, near what the cameras look at.
+NEAR_PLANE_M, FOCUS_M = 0.1, 1.2
+# Fewer points there say less of the plane than the whole scene does.
+MIN_NEAR_POINTS = 100
 # A thing that stands on a plane rises this far above it.
 CUT_M = 0.02
 # A thing is at most this share as long as the plane that it stands on: a chair's back is as long as its seat,
@@ -38,6 +46,14 @@ SIDES, MOST_SIDES, LEAST_HEIGHT = 12, 0.75, 0.2
 MAX_BESIDE = 0.5
 # Points lie at most this many times the spacing apart (chosen by hand): cells of that edge touch.
 SPACINGS = 2.0
+
+GIVEN = "the plane that benchmark.yaml gives as `floor`"
+# The plane that is seen is the one given if it is off by at most this, or this many times its noise, and
+# turned by at most this (chosen by hand; floors scatter by 1 to 6 mm, their fits by less than 0.5 degrees).
+LEAST_OFF_M, OFF_SIGMAS, TURNED_DEG = 0.010, 3.0, 3.0
+# A person means the plane given if it has points of its own, within this distance: at least this share of the
+# points of the plane beside it. A board on a floor is one of two planes that are seen (chosen by hand).
+OWN_SHARE, LEAST_ON_M = 0.05, 0.005
 
 
 @dataclass(frozen=True)
@@ -66,7 +82,17 @@ class SceneSurface:
 
     def focus_above_m(self, plane: Float64) -> float:
         """Return the height of the focus above a plane (4,)."""
-        return float(self.focus_world @ plane[:3] + plane[3])
+        return float(above_m(plane, self.focus_world))
+
+
+def above_m(plane: Float64, points: Float64) -> Float64:
+    """Return the heights of points (..., 3) above a plane (4,), metres; negative below it."""
+    return np.asarray(points @ plane[:3] + plane[3])
+
+
+def turn_rad(plane: Float64, other: Float64) -> float:
+    """Return the angle between the normals of planes (4,), or to a unit vector (3,), radians."""
+    return float(np.arccos(np.clip(plane[:3] @ other[:3], -1, 1)))
 
 
 def floor_frame(plane_world: Float64) -> Float64:
@@ -95,17 +121,32 @@ def is_below(lower: Float64, upper: Float64, surface: SceneSurface) -> bool:
 
 def is_flat(plane: Float64, surface: SceneSurface) -> bool:
     """Whether the surface about a plane (4,) is flat, and not clutter that the plane cuts."""
-    distance_m = np.abs(surface.points_world @ plane[:3] + plane[3]) / surface.times_noise
+    distance_m = np.abs(above_m(plane, surface.points_world)) / surface.times_noise
     return _noise_m(distance_m, surface.inlier_m) < MAX_NOISE_M
 
 
-def noise_about_m(plane: Float64, points_world: Float64, inlier_m: float = INLIER_M) -> float:
+def noise_about_m(plane: Float64, points_world: Float64, inlier_m: float) -> float:
     """Robust standard deviation about a plane (4,), metres, of the points (n, 3) within twice `inlier_m`."""
-    return _noise_m(np.abs(points_world @ plane[:3] + plane[3]), inlier_m)
+    return _noise_m(np.abs(above_m(plane, points_world)), inlier_m)
 
 
 def _noise_m(distance_m: Float64, inlier_m: float) -> float:
     return float(1.4826 * np.median(distance_m[distance_m < 2 * inlier_m]))
+
+
+def refined_near(plane: Float64, surface: SceneSurface) -> tuple[Float64, float]:
+    """Refine a plane (4,) by the surface near the focus. Do nothing if there are too few points.
+
+    Return the plane, and the robust standard deviation of the surface about the plane, metres.
+    """
+    points_world, inlier_m = surface.points_world, surface.inlier_m
+    flat = np.linalg.norm(points_world - surface.focus_world, axis=1) < FOCUS_M
+    flat &= surface.normals_world @ plane[:3] > FLAT_COSINE
+    near = points_world[flat & (np.abs(above_m(plane, points_world)) < NEAR_PLANE_M)]
+    if len(near) < MIN_NEAR_POINTS:
+        return plane, noise_about_m(plane, points_world, inlier_m)
+    plane = refine(near, plane, NEAR_PLANE_M if inlier_m == INLIER_M else inlier_m, inlier_m)
+    return plane, noise_about_m(plane, near, inlier_m)
 
 
 def carries_what_is_looked_at(plane: Float64, surface: SceneSurface) -> bool:
@@ -115,7 +156,7 @@ def carries_what_is_looked_at(plane: Float64, surface: SceneSurface) -> bool:
     the cameras look at the object rather than at the plane. The object must stand on the plane: a lamp that
     stands beside a table and reaches over it does not.
     """
-    height_m = surface.points_world @ plane[:3] + plane[3]
+    height_m = above_m(plane, surface.points_world)
     focus_m = surface.focus_above_m(plane)
     if focus_m < -FOCUS_BELOW_M:
         return False
@@ -162,3 +203,68 @@ def _nearest_piece(points: Float64, focus: Float64, cell_m: float) -> Float64 | 
     if not np.isfinite(distance_m).any():
         return None
     return np.asarray(points[label == np.argmin(distance_m)])
+
+
+def against_plane(
+    plane_world: Float64, surface: SceneSurface, up_world: Float64 | None, scale: float
+) -> tuple[str, ...]:
+    """Return objections to a given plane (4,), one line each, with advice after a semicolon.
+
+    There are two: the plane is not level by gravity, or the frames show another plane close to it. The other
+    plane must lie within 0.1 m, differ by more than noise, and be the only one there. If the frames show both
+    planes, such as a table and the floor, the user decides which one is meant. The given plane is in a world
+    `scale` times as large as that of `surface`.
+    """
+    gravity = against_gravity(plane_world, up_world)
+    beside = _beside(plane_world * [1, 1, 1, 1 / scale], surface)
+    if beside is None:
+        return gravity
+    seen, off_m, turn_deg = beside
+    way = f"{1000 * scale * abs(off_m):.0f} mm {'above' if off_m > 0 else 'below'} it"
+    turned = f", turned by {turn_deg:.0f} degrees" if turn_deg > TURNED_DEG else ", parallel to it"
+    numbers = ", ".join(f"{value:.5f}" for value in seen * [1, 1, 1, scale])
+    line = (
+        f"{GIVEN} is not one that the frames show: they show a plane {way}{turned}; if the object stands "
+        f"on that, write `floor: {{plane_world: [{numbers}]}}`"
+    )
+    return (*gravity, line)
+
+
+def against_gravity(plane_world: Float64, up_world: Float64 | None) -> tuple[str, ...]:
+    """Return an objection if a plane (4,) is not level by gravity, else (); () if `up_world` is unknown."""
+    if up_world is None or plane_world[:3] @ up_world >= MIN_GRAVITY_COSINE:
+        return ()
+    turn_deg = np.degrees(turn_rad(plane_world, up_world))
+    return (
+        f"{GIVEN} is turned by {turn_deg:.0f} degrees against level by gravity; give one whose normal "
+        "points up, in the frame of the trajectory",
+    )
+
+
+def _beside(plane: Float64, surface: SceneSurface) -> tuple[Float64, float, float] | None:
+    """Find a measured plane close to a given plane (4,), near the focus.
+
+    Return the measured plane (4,), its height in metres above the given plane, and the angle between them in
+    degrees. Return None if the surface near the focus shows no plane, or if it shows the given plane.
+    """
+    points, normals = surface.points_world, surface.normals_world
+    near = normals @ plane[:3] > FLAT_COSINE
+    near &= np.abs(above_m(plane, points)) < NEAR_PLANE_M
+    near &= np.linalg.norm(points - surface.focus_world, axis=1) < FOCUS_M
+    if near.sum() < MIN_NEAR_POINTS:
+        return None
+    points, normals, inlier_m = points[near], normals[near], surface.inlier_m
+    seen = ransac_plane(points, normals, np.random.default_rng(0), inlier_m)
+    seen = refine(points, seen, 2 * inlier_m, inlier_m)
+    on_seen = points[np.abs(above_m(seen, points)) < inlier_m]
+    if len(on_seen) < MIN_NEAR_POINTS:
+        return None
+    noise_m = noise_about_m(seen, on_seen, inlier_m)
+    off_m = float(above_m(plane, on_seen.mean(axis=0)))
+    turn_deg = float(np.degrees(turn_rad(seen, plane)))
+    off_noise_m = max(LEAST_OFF_M, OFF_SIGMAS * noise_m)
+    if abs(off_m) <= off_noise_m and turn_deg <= TURNED_DEG:
+        return None
+    own = np.abs(above_m(plane, points)) < max(LEAST_ON_M, noise_m)
+    own &= np.abs(above_m(seen, points)) > off_noise_m
+    return None if own.sum() > OWN_SHARE * len(on_seen) else (seen, off_m, turn_deg)

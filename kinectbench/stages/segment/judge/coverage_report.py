@@ -20,12 +20,12 @@ from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float64, Int64
-from kinectbench.core.voxels.surface_points import spacing_m
+from kinectbench.core.voxels.point_cells import spacing_m
 from kinectbench.stages.fuse.depth_range import some_frames
-from kinectbench.stages.segment.find.floor import GIVEN, Floor
+from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
-from kinectbench.stages.segment.judge.frontiers import turn_in_words
-from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY, is_obstructed
+from kinectbench.stages.segment.find.planes import GIVEN
+from kinectbench.stages.segment.judge.frontiers import MOVE_AWAY, is_obstructed, turn_in_words
 
 # Images are looked at in about this many columns: a person who walks by is many of them wide.
 COLUMNS = 160
@@ -209,6 +209,34 @@ def _of_floor(floor: Floor) -> list[str]:
     ]
 
 
+def _of_side(
+    chosen: Segmentation, towards_rad: float, hidden_share: float, first_rad: float, limits: SensorLimits
+) -> list[str]:
+    """Return a warning if no frame looks at a side; arguments as returned by `unseen_side`."""
+    if hidden_share <= 0:
+        return []
+    towards, show = np.array([np.cos(towards_rad), np.sin(towards_rad), 0.0]), "show it to the camera, too"
+    obstructed = is_obstructed(chosen, np.array(chosen.box.center_m), towards, limits)
+    return [
+        f"no frame looks at the object's side {turn_in_words(towards_rad, first_rad)}, over "
+        f"{360 * hidden_share:.0f} degrees of arc: what is there is inferred; "
+        + (f"{MOVE_AWAY} {show}" if obstructed else show)
+    ]
+
+
+def _of_frames(good: int, moving: MovingPart) -> list[str]:
+    """Return a warning if there are few good frames, and one if something moves in some of them."""
+    few = f"made from {good} frames only: too few to average the noise; record more"
+    lines = [few] if good < MIN_FRAMES else []
+    if moving.frames:
+        lines.append(
+            f"in {len(moving.frames)} of {moving.judged} frames looked at (such as {moving.frames[0]}) "
+            "something stands before the scene that the others do not see: a person walking through, or "
+            "poses that are off? record it without, and look at the trajectory"
+        )
+    return lines
+
+
 def _of_range(too_far: float, max_depth_m: float, is_set: bool) -> list[str]:
     """Return a warning if too large a share of the depth is beyond the range; `is_set`: by the user."""
     if too_far <= MAX_BEYOND_SHARE:
@@ -245,49 +273,30 @@ def coverage_report(
     """Measure how well a recording shows its object, with a warning for each fault.
 
     Faults are a trajectory graded "not good", depth that contradicts the object, a side that no frame looks
-    at, few frames, something that moves, depth near the object beyond `max_depth_m`, and signs of a wrongly
-    chosen floor or object.
-
-    Args:
-        sequence: the recording.
-        trajectory: its poses, with at least one good frame.
-        scene: the fused surface, world frame.
-        chosen: the floor and the object that were chosen.
-        grid: the grid around the object.
-        max_depth_m: depth up to this is fused.
-        limits: of the sensor and of its positions.
-        range_is_set: whether `max_depth_m` is the user's setting.
+    at, few frames, something that moves, depth near the object beyond `max_depth_m`, up to which it is fused,
+    and signs of a wrongly chosen floor or object. The trajectory has at least one good frame, the scene is in
+    the world frame, and `range_is_set` is whether `max_depth_m` is the user's setting.
     """
     good = trajectory.good_frames
     T_floor_camera = chosen.floor.T_floor_world @ trajectory.T_world_camera[good]
     center = np.array(chosen.box.center_m)
-    gap_rad, towards_rad, hidden_share = unseen_side(T_floor_camera, center)
     first_rad = float(np.arctan2(*(T_floor_camera[0, :2, 3] - center[:2])[::-1]))
+    gap_rad, towards_rad, hidden_share = unseen_side(T_floor_camera, center)
     moving, off_share = frames_against_scene(sequence, trajectory, scene, chosen.floor, chosen.box)
-    choice_warnings = (*_of_floor(chosen.floor), *chosen.warnings)
-    warnings = [*_of_trajectory(trajectory), *_of_contradictions(off_share), *choice_warnings]
-    if hidden_share > 0:
-        towards = np.array([np.cos(towards_rad), np.sin(towards_rad), 0.0])
-        show = "show it to the camera, too"
-        warnings.append(
-            f"no frame looks at the object's side {turn_in_words(towards_rad, first_rad)}, over "
-            f"{360 * hidden_share:.0f} degrees of arc: what is there is inferred; "
-            + (f"{MOVE_AWAY} {show}" if is_obstructed(chosen, center, towards, limits) else show)
-        )
-    if len(good) < MIN_FRAMES:
-        warnings.append(f"made from {len(good)} frames only: too few to average the noise; record more")
-    if moving.frames:
-        warnings.append(
-            f"in {len(moving.frames)} of {moving.judged} frames looked at (such as {moving.frames[0]}) "
-            "something stands before the scene that the others do not see: a person walking through, or "
-            "poses that are off? record it without, and look at the trajectory"
-        )
     too_far = beyond_depth_share(sequence, trajectory, grid, max_depth_m)
-    warnings += _of_range(too_far, max_depth_m, range_is_set)
-    figures = UnseenSidePart(
+    of_choice = (*_of_floor(chosen.floor), *chosen.warnings)
+    warnings = (
+        *_of_trajectory(trajectory),
+        *_of_contradictions(off_share),
+        *of_choice,
+        *_of_side(chosen, towards_rad, hidden_share, first_rad, limits),
+        *_of_frames(len(good), moving),
+        *_of_range(too_far, max_depth_m, range_is_set),
+    )
+    side = UnseenSidePart(
         gap_rad=np.radians(round(np.degrees(gap_rad), 1)),
         towards_rad=np.radians(round(np.degrees(towards_rad), 1)),
         share=round(hidden_share, 4),
     )
-    found = figures, moving, max_depth_m, round(too_far, 4), off_share, tuple(warnings), choice_warnings
-    return CoverageReport(len(good), *found, first_rad)
+    figures = len(good), side, moving, max_depth_m, round(too_far, 4), off_share
+    return CoverageReport(*figures, warnings, of_choice, first_rad)

@@ -1,6 +1,8 @@
-"""Unobserved openings: size, place, and viewpoints that would see into them."""
+"""Unobserved openings: size, place, viewpoints that would see into them, and what stands in the way there."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -9,18 +11,21 @@ from scipy import ndimage
 
 from kinectbench.core.artefacts.object import LEAST_UNDERSIDE_SHARE
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.geometry import transform_points
+from kinectbench.core.geometry import OrientedBox, invert_rigid, transform_points
 from kinectbench.core.sensor_limits import SensorLimits
-from kinectbench.core.types import Bools, Float64, Underside
+from kinectbench.core.types import Bools, Float64, Int64, Underside
 from kinectbench.core.voxels.line_kernels import PASSABLE, PLACE
 from kinectbench.core.voxels.lines_of_sight import Space, count_seen, directions
 from kinectbench.core.voxels.morphology import broad, opened, piece_sizes, values_of_pieces
-from kinectbench.stages.segment.find.select import triple
-from kinectbench.stages.segment.judge.obstacles import MOVE_AWAY
+from kinectbench.core.voxels.point_cells import cell_numbers
+from kinectbench.stages.segment.find.object import Segmentation
+from kinectbench.stages.segment.find.pieces import triple
 from kinectbench.stages.segment.solid.evidence import VoxelEvidence
 from kinectbench.stages.segment.solid.solid import SolidShape
 
 Direction = Literal["up", "side", "down"]
+# Centres (n, 3), metres, grid frame, of faces between voxels, by their axis and sign.
+Faces = Mapping[tuple[int, int], Float64]
 
 # A frontier is reported from this share of the solid's volume and this area on (chosen by hand).
 LEAST_SHARE, LEAST_AREA_M2 = 0.02, 0.002
@@ -41,6 +46,16 @@ ENOUGH, CAMERA_ELEVATION_RAD = 0.8, np.radians(25.0)
 STEEP, LEVEL, LOWER = 0.9, 0.35, 0.05
 # Directions are reported in these steps: people place themselves no more exactly (chosen by hand).
 TURN_STEP_DEG, HALF_TURN_DEG = 10, 180
+MOVE_AWAY = "move it away from what stands behind it, and"
+# A surface that a line meets has this many cells within this many cells of the line (chosen by hand: seven of
+# a plane across it, three of an edge).
+HIT_CELLS, BESIDE_CELLS = 3, 1.5
+# The object hides what is right behind it. A wall shows on both sides of it, over this many cells each, and
+# rises over this many above what is looked at: 0.5 m, which boxes on the floor do not. This many lines
+# through a cell on either side are tried (chosen by hand).
+WALL_CELLS, TRIED_LINES = 16, 300
+# A look that is steeper than this (vertical part of a unit vector) meets no wall: 72 degrees.
+WALL_STEEP = 0.95
 
 
 @dataclass(frozen=True)
@@ -144,23 +159,33 @@ def find_frontiers(
     share of the solid's volume. Pieces thinner than a line of sight are skipped, with two exceptions:
     undersides always count, and if no frontier was found at all, large pieces of any thickness count. View
     directions that show at least 80 % as much of the piece as the best one are candidates for `look_from`;
-    the candidate closest to the elevation of a hand-held camera is chosen.
-
-    Args:
-        shape: the solid.
-        evidence: the class of each voxel.
-        limits: of the sensor; they give the width of a line of sight.
-        T_floor_grid: (4, 4), maps the solid's grid to the floor frame.
+    the candidate closest to the elevation of a hand-held camera is chosen. `T_floor_grid` (4, 4) maps the
+    solid's grid to the floor frame.
     """
     unknown = (shape.labels == Label.UNKNOWN) & (shape.probability > LEAST_PROBABILITY) & evidence.unknown
-    aside = unknown & ~evidence.underside
-    below = _large_pieces(shape, unknown & evidence.underside, limits, underside=True)
-    wide = _large_pieces(shape, aside, limits, underside=False)
-    found = _frontiers_of(shape, evidence, wide, below, T_floor_grid)
+    aside, below = unknown & ~evidence.underside, unknown & evidence.underside
+    cells, volume = max(1, round(limits.line_width_m / shape.grid.voxel_size_m)), int(shape.solid.sum())
+    # From below a board is wide, however thin. Elsewhere thin layers are left by the rims of lines of sight.
+    undersides = _pieces_of(opened(below, (cells, cells, 1)), LEAST_UNDERSIDE_SHARE * volume)
+    wide = _pieces_of(broad(aside, cells), LEAST_SHARE * volume)
+    found = _frontiers_of(shape, evidence, wide, undersides, T_floor_grid)
     if found:
         return found
-    narrow = _pieces_of(aside, LEAST_NARROW_SHARE * shape.solid.sum())
-    return _frontiers_of(shape, evidence, narrow, below, T_floor_grid)
+    narrow = _pieces_of(aside, LEAST_NARROW_SHARE * volume)
+    return _frontiers_of(shape, evidence, narrow, undersides, T_floor_grid)
+
+
+def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], int]:
+    """Find the 26-connected pieces of at least `least_voxels` voxels.
+
+    Returns:
+        The piece of each voxel, from 1 (0: none), in the region's shape; and the number of pieces.
+    """
+    pieces, count = ndimage.label(region, np.ones((3, 3, 3)))
+    large = piece_sizes(pieces, count) >= max(1, least_voxels)
+    large[0] = False
+    numbers = np.where(large, np.cumsum(large), 0).astype(np.int32)
+    return values_of_pieces(pieces, numbers), int(large.sum())
 
 
 def _frontiers_of(
@@ -170,7 +195,7 @@ def _frontiers_of(
     below: tuple[NDArray[np.int32], int],
     T_floor_grid: Float64,
 ) -> tuple[Frontier, ...]:
-    """Return the frontiers of pieces as `_large_pieces` returns them, the largest volume first.
+    """Return the frontiers of pieces as `_pieces_of` returns them, the largest volume first.
 
     The pieces `aside` could be seen from the side or from above; the pieces `below` are undersides.
     """
@@ -190,54 +215,33 @@ def _frontiers_of(
     frontiers = []
     for piece, window in enumerate(ndimage.find_objects(pieces), start=1):
         inner, underside = pieces[window] == piece, piece > aside[1]
-        part = _Piece(
-            voxel_m,
-            inner,
-            free[underside][tuple(slice(along.start, along.stop + 2) for along in window)],
-            np.array([along.start for along in window]),
-        )
-        behind = (
-            float(inner.sum()) * voxel_m**3,
-            float(shape.probability[window][inner].astype(np.float64).mean()),
-            float(shape.solid[window][inner].mean()),
-        )
+        around = free[underside][tuple(slice(along.start, along.stop + 2) for along in window)]
+        faces = _faces_m(inner, around, np.array([along.start for along in window]), voxel_m)
         # An underside that none of the directions shows is seen straight from below.
         look, inside = _viewpoint(ways, shown[:, piece], outside[:, piece])
         if underside and not shown[:, piece].any():
             look = ways[-1]
-        frontier = _frontier(part, look, T_floor_grid, behind, underside)
-        if frontier is not None and frontier.area_m2 >= LEAST_AREA_M2:
-            frontiers.append(replace(frontier, from_inside=inside))
+        direction, points, area_m2 = _shown(faces, look, voxel_m)
+        if not len(points) or area_m2 < LEAST_AREA_M2:
+            continue
+        look_floor = T_floor_grid[:3, :3] @ look
+        look_floor /= np.linalg.norm(look_floor)
+        points_floor = transform_points(T_floor_grid, points)
+        frontiers.append(
+            Frontier(
+                direction,
+                area_m2,
+                _extents_m(points_floor, look_floor, direction == "side", voxel_m),
+                triple(points_floor.mean(axis=0)),
+                triple(look_floor),
+                volume_m3=float(inner.sum()) * voxel_m**3,
+                inside_share=float(shape.probability[window][inner].astype(np.float64).mean()),
+                solid_share=float(shape.solid[window][inner].mean()),
+                underside=underside,
+                from_inside=inside,
+            )
+        )
     return tuple(sorted(frontiers, key=lambda frontier: -frontier.volume_m3))
-
-
-def _large_pieces(
-    shape: SolidShape, region: Bools, limits: SensorLimits, underside: bool
-) -> tuple[NDArray[np.int32], int]:
-    """Find the large connected pieces of a region.
-
-    Args:
-        shape: the solid; a large piece has at least a small share of its volume.
-        region: bool, the voxels of the region, in the solid's grid.
-        limits: of the sensor; parts thinner than a line of sight are left out.
-        underside: whether the region is an underside, of which flat parts count however thin they are.
-
-    Returns:
-        The piece of each voxel, from 1 (0: none), in the grid's shape; and the number of pieces.
-    """
-    cells = max(1, round(limits.line_width_m / shape.grid.voxel_size_m))
-    # From below a board is wide, however thin. Elsewhere thin layers are left by the rims of lines of sight.
-    wide = opened(region, (cells, cells, 1)) if underside else broad(region, cells)
-    return _pieces_of(wide, (LEAST_UNDERSIDE_SHARE if underside else LEAST_SHARE) * shape.solid.sum())
-
-
-def _pieces_of(region: Bools, least_voxels: float) -> tuple[NDArray[np.int32], int]:
-    """Find the 26-connected pieces of at least `least_voxels` voxels; return the same as `_large_pieces`."""
-    pieces, count = ndimage.label(region, np.ones((3, 3, 3)))
-    large = piece_sizes(pieces, count) >= max(1, least_voxels)
-    large[0] = False
-    numbers = np.where(large, np.cumsum(large), 0).astype(np.int32)
-    return values_of_pieces(pieces, numbers), int(large.sum())
 
 
 def _without_inside(space: Space, solid: Bools) -> Space:
@@ -260,94 +264,48 @@ def _viewpoint(ways: Float64, shown: NDArray[np.int64], outside: NDArray[np.int6
 
 
 def _best_direction(ways: Float64, shown: NDArray[np.int64]) -> int:
-    """Return the index of the direction closest to a hand-held camera's elevation, of those that show much.
-
-    `ways` (n, 3) are unit vectors to cameras, and `shown` (n,) is how many of a piece's voxels each one
-    shows.
-    """
+    """Return the index of the direction nearest to how a camera is held, of those that show much."""
     enough = np.flatnonzero(shown >= ENOUGH * shown.max())
     off_rad = np.abs(np.arcsin(np.clip(ways[enough, 2], -1, 1)) - CAMERA_ELEVATION_RAD)
     return int(enough[np.argmin(off_rad)])
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """A piece of unknown voxels in a window of the grid that just holds it.
+def _faces_m(cells: Bools, free: Bools, corner: NDArray[np.int64], voxel_m: float) -> Faces:
+    """Return the faces of a piece to free space.
 
-    Attributes:
-        voxel_m: edge of a voxel, metres.
-        cells: (i, j, k) bool, which voxels of the window belong to the piece.
-        free: (i + 2, j + 2, k + 2) bool, which voxels of the window and one more on each side are free. For
-            an underside, unknown voxels that are not part of one count as free.
-        corner: (3,) index of the window's first voxel in the grid.
+    The voxels `cells` (i, j, k) of the piece are in a window of the grid that begins at `corner` (3,). `free`
+    has one more voxel than it on each side.
     """
-
-    voxel_m: float
-    cells: Bools
-    free: Bools
-    corner: NDArray[np.int64]
-
-    def faces_m(self, axis: int, sign: int) -> Float64:
-        """Return the centres (n, 3), metres, grid frame, of faces to free space in direction sign * axis."""
+    faces = {}
+    for axis, sign in product(range(3), (-1, 1)):
         step = np.zeros(3, np.int64)
         step[axis] = sign
-        beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, self.cells.shape, strict=True))
-        at: Float64 = (
-            self.corner + np.argwhere(self.cells & self.free[beside]) + 0.5 + step / 2
-        ) * self.voxel_m
-        return at
+        beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, cells.shape, strict=True))
+        faces[axis, sign] = (corner + np.argwhere(cells & free[beside]) + 0.5 + step / 2) * voxel_m
+    return faces
 
 
-def _frontier(
-    piece: _Piece,
-    look: Float64,
-    T_floor_grid: Float64,
-    behind: tuple[float, float, float],
-    underside: bool,
-) -> Frontier | None:
-    """Make the frontier of a piece for a camera in one direction; None if no face is visible.
+def _shown(faces: Faces, look: Float64, voxel_m: float) -> tuple[Direction, Float64, float]:
+    """Return the direction of the faces of which a camera sees most, their centres (n, 3) and area, m2.
 
-    Its `direction` is that of the faces with most visible area.
-
-    Args:
-        piece: the piece of unknown voxels.
-        look: (3,) unit vector to the camera, grid frame.
-        T_floor_grid: (4, 4), maps the grid to the floor frame.
-        behind: the frontier's `volume_m3`, `inside_share` and `solid_share`.
-        underside: whether a camera could see the piece only from below.
+    The camera lies in the direction `look` (3,), a unit vector. If it sees no face, n is 0.
     """
-    faces = {(axis, sign): piece.faces_m(axis, sign) for axis in range(3) for sign in (-1, 1)}
     seen = {
         (axis, sign): len(points) * sign * look[axis]
         for (axis, sign), points in faces.items()
         if sign * look[axis] > 0 and len(points)
     }
     if not seen:
-        return None
+        return "side", np.zeros((0, 3)), 0.0
     upright = {sign: seen.get((2, sign), 0.0) for sign in (-1, 1)}
     level = {way: share for way, share in seen.items() if way[0] != 2}
     sign = 1 if upright[1] >= upright[-1] else -1
     if upright[sign] >= sum(level.values()):
-        direction: Direction = "up" if sign > 0 else "down"
-        points = faces[2, sign]
-        area_m2 = len(points) * piece.voxel_m**2
-    else:
-        direction, points = "side", np.concatenate([faces[way] for way in level])
-        # Faces along the grid's axes, added up as vectors, are the area of a smooth surface in their place.
-        across = [sum(len(faces[way]) for way in level if way[0] == axis) for axis in (0, 1)]
-        area_m2 = float(np.hypot(across[0], across[1])) * piece.voxel_m**2
-    look_floor = T_floor_grid[:3, :3] @ look
-    look_floor /= np.linalg.norm(look_floor)
-    points_floor = transform_points(T_floor_grid, points)
-    return Frontier(
-        direction,
-        area_m2,
-        _extents_m(points_floor, look_floor, direction == "side", piece.voxel_m),
-        triple(points_floor.mean(axis=0)),
-        triple(look_floor),
-        *behind,
-        underside,
-    )
+        return "up" if sign > 0 else "down", faces[2, sign], len(faces[2, sign]) * voxel_m**2
+    # Faces along the grid's axes, added up as vectors, are the area of a smooth surface in their place.
+    across = [sum(len(faces[way]) for way in level if way[0] == axis) for axis in (0, 1)]
+    area_m2 = float(np.hypot(across[0], across[1])) * voxel_m**2
+    return "side", np.concatenate([faces[way] for way in level]), area_m2
 
 
 def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float) -> tuple[float, float]:
@@ -359,9 +317,8 @@ def _extents_m(points_floor: Float64, look: Float64, side: bool, voxel_m: float)
     if side:
         across = np.array([-look[1], look[0], 0.0]) / np.hypot(look[0], look[1])
         return _extent_m(points_floor @ across, voxel_m), _extent_m(points_floor[:, 2], voxel_m)
-    turns = np.linspace(0, np.pi / 2, 31)[:-1]
     boxes: list[list[float]] = []
-    for turn in turns:
+    for turn in np.linspace(0, np.pi / 2, 31)[:-1]:
         along = np.array([np.cos(turn), np.sin(turn), 0.0])
         across = np.array([-along[1], along[0], 0.0])
         boxes.append([_extent_m(points_floor @ axis, voxel_m) for axis in (along, across)])
@@ -373,3 +330,64 @@ def _extent_m(values: Float64, voxel_m: float) -> float:
     """Return the extent of values (n,), metres, without 1 % at either end, plus one voxel."""
     low, high = np.quantile(values, [STREAKS, 1 - STREAKS])
     return float(high - low) + voxel_m
+
+
+def is_obstructed(chosen: Segmentation, point_floor: Float64, look: Float64, limits: SensorLimits) -> bool:
+    """Whether something other than the object is in the way of a camera that looks at a point.
+
+    The camera stands at least `near_m` outside the object's box. An obstacle is anything measured on the line
+    between the box and that camera, or a wall that was measured on both sides of the line.
+
+    Args:
+        chosen: the object, and what else stands on the floor.
+        point_floor: (3,) the camera's target, floor frame, metres.
+        look: (3,) unit vector, floor frame, from the point to the camera.
+        limits: of the sensor.
+    """
+    cell_m = chosen.cell_m
+    others = (chosen.other_cells + 0.5) * cell_m - point_floor
+    along_m = others @ look
+    beside_m = np.linalg.norm(others - along_m[:, None] * look, axis=1)
+    out_m = _way_out_m(chosen.box, point_floor, look)
+    reach_m = out_m + limits.near_m + limits.camera_size_m / 2
+    met = (along_m > out_m) & (along_m < reach_m) & (beside_m < BESIDE_CELLS * cell_m)
+    if met.sum() >= HIT_CELLS:
+        return True
+    if abs(look[2]) > WALL_STEEP:
+        return False
+    towards = look[:2] / np.linalg.norm(look[:2])
+    higher = others[others[:, 2] > 0, :2]
+    level = np.column_stack([higher @ towards, higher @ [-towards[1], towards[0]]])
+    near = (np.abs(level) < 2 * reach_m + WALL_CELLS * cell_m).all(axis=1)
+    cells = np.floor(level[near] / cell_m).astype(np.int64)
+    _, first, counts = np.unique(cell_numbers(cells), return_index=True, return_counts=True)
+    columns = cells[first[counts >= WALL_CELLS]]
+    return bool((_wall_crossings(columns) * cell_m < reach_m).any())
+
+
+def _way_out_m(box: OrientedBox, point_floor: Float64, look: Float64) -> float:
+    """Return the distance from a point (3,) in an upright box to its boundary along `look`; 0 if outside."""
+    T_box_floor = invert_rigid(box.T_floor_box)
+    point, along = transform_points(T_box_floor, point_floor), T_box_floor[:3, :3] @ look
+    half = np.array(box.size_m) / 2
+    with np.errstate(divide="ignore"):
+        return max(0.0, float(((half - np.sign(along) * point) / np.abs(along)).min()))
+
+
+def _wall_crossings(columns: Int64) -> Float64:
+    """Find where a line crosses upright walls; return distances (k,) along the line, from 0 on, in cells.
+
+    `columns` (n, 2) are the cells of measured columns seen from above: their position along the line, and to
+    its left. A wall is straight, and has columns on both sides of the line.
+    """
+    sides: tuple[Bools, Bools] = (columns[:, 1] > 0, columns[:, 1] < 0)
+    if min(int(side.sum()) for side in sides) < WALL_CELLS:
+        return np.zeros(0)
+    rng = np.random.default_rng(0)
+    left, right = (columns[rng.choice(np.flatnonzero(side), TRIED_LINES)] for side in sides)
+    step = right - left
+    normal = np.column_stack([-step[:, 1], step[:, 0]]) / np.linalg.norm(step, axis=1)[:, None]
+    off = np.abs(columns @ normal.T - (left * normal).sum(axis=1)) < 1
+    holds = np.logical_and(*(off[side].sum(axis=0) >= WALL_CELLS for side in sides))
+    crossing = left[:, 0] - left[:, 1] * step[:, 0] / step[:, 1]
+    return np.asarray(crossing[holds & (crossing > 0)])

@@ -20,7 +20,7 @@ from kinectbench.core.voxels.observation import (
     VOXELS_PER_FREE_SHARE,
 )
 from kinectbench.stages.segment.judge import estimate, frontiers
-from kinectbench.stages.segment.solid import evidence, grids, guess, labels, solid
+from kinectbench.stages.segment.solid import evidence, grids, guess, solid
 from kinectbench.stages.segment.solid.evidence import Rules
 
 
@@ -90,7 +90,7 @@ def method(rules: Rules) -> SolidMethod:
         ),
         shell_m=evidence.SHELL_M,
         shell_voxels=evidence.SHELL_VOXELS,
-        measured_voxels=labels.MEASURED_VOXELS,
+        measured_voxels=solid.MEASURED_VOXELS,
         ruled=(solid.RULED_SOLID, solid.RULED_AIR),
         least_field=(solid.LEAST_FIELD, solid.LEAST_SMOOTHED),
         probability_by_signed_voxels=_curve(guess.SIGNED_VOXELS, guess.SIGNED_INSIDE_SHARE),

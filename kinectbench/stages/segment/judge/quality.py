@@ -15,20 +15,19 @@ from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import OrientedBox, transform_points
 from kinectbench.core.types import CLOSED_MEANS, OPEN_MEANS, Int32, Int64, Underside
 from kinectbench.core.voxels.observation import Observation
-from kinectbench.stages.segment.find.choice_warnings import LOOK
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
-from kinectbench.stages.segment.find.select import fit_box, nearest_within
+from kinectbench.stages.segment.find.pieces import LOOK, fit_box, nearest_within
 from kinectbench.stages.segment.judge.coverage_report import CoverageReport
 from kinectbench.stages.segment.judge.estimate import (
     MAX_VOLUME_SHARE_PER_MM,
+    FloorCut,
     IouEstimate,
     PoseError,
     estimate_iou,
     unresolved_share,
     volume_share_per_mm,
 )
-from kinectbench.stages.segment.judge.floor_cut import FloorCut
 from kinectbench.stages.segment.judge.frontiers import Frontier
 from kinectbench.stages.segment.judge.method import method
 from kinectbench.stages.segment.solid.evidence import Rules
@@ -79,20 +78,15 @@ def measure_quality(
 ) -> QualityFile:
     """Measure repeatability (the IoU of the two halves' solids) and the estimated IoU; gather the warnings.
 
-    Args:
-        chosen: floor and object.
-        box: `solid_box` of the solid from all frames.
-        solids: from all, from the odd and from the even frames.
-        report: the recording's coverage.
-        pose_error: the median error of the poses.
-        frontiers: openings that no frame saw into.
-        rules: by which the solids were made.
-        floor_cut: what it took from the object.
+    `box` is the `solid_box` of the solid from all frames, and `rules` are those by which the solids were
+    made.
     """
     together, odd, even, sigma_m = solids.whole, solids.odd, solids.even, solids.surface_sigma_m
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
-    estimate = floor_cut.applied(_estimate(solids, pose_error, frontiers))
+    unresolved = unresolved_share(together)
+    estimate = estimate_iou(together, sigma_m, pose_error, frontiers, solids.frames, unresolved)
+    estimate = floor_cut.applied(estimate)
     unsupported = _unsupported(chosen, together, rules)
     advice = tuple(f.advice(report.first_rad, rules.underside) for f in frontiers)
     fused = _warnings(unsupported, together, repeatability, estimate, advice, unknown)
@@ -126,11 +120,6 @@ def measure_quality(
         **{key: getattr(report, key) for key in OF_REPORT},
         method=method(rules),
     )
-
-
-def _estimate(solids: Solids, pose_error: PoseError, frontiers: tuple[Frontier, ...]) -> IouEstimate:
-    whole, unresolved = solids.whole, unresolved_share(solids.whole)
-    return estimate_iou(whole, solids.surface_sigma_m, pose_error, frontiers, solids.frames, unresolved)
 
 
 def _box_part(box: OrientedBox) -> BoxPart:
@@ -206,15 +195,11 @@ def _warnings(
     advice: tuple[str, ...],
     unknown: float,
 ) -> list[str]:
-    """Return a line for each fault of a solid.
+    """Return a line for each fault of a solid; `unsupported` lines among them.
 
-    Args:
-        unsupported: the warnings of `_unsupported`, which the result includes.
-        shape: the solid.
-        repeatability: IoU of the solids from the odd and from the even frames.
-        estimate: the estimated IoU.
-        advice: lines on what to record again; the result does not repeat or contradict them.
-        unknown: unknown volume assumed inside, as a share of the solid's.
+    `advice` are lines on what to record again, which the result does not repeat or contradict.
+    `repeatability` is the IoU of the solids from the odd and the even frames, `unknown` the unknown volume
+    assumed inside, as a share of the solid's.
     """
     share_per_mm = volume_share_per_mm(shape.mesh)
     why = "; ".join(estimate.reasons) or "parts that are thin, hidden, without depth or cut off"

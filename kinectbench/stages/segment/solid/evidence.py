@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Underside
-from kinectbench.core.voxels.distance import distance_within_m
 from kinectbench.core.voxels.lines_of_sight import Space
+from kinectbench.core.voxels.morphology import distance_within_m
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
 from kinectbench.core.voxels.sight import swept_from_outside
 
@@ -62,10 +62,6 @@ class FloorLayers:
     def cut(self) -> int:
         """Index of the lowest layer above the floor that holds no surface of the floor."""
         return self.first + self.low
-
-
-# Without a known plane, the space below the object is unknown.
-NO_LAYERS = FloorLayers(below=0, contact=0)
 
 
 @dataclass(frozen=True)
@@ -141,12 +137,9 @@ def classify_voxels(
 ) -> VoxelEvidence:
     """Classify the voxels, and find the unseen voxels that a camera could see.
 
-    Args:
-        observation: TSDF and votes on an upright grid.
-        neighbours: bool, voxels near a neighbour's surface; unmeasured voxels may still be the object.
-        rules: by which the solid is made.
-        beyond: bool, voxels outside a given box.
-        roughly: use fewer lines of sight, for solids that are only compared with one another.
+    The grid is upright. `neighbours` are voxels near a neighbour's surface, of which unmeasured ones may be
+    the object; `beyond` are voxels outside a given box. If `roughly`, fewer lines of sight are tried, for
+    solids that are only compared with one another.
     """
     voxel_m, layers = observation.grid.voxel_size_m, rules.layers
     contact = slice(layers.below, layers.first)
@@ -169,12 +162,14 @@ def classify_voxels(
     unseen[:, :, : layers.below] = False
     underside = unseen & sight.only_from_below
     closed = unseen & (sight.any_way == 0)
-    standing = near_surface[:, :, contact.stop] | unseen[:, :, contact.stop]
-    solid = near_surface[:, :, contact.stop] | closed[:, :, contact.stop]
+    # In contact with the floor nothing is measured: these layers follow the layer above them.
+    above = contact.stop
+    standing = near_surface[:, :, above] | unseen[:, :, above]
+    solid = near_surface[:, :, above] | closed[:, :, above]
+    from_below = underside[:, :, above] & ~solid
     unseen[:, :, contact] &= standing[:, :, None]
     excluded[:, :, contact] |= ~standing[:, :, None] & ~free[:, :, contact]
     closed[:, :, contact] = unseen[:, :, contact] & solid[:, :, None]
-    from_below = underside[:, :, contact.stop] & ~solid
     underside[:, :, contact] = unseen[:, :, contact] & from_below[:, :, None]
     if rules.underside == "closed":
         closed |= underside

@@ -1,6 +1,6 @@
 """The grids of an object: their voxel size, extent and layers, and the labels of the coarse grid."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,9 @@ from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.observation import RAY_WIDTHS_VOXELS, Observation, ray_width_m
 from kinectbench.settings.models import FloorCuts, FusionSettings
-from kinectbench.stages.segment.find.distance_scale import enlarged_transform
-from kinectbench.stages.segment.find.floor import Floor, floor_cut_m, low_cut_m
-from kinectbench.stages.segment.solid.evidence import NO_LAYERS, FloorLayers
+from kinectbench.stages.segment.find.floor import Floor
+from kinectbench.stages.segment.find.hints import enlarged_transform
+from kinectbench.stages.segment.solid.evidence import FloorLayers
 
 # Margin around the object; less where this many voxels are less.
 MARGIN_M, MARGIN_VOXELS = 0.05, 10
@@ -73,10 +73,10 @@ def object_grid(
 def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: float) -> FloorLayers:
     """Return how many layers of the object's grid lie about the floor; all are 0 if there is no floor."""
     if floor is None:
-        return NO_LAYERS
-    cut = max(1, round(floor_cut_m(floor, segmentation) / voxel_size_m))
+        return FloorLayers(below=0, contact=0)
+    cut = max(1, round(floor.cut_m(segmentation) / voxel_size_m))
     # Rounded up, as a surface below the low cut may be the floor.
-    low_m = low_cut_m(floor, segmentation)
+    low_m = floor.low_cut_m(segmentation)
     contact = min(max(1, int(np.ceil(low_m / voxel_size_m - 1e-6))), cut)
     return FloorLayers(FLOOR_LAYERS, contact, cut - contact)
 
@@ -93,7 +93,11 @@ def median_ray_width_m(camera: Camera, trajectory: Trajectory, middle_world: Flo
 
 def grid_ray_width_m(camera: Camera, trajectory: Trajectory, grid: Grid) -> float:
     """Return `median_ray_width_m` at the middle of a grid."""
-    return median_ray_width_m(camera, trajectory, transform_points(grid.T_world_grid, grid.size_m / 2))
+    return median_ray_width_m(camera, trajectory, _middle_world(grid))
+
+
+def _middle_world(grid: Grid) -> Float64:
+    return transform_points(grid.T_world_grid, grid.size_m / 2)
 
 
 def surround_grid(grid: Grid, floor: Floor) -> Grid:
@@ -106,9 +110,8 @@ def surround_grid(grid: Grid, floor: Floor) -> Grid:
     factor = max(SURROUND_FACTOR, int(np.ceil(2 * half_m / (MAX_SURROUND_CELLS * grid.voxel_size_m))))
     voxel_m = factor * grid.voxel_size_m
     side = int(np.ceil(2 * half_m / (voxel_m * CUBE_VOXELS))) * CUBE_VOXELS
-    middle_world = transform_points(grid.T_world_grid, grid.size_m / 2)
     rotation = floor.T_world_floor[:3, :3]
-    corner = middle_world - rotation @ np.full(3, side * voxel_m / 2)
+    corner = _middle_world(grid) - rotation @ np.full(3, side * voxel_m / 2)
     return Grid((side, side, side), voxel_m, rigid(rotation, corner))
 
 
@@ -130,35 +133,25 @@ def surround_labels(around: Observation, floor: Floor | None) -> NDArray[np.uint
     return labels
 
 
-@dataclass(frozen=True)
-class ObjectResolution:
-    """The resolution at which an object is built.
-
-    Attributes:
-        voxel_size_m: edge of its voxels, metres.
-        scale: the solid is made in a world that is 1 / scale times as large, in which the voxels have the
-            size for which the rules were chosen.
-    """
-
-    voxel_size_m: float
-    scale: float
-
-
 def choose_resolution(
     box: OrientedBox, floor: Floor, camera: Camera, trajectory: Trajectory, fusion: FusionSettings
-) -> ObjectResolution:
+) -> tuple[float, float]:
     """Choose the voxel size by the box and the frames' resolution, unless the settings state it.
 
     Voxels narrower than the frames' rays would wrongly appear to be seen through.
+
+    Returns:
+        Edge of a voxel, metres; and a scale: the solid is made in a world that is 1 / scale times as large,
+        in which the voxels have the size for which the rules were chosen.
     """
     if fusion.voxel_size_m is not None:
-        return ObjectResolution(fusion.voxel_size_m, 1.0)
+        return fusion.voxel_size_m, 1.0
     middle_world = transform_points(floor.T_world_floor, np.array(box.center_m))
     ray_width_m = median_ray_width_m(camera, trajectory, middle_world)
     wanted_m = max(max(box.size_m) / VOXELS_LONG, ray_width_m / RAY_WIDTHS_VOXELS[0])
     steps = int(np.ceil(np.clip(wanted_m, LEAST_VOXEL_M, REFERENCE_VOXEL_M) / STEP_M - 1e-6))
     voxel_size_m = round(steps * STEP_M, 6)
-    return ObjectResolution(voxel_size_m, voxel_size_m / REFERENCE_VOXEL_M)
+    return voxel_size_m, voxel_size_m / REFERENCE_VOXEL_M
 
 
 def enlarged_observation(seen: Observation, scale: float) -> Observation:

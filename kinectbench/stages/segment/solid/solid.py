@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kinectbench.core import ShapeError
+from kinectbench.core.artefacts.object_grids import Label
 from kinectbench.core.geometry import Grid, TriangleMesh, isosurface, transform_points
 from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.morphology import from_beyond, piece_sizes, values_of_pieces
 from kinectbench.core.voxels.observation import Observation
 from kinectbench.stages.segment.solid.evidence import Rules, VoxelEvidence, classify_voxels
 from kinectbench.stages.segment.solid.guess import inside_probability, measured_probability
-from kinectbench.stages.segment.solid.labels import voxel_labels
 
 # A wider Gaussian thins slats, a narrower one leaves the sensor's noise.
 SMOOTHING_VOXELS = 0.7
@@ -22,6 +22,8 @@ SMOOTHING_VOXELS = 0.7
 LEAST_FIELD, LEAST_SMOOTHED = 0.1, 0.02
 # Probability of a voxel that a rule calls solid, or air, against what was measured there.
 RULED_SOLID, RULED_AIR = 0.75, 0.05
+# A voxel this near to a measured surface, in voxels, is measured.
+MEASURED_VOXELS = 1.5
 # A piece with less than this share of the largest one's voxels is noise.
 SPECK_SHARE = 0.02
 # A lower piece on the floor may be noise; a piece that ends farther below the object carries something else.
@@ -101,7 +103,8 @@ def solidify(
         ShapeError: no voxel is occupied.
     """
     evidence = classify_voxels(observation, neighbours, rules, beyond_box, roughly=True)
-    return _body(observation, evidence, _guess(observation, evidence, rules), rules)
+    guess = inside_probability(evidence, rules, observation.grid.voxel_size_m)
+    return _body(observation, evidence, guess, rules)
 
 
 def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> SolidShape:
@@ -111,27 +114,18 @@ def make_solid(observation: Observation, evidence: VoxelEvidence, rules: Rules) 
     could see. An unknown voxel is occupied if its probability (`guess`) exceeds 0.5. Near the floor nothing
     is measured: the layer above `contact` is extruded down to the floor. Legs whose upper end was hidden are
     extended up to the object. The signed field of this solid is smoothed by a Gaussian of 0.7 voxels, specks
-    are dropped, and voids are filled.
-
-    Args:
-        observation: TSDF and votes on an upright grid.
-        evidence: the class of each voxel.
-        rules: by which the solid is made.
+    are dropped, and voids are filled. The observation is on an upright grid.
 
     Raises:
         ShapeError: no voxel is occupied.
     """
     voxel_m, below = observation.grid.voxel_size_m, rules.layers.below
-    guess = _guess(observation, evidence, rules)
+    guess = inside_probability(evidence, rules, voxel_m)
     body = _body(observation, evidence, guess, rules)
-    labels = voxel_labels(evidence, body.solid, voxel_m, below)
+    labels = _voxel_labels(evidence, body.solid, voxel_m, below)
     probability = _probability(voxel_m, evidence, guess, body.solid)
     probability[:, :, :below] = 0
     return SolidShape(body.grid, body.solid, body.mesh, labels, probability, evidence.underside)
-
-
-def _guess(observation: Observation, evidence: VoxelEvidence, rules: Rules) -> Float32:
-    return inside_probability(evidence, rules, observation.grid.voxel_size_m)
 
 
 def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rules: Rules) -> SolidBody:
@@ -154,6 +148,23 @@ def _body(observation: Observation, evidence: VoxelEvidence, guess: Float32, rul
         )
     mesh = _closed_mesh(np.where(solid, -np.abs(field), np.abs(field)), observation.grid)
     return SolidBody(observation.grid, solid, mesh)
+
+
+def _voxel_labels(evidence: VoxelEvidence, solid: Bools, voxel_m: float, below: int) -> NDArray[np.uint8]:
+    """Return a label (`Label`) for each voxel by its evidence, uint8; `below` layers lie below the floor.
+
+    If smoothing removed a voxel behind a measured surface from the solid, it is UNKNOWN, because no frame saw
+    it empty.
+    """
+    near = np.abs(evidence.signed_m) <= MEASURED_VOXELS * voxel_m
+    measured = evidence.observed & near & ~evidence.free
+    labels = np.full(solid.shape, Label.UNKNOWN, np.uint8)
+    labels[~solid & evidence.free] = Label.FREE
+    labels[~solid & evidence.excluded] = Label.OTHER
+    labels[solid & evidence.closed] = Label.INTERIOR
+    labels[solid & (evidence.near_surface | measured) & ~evidence.unknown] = Label.SURFACE
+    labels[:, :, :below] = Label.OTHER
+    return labels
 
 
 def _without_specks(solid: Bools) -> Bools:

@@ -1,4 +1,7 @@
-"""Masks of an object that turns in front of a still camera."""
+"""An object that moves: masks of one that turns before a still camera, and the scene of masked frames.
+
+Of masked frames, all fused surface is the object, and there is no floor.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -6,22 +9,32 @@ import cv2
 import numpy as np
 
 from kinectbench.core import SegmentationError
-from kinectbench.core.geometry import Camera, depth_sigma_m, image_normals, transform_points
+from kinectbench.core.geometry import (
+    Camera,
+    OrientedBox,
+    TriangleMesh,
+    depth_sigma_m,
+    image_normals,
+    transform_points,
+)
 from kinectbench.core.own_pixels import Masks
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, watch_some
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Float32, Float64
-from kinectbench.core.voxels.morphology import cell_numbers
-from kinectbench.core.voxels.touching_cells import connected
-from kinectbench.stages.segment.find.floor import Floor, find_floor
+from kinectbench.core.voxels.point_cells import cell_numbers, connected, spacing_m, surface_points
+from kinectbench.stages.segment.find.floor import Floor, find_floor, level_floor
 from kinectbench.stages.segment.find.floor_choice import MIN_PLANE_POINTS
-from kinectbench.stages.segment.find.planes import floor_frame
+from kinectbench.stages.segment.find.given import check_anchor
+from kinectbench.stages.segment.find.hints import NOTHING_KNOWN, FloorHint, cell_scale, distance_scale
+from kinectbench.stages.segment.find.object import MIN_BOX_POINTS, Segmentation
+from kinectbench.stages.segment.find.pieces import CELL_M, fit_box
+from kinectbench.stages.segment.find.planes import GIVEN, against_gravity, floor_frame
 
 # Neighbours on each side whose points make a normal (chosen by hand).
 NORMAL_REACH_PX = 2
 # What turns is larger than specks of fewer points in a cell of this edge (chosen by hand).
-CELL_M, MIN_POINTS = 0.02, 4
+MOVING_CELL_M, MIN_POINTS = 0.02, 4
 # The cylinder is this much wider than the moving points, for surface that did not change meanwhile.
 WIDER, MARGIN_M = 1.05, 0.01
 # What turns begins this many standard deviations of the depth above its plane, or more (chosen by hand).
@@ -40,6 +53,16 @@ MOVES = (
     "`segment_by: turntable` needs a camera that stands still before an object that turns, and here {what}; "
     "give masks of the object and `segment_by: masks`"
 )
+# Pieces with a smaller share of the surface are specks that masks let through (chosen by hand).
+LEAST_SHARE = 0.05
+# The unseen part of a hand-held object may reach lower than the measured surface: z = 0 lies this much below
+# that, times `distance_scale`.
+BELOW_M = 0.03
+NOTHING_FUSED = (
+    "no object found: within the masks nothing was fused; do the masks lie on the object, and is its depth "
+    "within max_depth_m?"
+)
+BELOW_PLANE = f"most of what the masks show lies below {GIVEN}; correct it, or leave it out"
 
 
 @dataclass(frozen=True)
@@ -89,17 +112,11 @@ def turntable_masks(sequence: Sequence) -> Masks:
 
 
 def plane_below(sequence: Sequence, trajectory: Trajectory) -> Float64 | None:
-    """Return the plane that the object turns on, in the object's own frame, which is the trajectory's world.
+    """Return the plane (4,) that the object turns on, its normal up, in the object's own frame.
 
-    The plane does not move relative to the camera. Each pose transforms it to the object's frame, where the
-    results agree up to noise: their mean normal and median distance are used.
-
-    Args:
-        sequence: the recording of a still camera.
-        trajectory: poses of the camera relative to the object.
-
-    Returns:
-        (4,) a, b, c, d of a x + b y + c z + d = 0, metres, (a, b, c) unit and up; None: no plane is in view.
+    That frame is the trajectory's world. The plane does not move relative to the camera. Each pose of the
+    camera, which stands still, transforms it to the object's frame, where the results agree up to noise:
+    their mean normal and median distance are used. The result is None if no plane is in view.
 
     Raises:
         SegmentationError: as `turntable_masks`.
@@ -160,7 +177,9 @@ def _on_floor(watched: Watched, camera: Camera, moving: Float64) -> Turntable:
     local = transform_points(floor.T_floor_world, moving)
     ground = local[local[:, 2] > CLEAR_M, :2]
     (x, y), radius_m = cv2.minEnclosingCircle(ground.astype(np.float32))
-    top = _moved_up(floor, _plate_m(floor, watched, camera, local, np.array([x, y]), radius_m))
+    top_m = _plate_m(floor, watched, camera, local, np.array([x, y]), radius_m)
+    plane_world = floor.plane_world - np.array([0, 0, 0, top_m])
+    top = replace(floor, plane_world=plane_world, T_floor_world=floor_frame(plane_world))
     return Turntable(top, np.array([x, y, 0.0]), WIDER * radius_m + MARGIN_M)
 
 
@@ -190,12 +209,6 @@ def _plate_m(
     return float(np.median(heights_m[on_top])) if on_top.sum() >= MIN_PLATE_POINTS else 0.0
 
 
-def _moved_up(floor: Floor, by_m: float) -> Floor:
-    """Return the floor moved up by a height, metres."""
-    plane_world = floor.plane_world - np.array([0, 0, 0, by_m])
-    return replace(floor, plane_world=plane_world, T_floor_world=floor_frame(plane_world))
-
-
 def _before(depth_m: Float32, watched: Watched) -> Bools:
     """Pixels of a frame, (height, width), that are clearly nearer than the still surface behind them."""
     behind_m = watched.behind_m
@@ -208,12 +221,12 @@ def _largest(points: Float64) -> Float64:
     """Return the largest connected part of points (n, 3), without sparse points at edges and occlusions."""
     if not len(points):
         return points
-    cells = np.floor(points / CELL_M).astype(np.int64)
+    cells = np.floor(points / MOVING_CELL_M).astype(np.int64)
     _, cell, counts = np.unique(cell_numbers(cells), return_inverse=True, return_counts=True)
     points = points[counts[cell.reshape(-1)] >= MIN_POINTS]
     if not len(points):
         return points
-    label = connected(points, CELL_M)
+    label = connected(points, MOVING_CELL_M)
     return np.asarray(points[label == np.argmax(np.bincount(label))])
 
 
@@ -232,3 +245,55 @@ def _floor(watched: Watched, camera: Camera, moving: Float64) -> Floor | None:
     heights_m = transform_points(floor.T_floor_world, moving)[:, 2]
     stands = (heights_m > 0).mean() >= ABOVE_SHARE and heights_m.max() > CLEAR_M
     return floor if stands else None
+
+
+def segment_masked_scene(
+    mesh: TriangleMesh,
+    trajectory: Trajectory,
+    given_box: OrientedBox | None = None,
+    hint: FloorHint = NOTHING_KNOWN,
+) -> Segmentation:
+    """Take all fused surface as the object, except specks.
+
+    A plane that the user gave is z = 0 of the floor frame. Otherwise the frame is level by gravity or,
+    without gravity, as the cameras were held, and z = 0 lies below the measured surface.
+
+    Raises:
+        SegmentationError: nothing was fused, the given box holds none of it or was chosen in another floor
+            frame, or most of it lies below the given plane.
+    """
+    T_world_camera = trajectory.T_world_camera[trajectory.good_frames]
+    near = distance_scale(T_world_camera, hint.focus_world(T_world_camera))
+    cell_m = CELL_M * cell_scale(near, spacing_m(mesh), CELL_M)
+    surface = surface_points(mesh, cell_m)
+    points_world = surface.points
+    if len(points_world) < MIN_BOX_POINTS:
+        raise SegmentationError(NOTHING_FUSED, what="empty-scene")
+    label = connected(points_world, cell_m)
+    sizes = np.bincount(label)
+    kept = (sizes >= LEAST_SHARE * sizes.max())[label]
+    floor = _level(points_world[kept], T_world_camera, hint, near)
+    points_floor = transform_points(floor.T_floor_world, points_world)
+    if given_box is not None:
+        check_anchor(given_box, floor, trajectory, near)
+        kept &= given_box.contains(points_floor)
+        if kept.sum() < MIN_BOX_POINTS:
+            raise SegmentationError(
+                "the box in benchmark.yaml holds nothing of what the masks show; leave it out, or correct it",
+                what="empty-box",
+            )
+    if np.median(points_floor[kept, 2]) <= 0:
+        raise SegmentationError(BELOW_PLANE, what="bad-plane")
+    vertices_floor = transform_points(floor.T_floor_world, mesh.vertices)
+    box = given_box or fit_box(vertices_floor[kept[surface.owner]])
+    cells = np.floor(points_floor / cell_m).astype(np.int64)
+    return Segmentation(floor, box, cells[kept], cells[~kept], "masks", floor.warnings, cell_m)
+
+
+def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scale: float) -> Floor:
+    """Return the plane z = 0 as a floor: the given plane, or else a level plane below the points (n, 3)."""
+    if hint.plane_world is not None:
+        against = against_gravity(hint.plane_world, hint.up_world)
+        frame = floor_frame(hint.plane_world)
+        return Floor(hint.plane_world, frame, 0.0, 0.0, scale=scale, given=True, against=against)
+    return level_floor(points_world, T_world_camera, hint.up_world, scale, BELOW_M * scale)

@@ -31,7 +31,7 @@ from kinectbench.core.geometry import (
 )
 from kinectbench.core.geometry.gauss_newton import NormalEquations, descend, robust_weights, weighted_products
 from kinectbench.core.types import Bools, Float64
-from kinectbench.core.voxels.surface_points import sample_surface
+from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.solid.solid import SolidShape
 
@@ -202,12 +202,8 @@ def poses(ours: Sampled, theirs: Sampled, T_floor_world: Float64) -> tuple[Pose,
 def best_scale(ours: Sampled, theirs: Sampled, T: Float64, free: Sequence[int]) -> float:
     """Return the factor by which the reference fits best, by registration from a pose (4, 4).
 
-    Args:
-        ours: the object.
-        theirs: the reference.
-        T: (4, 4) from the reference to the world.
-        free: the unknowns: `SIZED`, the motion and the size; or `SIZED_OUT`, also how much too far out the
-            object's surface lies.
+    The unknowns `free` are `SIZED`, the motion and the size, or `SIZED_OUT`, also how much too far out the
+    object's surface lies.
     """
     found, _ = settled(ours, theirs, T, FINE[1], FINE[2], free)
     return float(np.cbrt(np.linalg.det(found[:3, :3])))
@@ -266,14 +262,8 @@ def residual_m(ours: Sampled, theirs: Sampled, T: Float64, samples: int, exact: 
 
     It is the mean of two means: the distance of the object's measured samples from the reference, and the
     distance from the object of those samples of the reference whose nearest sample of the object was measured
-    and faces the same way.
-
-    Args:
-        ours: the object.
-        theirs: the reference.
-        T: (4, 4) from the reference to the world.
-        samples: number of samples of each, at most.
-        exact: measure distances to triangles; else to the nearest sample.
+    and faces the same way. The pose T (4, 4) is from the reference to the world; at most `samples` of each
+    are taken. The distances are to triangles, or, if they need not be `exact`, to the nearest sample.
     """
     most_m = MOST_SHARE * ours.diagonal_m
     back = invert_rigid(T)
@@ -293,13 +283,8 @@ def settled(
 ) -> tuple[Float64, float]:
     """Run registration steps; return the pose (4, 4), and how far the last step moved the samples, metres.
 
-    Args:
-        ours: the object.
-        theirs: the reference.
-        T: (4, 4) from the reference to the world.
-        steps: number of steps, at most.
-        samples: number of samples of each, at most.
-        free: the unknowns: `RIGID`, or those of `best_scale`.
+    It begins at a pose T (4, 4) from the reference to the world, and takes at most `steps`, with at most
+    `samples` of each. The unknowns `free` are `RIGID`, or those of `best_scale`.
     """
     chosen, few = ours.few(samples), theirs.few(samples)
 
@@ -328,12 +313,8 @@ def _step(
 ) -> tuple[Float64, float]:
     """Compute one step: a similarity (4, 4), and about how far it moves the outermost point, metres.
 
-    Args:
-        places: (n, 3) points to move.
-        targets: (n, 3) for each of them, a point of the plane that it should lie in.
-        normals: (n, 3) unit normals of these planes.
-        weights: (n,) weights of the points.
-        free: the unknowns that are solved for: `RIGID`, `SIZED` or `SIZED_OUT`.
+    It moves `places` (n, 3) towards planes with the points `targets` (n, 3) and the unit `normals` (n, 3),
+    with `weights` (n,). The unknowns `free` are `RIGID`, `SIZED` or `SIZED_OUT`.
     """
     middle = places.mean(axis=0)
     arms = places - middle

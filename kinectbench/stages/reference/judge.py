@@ -10,12 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from kinectbench.core.artefacts.reference import RunnerUpPart
-from kinectbench.core.geometry import TriangleMesh, invert_rigid, rotation_angle_rad, transform_points
+from kinectbench.core.geometry import TriangleMesh, invert_rigid, rigid, rotation_angle_rad, transform_points
 from kinectbench.core.types import Float64
 from kinectbench.core.voxels.pair_file import FULL_CELLS
 from kinectbench.core.voxels.solid import costs_too_much
-from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.reference.register import (
+from kinectbench.stages.reference.register import (
     JUDGED,
     LEAST_SHARE,
     SIZED,
@@ -29,6 +28,7 @@ from kinectbench.stages.segment.reference.register import (
     sampled,
     sampled_object,
 )
+from kinectbench.stages.segment.object_model import ObjectModel
 
 # Largest residual, as a share of the object's diagonal. It was at most 0.28 % for right meshes, 0.84 % for a
 # helmet whose hollow no camera saw, and at least 2.2 % for other objects of the same size.
@@ -190,17 +190,8 @@ def symmetric_axis(theirs: Sampled) -> Float64 | None:
     middle = theirs.points.mean(axis=0)
     axes = np.linalg.eigh(np.cov(theirs.points.T))[1].T
     for axis in axes:
-        turns = (about(axis, angle) for angle in np.arange(1, STEPS) * 2 * np.pi / STEPS)
-        off = (
-            theirs.distance_m(transform_points(turn, points - middle) + middle).mean()
-            for turn in map(_as_matrix, turns)
-        )
+        turns = (rigid(about(axis, angle), 0.0) for angle in np.arange(1, STEPS) * 2 * np.pi / STEPS)
+        off = (theirs.distance_m(transform_points(turn, points - middle) + middle).mean() for turn in turns)
         if all(far_m <= SYMMETRIC * theirs.diagonal_m for far_m in off):
             return np.asarray(axis, dtype=np.float64)
     return None
-
-
-def _as_matrix(rotation: Float64) -> Float64:
-    T = np.eye(4)
-    T[:3, :3] = rotation
-    return T

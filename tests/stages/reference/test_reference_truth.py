@@ -18,9 +18,8 @@ from kinectbench.core.geometry.mesh import write_ply
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.solid import voxelize_solid
 from kinectbench.stages.pairs import full_shape
+from kinectbench.stages.reference.truth import read_reference, reference_as_truth
 from kinectbench.stages.segment.object_model import read_object, write_object
-from kinectbench.stages.segment.reference.mesh import read_reference
-from kinectbench.stages.segment.reference.truth import reference_as_truth
 
 # An L of three unlike edges: no turn leaves it as it is.
 ARM, FOOT = manifold3d.Manifold.cube([0.12, 0.2, 0.5]), manifold3d.Manifold.cube([0.4, 0.2, 0.15])

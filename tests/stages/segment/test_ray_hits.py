@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from kinectbench.core.voxels.ray_hits import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, cast_26_rays
+from kinectbench.stages.segment.solid.guess import INSIDE, NEUTRAL, OUTSIDE, UNSEEN, cast_26_rays
 
 ALL = [way for way in itertools.product((-1, 0, 1), repeat=3) if way != (0, 0, 0)]
 

@@ -1,28 +1,38 @@
-"""Use a reference mesh as the truth of a recording: register it to the fused object, which it replaces.
+"""Read a reference mesh, from a scanner or a CAD program, and use it as the truth of a recording.
 
-The mesh has to be closed. The rules of `judge` refuse the mesh of another object. Nothing of a reference is
-unknown: a cell is inside the mesh, or it is not the object.
+The file is untrusted. The mesh has to be closed; it is registered to the fused object, which it replaces. The
+rules of `judge` refuse the mesh of another object. Nothing of a reference is unknown: a cell is inside the
+mesh, or it is not the object.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
-from kinectbench.core import SegmentationError, ShapeError
+from kinectbench.core import RecordingError, SegmentationError, ShapeError, printable, read_plain
 from kinectbench.core.artefacts.object import BoxPart, LabelCounts, QualityFile, ReferenceTruth
 from kinectbench.core.artefacts.object_grids import Label
-from kinectbench.core.geometry import Grid, TriangleMesh, outwards, transform_points
+from kinectbench.core.geometry import (
+    Grid,
+    TriangleMesh,
+    is_closed,
+    joined_vertices,
+    outwards,
+    transform_points,
+)
+from kinectbench.core.glb_file import read_glb
+from kinectbench.core.mesh_files import MAX_FILE_BYTES, read_obj, read_ply_surface
 from kinectbench.core.voxels.pair_file import unpack
 from kinectbench.core.voxels.solid import costs_too_much, voxelize_solid
 from kinectbench.core.voxels.view_grids import object_cube
+from kinectbench.stages.reference.judge import RegisteredReference, register_reference
 from kinectbench.stages.segment.find.floor import Floor
-from kinectbench.stages.segment.find.select import fit_box
+from kinectbench.stages.segment.find.pieces import fit_box
 from kinectbench.stages.segment.judge.quality import BOX_DECIMALS_M, BOX_DECIMALS_RAD, OF_REPORT
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.reference.judge import RegisteredReference, register_reference
-from kinectbench.stages.segment.reference.mesh import Reference, read_reference
 from kinectbench.stages.segment.solid.evidence import SHELL_M
 from kinectbench.stages.segment.solid.grids import (
     FLOOR_LAYERS,
@@ -32,12 +42,68 @@ from kinectbench.stages.segment.solid.grids import (
 )
 from kinectbench.stages.segment.solid.solid import SolidShape
 
+SUFFIXES = (".ply", ".obj", ".glb")
+# Nothing of a room is farther away, in any unit.
+FARTHEST_M = 1e6
 # No mesh of another instrument lies nearer to a fused surface than a share of its error. Residuals of exact
 # meshes on simulated builds were .06 to .28 % of the diagonal, half a millimetre and more of a chair; a mesh
 # that was itself fused from the recording lies at .006 mm, with an error of 2.5 mm.
 LEAST_NOISE = 0.05
 # Keys of the fused truth's quality that also hold for a reference: they describe frames, not the solid.
 OF_FRAMES = ("selection", *OF_REPORT)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A reference mesh.
+
+    Attributes:
+        mesh: in a frame of its own, metres.
+        closed: whether every edge has two faces, which run along it in opposite directions.
+        sha256: of the file's bytes.
+    """
+
+    mesh: TriangleMesh
+    closed: bool
+    sha256: str
+
+
+def read_reference(path: Path) -> Reference:
+    """Read a mesh in metres.
+
+    Raises:
+        RecordingError: it is no readable .ply, .obj or .glb, or has no face with an area, or a vertex that is
+            not finite or beyond 10^6 m.
+    """
+    where = printable(str(path), 300)
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise RecordingError(
+            f"{where}: not a mesh that is read; save it as .ply, .obj or .glb", what="bad-mesh"
+        )
+    try:
+        content = read_plain(path, MAX_FILE_BYTES)
+        if suffix == ".ply":
+            points, triangles, _ = read_ply_surface(content)
+        else:
+            points, triangles = (read_obj if suffix == ".obj" else read_glb)(content)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise RecordingError(
+            f"{where}: cannot be read as a mesh ({reason}); name a mesh (.ply, .obj or .glb)", what="bad-mesh"
+        ) from error
+    if not len(triangles):
+        raise RecordingError(f"{where}: no mesh, as it has no faces; name one that has", what="bad-mesh")
+    if not (np.abs(points) <= FARTHEST_M).all():  # nor NaN
+        raise RecordingError(
+            f"{where}: a vertex is not finite, or beyond {FARTHEST_M:g} m; export the mesh again",
+            what="bad-mesh",
+        )
+    vertices, faces = joined_vertices(points, triangles.astype(np.int32))
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    if not np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() > 0:
+        raise RecordingError(f"{where}: its faces have no area; export the mesh again", what="bad-mesh")
+    return Reference(TriangleMesh(vertices, faces), is_closed(faces), sha256(content).hexdigest())
 
 
 def reference_as_truth(model: ObjectModel, path: Path) -> ObjectModel:
