@@ -61,7 +61,7 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
     os.set_blocking(writing, False)
     seen = len(_seen)
     before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    thread = threading.Thread(target=_see_to_answers, args=(reading, unanswered, seen), daemon=True)
+    thread = threading.Thread(target=_watch_signals, args=(reading, unanswered, seen), daemon=True)
     thread.start()
     try:
         yield
@@ -72,7 +72,7 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
         os.close(reading)
 
 
-def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int) -> None:
+def _watch_signals(reading: int, unanswered: Callable[[int], None], before: int) -> None:
     """Wait for signals in the pipe `reading`; call `unanswered` for a signal not handled within 1.5 s.
 
     `before` is the number of signals that Python has handled so far.
