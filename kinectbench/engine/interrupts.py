@@ -128,10 +128,10 @@ def interrupt_answered() -> None:
 def interrupts_held() -> Iterator[None]:
     """Delay interrupts until the block ends; processes started in it never receive any.
 
-    Ctrl-C reaches all processes of a terminal. SIGINT is blocked here, and processes started in the block
-    inherit this: they print no tracebacks, and their parent stops them. This process also needs a handler,
-    because threads of libraries receive the signal although it is blocked. SIGTERM is only delayed by the
-    handler, which is not inherited: it ends workers silently, and their parent uses it to stop them.
+    Ctrl-C sends SIGINT to all processes of a terminal. SIGINT is blocked; processes started in the block
+    inherit this, so they print no tracebacks, and their parent stops them. A handler delays SIGINT as well,
+    because threads of libraries receive it nevertheless. SIGTERM is delayed by the handler alone, which is
+    not inherited, so that the parent can stop its workers by SIGTERM.
 
     A signal to the whole process group may end workers that are just starting, so that the block fails. The
     interrupt then replaces that error.
