@@ -60,7 +60,7 @@ def is_slim(folder: Path) -> bool:
 
 
 def kept_source(build: Path) -> str | None:
-    """Return the hash over the files of a scan that was deleted after its build; None if it was not."""
+    """Return the hash over a scan's files if the scan was deleted after its build; else None."""
     manifest = whole_manifest(build / "sequence")
     if manifest is not None:
         return None if manifest.removed is None else manifest.inputs.get("recording")

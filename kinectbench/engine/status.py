@@ -104,7 +104,7 @@ class RecordingStatus(StoredPart):
 
     @property
     def state_in_words(self) -> str:
-        """The state as shown to users: "missing" becomes "other settings" if another build exists."""
+        """The state as shown to users: if a stage was built with other settings, it is not "missing"."""
         return OTHER_SETTINGS if self.state == "missing" and self.differs else self.state
 
 
