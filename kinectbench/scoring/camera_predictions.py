@@ -121,12 +121,11 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
         beyond_share=beyond_share(shape, T_grid_camera, float(size_m) * FULL_CELLS),
         refused=_refused(shape, T_grid_camera, float(size_m)),
         open_because=open_because(shape),
-        content=_shape_content(shape),
+        content=_shape_digest(shape),
     )
 
 
-def _shape_content(shape: CameraShape) -> Held:
-    """Return a digest of a predicted shape, equal for equal shapes."""
+def _shape_digest(shape: CameraShape) -> Held:
     return content_of(shape.points_m, shape.faces)
 
 
@@ -172,7 +171,7 @@ def check_camera(
             answered += 1
             try:
                 if not is_compared:
-                    content: Held | None = _shape_content(load_camera_shape(found, method))
+                    content: Held | None = _shape_digest(load_camera_shape(found, method))
                 elif (here := view_agreement(release, found, method)) is not None:
                     compared[name], content = here, here.content
                 else:
