@@ -183,7 +183,7 @@ class DrawnMasks:
         if not self.of_recorded:
             return drawn
         frames = {file: (name.number, RECORDED) for file, name in self.names.items()}
-        return drawn._on_pictures(
+        return drawn._check_pictures(
             sequence, frames, VIEWS_DRAWN, "look at each mask on the recording's own image"
         )
 
@@ -221,14 +221,14 @@ class DrawnMasks:
                 frames[file] = view.frame, self._picture_now(file, sequence, views, view)
         again = f"`kinectbench sample-views {self.recording} --set recordings.{self.recording}.masks=null`"
         look = f"{again} makes the views without masks: look at each mask on its view there"
-        return self._on_pictures(sequence, frames, OTHERS_DRAWN, look)
+        return self._check_pictures(sequence, frames, OTHERS_DRAWN, look)
 
     def _picture_now(self, file: str, sequence: Sequence, views: Path, view: Shown) -> str:
         """Return the digest of a view's pictures, or the recorded digest if colour has only lost metadata."""
         pictures, known = read_pictures(views, view.name), self.entries[file].picture
         return known if known in picture_digests(pictures, sequence, view.frame) else picture_digest(pictures)
 
-    def _on_pictures(
+    def _check_pictures(
         self, sequence: Sequence, frames: Mapping[str, tuple[int, str]], drawn: str, look: str
     ) -> Self:
         """Refuse masks drawn on other pictures than `frames` says; record the picture where none is recorded.

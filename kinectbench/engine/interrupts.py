@@ -61,7 +61,7 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
     os.set_blocking(writing, False)
     seen = len(_seen)
     before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    thread = threading.Thread(target=_see_to_answers, args=(reading, unanswered, seen), daemon=True)
+    thread = threading.Thread(target=_watch_signals, args=(reading, unanswered, seen), daemon=True)
     thread.start()
     try:
         yield
@@ -72,7 +72,7 @@ def _watch(unanswered: Callable[[int], None] | None) -> Iterator[None]:
         os.close(reading)
 
 
-def _see_to_answers(reading: int, unanswered: Callable[[int], None], before: int) -> None:
+def _watch_signals(reading: int, unanswered: Callable[[int], None], before: int) -> None:
     """Wait for signals in the pipe `reading`; call `unanswered` for a signal not handled within 1.5 s.
 
     `before` is the number of signals that Python has handled so far.
@@ -128,10 +128,10 @@ def interrupt_answered() -> None:
 def interrupts_held() -> Iterator[None]:
     """Delay interrupts until the block ends; processes started in it never receive any.
 
-    Ctrl-C reaches all processes of a terminal. SIGINT is blocked here, and processes started in the block
-    inherit this: they print no tracebacks, and their parent stops them. This process also needs a handler,
-    because threads of libraries receive the signal although it is blocked. SIGTERM is only delayed by the
-    handler, which is not inherited: it ends workers silently, and their parent uses it to stop them.
+    Ctrl-C sends SIGINT to all processes of a terminal. SIGINT is blocked; processes started in the block
+    inherit this, so they print no tracebacks, and their parent stops them. A handler delays SIGINT as well,
+    because threads of libraries receive it nevertheless. SIGTERM is delayed by the handler alone, which is
+    not inherited, so that the parent can stop its workers by SIGTERM.
 
     A signal to the whole process group may end workers that are just starting, so that the block fails. The
     interrupt then replaces that error.

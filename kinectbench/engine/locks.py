@@ -47,7 +47,7 @@ def locked(
         folder.mkdir(parents=True, exist_ok=True)
         lock = open_to_add(folder / LOCK)
     with lock:
-        if not _taken(lock, folder, fcntl.LOCK_EX | fcntl.LOCK_NB):
+        if not _try_lock(lock, folder, fcntl.LOCK_EX | fcntl.LOCK_NB):
             holder = _holder(folder / LOCK)
             if not wait:
                 raise StorageError(
@@ -56,8 +56,8 @@ def locked(
                 )
             if waiting is not None:
                 waiting(holder)
-            _taken(lock, folder, fcntl.LOCK_EX)
-        _write(lock, _myself())
+            _try_lock(lock, folder, fcntl.LOCK_EX)
+        _write(lock, _describe_run())
         try:
             sweep(folder / "*")
             yield
@@ -113,7 +113,7 @@ def sweep(path: Path) -> None:
             leftover.unlink(missing_ok=True)
 
 
-def _taken(lock: IO[str], folder: Path, how: int) -> bool:
+def _try_lock(lock: IO[str], folder: Path, how: int) -> bool:
     """Try to take the lock of a folder; False if another run holds it and the flags `how` forbid waiting."""
     try:
         fcntl.flock(lock, how)
@@ -143,7 +143,7 @@ def _write(lock: IO[str], text: str) -> None:
         os.write(lock.fileno(), text.encode(errors="replace"))
 
 
-def _myself() -> str:
+def _describe_run() -> str:
     """Describe this run in a line: process, machine, command and time; a worker names its parent."""
     parent = multiprocessing.parent_process()
     command = shlex.join(["kinectbench", *sys.argv[1:]])

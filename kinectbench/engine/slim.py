@@ -43,8 +43,8 @@ def keep_failed_source(build: Path) -> None:
     """Store the hash of a scan in failed.json, so that the failure stays valid once the scan is deleted.
 
     Args:
-        build: `build/<recording>/`. Nothing is done if it has no failed.json or no hashes of the scan's
-            files, or if `slim` deleted its frames.
+        build: `build/<recording>/`. Nothing is stored if there is no failed.json, if the scan was not
+            hashed, or if `slim` has deleted the frames.
     """
     failed, sources = Failed.read_if_there(build), Sources.read_if_there(build)
     if failed is not None and sources is not None and not is_slim(build / "sequence"):
@@ -60,7 +60,7 @@ def is_slim(folder: Path) -> bool:
 
 
 def kept_source(build: Path) -> str | None:
-    """Return the hash over the files of a scan that was deleted after its build; None if it was not."""
+    """Return the hash over a scan's files if the scan was deleted after its build; else None."""
     manifest = whole_manifest(build / "sequence")
     if manifest is not None:
         return None if manifest.removed is None else manifest.inputs.get("recording")

@@ -199,7 +199,7 @@ def _frame_masks_named(job: Job) -> tuple[str, ...]:
     return _masks_named(job) if job.recording.segment_by == "masks" else ()
 
 
-def _of_object_named(job: Job) -> tuple[str, ...]:
+def _object_inputs(job: Job) -> tuple[str, ...]:
     """Return the names of inputs that define the object: the user's masks of frames, the reference mesh."""
     return (*_frame_masks_named(job), *(() if job.reference is None else (REFERENCE,)))
 
@@ -246,16 +246,16 @@ def _recording(job: Job) -> Source:
     return Source(job.source, content_hash(files, job.source, _cache(job.build, RECORDING)))
 
 
-def _whole(path: Path) -> Path:
+def _absolute(path: Path) -> Path:
     """Make a path absolute and without "..", so that paths can be compared; links are not resolved."""
     return Path(os.path.abspath(path))  # noqa: PTH100 - `absolute` leaves ".."
 
 
 def _own_files(job: Job, files: list[Path]) -> list[Path]:
     """Return the recording's own files: without the benchmark's results, and without other inputs."""
-    folders = {folder: _whole(folder) for folder in {file.parent for file in files}}
+    folders = {folder: _absolute(folder) for folder in {file.parent for file in files}}
     there = [folders[file.parent] / file.name for file in files]
-    others = _results(job, there) | _named_apart(job, there)
+    others = _results(job, there) | _other_inputs(job, there)
     if not others:
         return files
     return [
@@ -265,8 +265,8 @@ def _own_files(job: Job, files: list[Path]) -> list[Path]:
 
 def _results(job: Job, files: Sequence[Path]) -> set[Path]:
     """Return the benchmark's own files and folders if its root is in the recording's folder; else none."""
-    root = _whole(job.root)
-    if not root.is_relative_to(_whole(job.source)):
+    root = _absolute(job.root)
+    if not root.is_relative_to(_absolute(job.source)):
         return set()
     own = {root / name for name in (*RESULTS, "benchmark.yaml", f"masks/{job.recording.id}")}
     begin = f"{job.settings.name}-"
@@ -274,14 +274,14 @@ def _results(job: Job, files: Sequence[Path]) -> set[Path]:
     return own
 
 
-def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
+def _other_inputs(job: Job, files: Sequence[Path]) -> set[Path]:
     """Return files in the recording's folder that are other inputs: reference mesh, user's masks, masks.json.
 
     Masks in a folder that `ingest` also reads are not returned: they stay files of the recording.
     """
-    masks = _whole(job.masks) if job.masks else None
+    masks = _absolute(job.masks) if job.masks else None
     drawn = [file for file in files if file.parent == masks]
-    named = {_whole(job.reference)}.intersection(files) if job.reference else set()
+    named = {_absolute(job.reference)}.intersection(files) if job.reference else set()
     named |= {file for file in drawn if file.name == MasksFile.FILE}
     if not drawn:
         return named
@@ -295,7 +295,7 @@ def _named_apart(job: Job, files: Sequence[Path]) -> set[Path]:
     except KinectBenchError:  # ingest reports it
         return named
     read = recording.folders if isinstance(recording, FileRecording) else set()
-    if masks in {_whole(folder) for folder in (in_any_case(job.source, MASKS_FOLDER), *read)}:
+    if masks in {_absolute(folder) for folder in (in_any_case(job.source, MASKS_FOLDER), *read)}:
         return named
     return named | {file for file in drawn if mask_name(file.name, plain_of_frame=True)}
 
@@ -311,7 +311,7 @@ STAGES: tuple[Stage, ...] = (
     Stage("ingest", "sequence", (), _ingest, lambda job: (RECORDING,)),
     Stage("track", "trajectory", ("ingest",), _track, _frame_masks_named),
     Stage("fuse", "reconstruction", ("ingest", "track"), _fuse, _frame_masks_named),
-    Stage("segment", "object", ("ingest", "track", "fuse"), _segment, _of_object_named),
+    Stage("segment", "object", ("ingest", "track", "fuse"), _segment, _object_inputs),
     Stage("sample-views", "views", ("ingest", "track", "segment"), _sample_views, _masks_named),
     Stage("pairs", "pairs", ("ingest", "track", "segment", "sample-views"), _pairs),
 )

@@ -90,22 +90,21 @@ def clear_away(job: Job) -> None:
 class RecordingStatus(StoredPart):
     """The status of one recording."""
 
-    recording: str = Field(description="its id")
+    recording: str = Field(description="id of the recording")
     state: State = Field(
-        description="failed: the last run failed, whatever earlier ones left; done: all stages are current; "
-        "missing"
+        description="failed: the last run failed; done: all stages are up to date; missing: others"
     )
-    current: tuple[str, ...] = Field(description="stages that are made and current")
-    next: str | None = Field(description="the first stage that is not; null: all are, of an earlier run")
+    current: tuple[str, ...] = Field(description="stages that are up to date")
+    next: str | None = Field(description="the first stage that is not up to date; null: there is none")
     differs: str | None = Field(
-        default=None, description="the first setting of `next` that is not that of which it was made"
+        default=None, description="the first setting of `next` that has changed since the stage was made"
     )
     error: str | None = Field(description="why the last run failed")
-    code: str | None = Field(description="of that error")
+    code: str | None = Field(description="code of this error")
 
     @property
     def state_in_words(self) -> str:
-        """The state as shown to users: "missing" becomes "other settings" if another build exists."""
+        """The state as shown to users: if a stage was built with other settings, it is not "missing"."""
         return OTHER_SETTINGS if self.state == "missing" and self.differs else self.state
 
 

@@ -79,7 +79,7 @@ def _tracked(stages: Mapping[str, Path]) -> tuple[Sequence, Trajectory]:
     return upright(calibrated, trajectory.shutter), trajectory
 
 
-def _own(work: Work[FuseSettings] | Work[SegmentSettings]) -> tuple[Sequence, Trajectory]:
+def _read_masked(work: Work[FuseSettings] | Work[SegmentSettings]) -> tuple[Sequence, Trajectory]:
     """Read the sequence and the trajectory; if masks define the object, keep only the depth inside them."""
     sequence, trajectory = _tracked(work.stages)
     masks = frame_masks(sequence, work.settings.segment_by, work.masks)
@@ -117,7 +117,7 @@ def _track(work: Work[TrackSettings]) -> None:
 
 
 def _fuse(work: Work[FuseSettings]) -> None:
-    reconstruction = fuse(*_own(work), work.settings.fusion, work.progress)
+    reconstruction = fuse(*_read_masked(work), work.settings.fusion, work.progress)
     write_reconstruction(reconstruction, work.folder)
 
 
@@ -142,7 +142,7 @@ def _picked(
 
 
 def _segment(work: Work[SegmentSettings]) -> None:
-    settings, (sequence, trajectory) = work.settings, _own(work)
+    settings, (sequence, trajectory) = work.settings, _read_masked(work)
     given = GivenObject(
         box=reanchored(settings.box.box(), sequence) if settings.box else None,
         plane_world=plane_given(sequence, trajectory, settings.segment_by, settings.floor),

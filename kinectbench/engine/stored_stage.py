@@ -45,7 +45,7 @@ def put_stage(store: Store, recording: str, artefact: Artefact) -> bool:
         StorageError: the store fails, or the stored artefact is damaged.
     """
     manifest, where = Manifest.read(artefact.folder), stored_folder(recording, artefact)
-    ours = manifest.model_copy(update={"content": _content(artefact.folder, manifest)})
+    ours = manifest.model_copy(update={"content": _content_hash(artefact.folder, manifest)})
     place = f"{where}/{Manifest.FILE}"
     stored = store.read_if_there(place)
     if stored is None:
@@ -92,7 +92,7 @@ def fetch_stage(store: Store, recording: str, artefact: Artefact) -> None:
         if packed:
             unpack_files(archive, folder, sizes)
     if any((folder / name).stat().st_size != size for name, size in manifest.files.items()) or (
-        manifest.content is not None and manifest.content != _content(folder, manifest)
+        manifest.content is not None and manifest.content != _content_hash(folder, manifest)
     ):
         raise StorageError(f"{store.place(where)}: its files are not those of its {Manifest.FILE}; {REBUILD}")
     _written(manifest, folder)
@@ -129,8 +129,7 @@ def files_folder(where: str, manifest: Manifest) -> str:
     return where if manifest.content is None else f"{where}/{manifest.content}"
 
 
-def _content(folder: Path, manifest: Manifest) -> str:
-    """Hash the names and bytes of an artefact's files."""
+def _content_hash(folder: Path, manifest: Manifest) -> str:
     return sha256_text(canonical_json({name: sha256_file(folder / name) for name in manifest.files}))
 
 

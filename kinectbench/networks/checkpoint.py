@@ -70,13 +70,13 @@ class StoredState(_Checked):
 
     @field_validator("rows", mode="before")
     @classmethod
-    def _few(cls, rows: object, info: ValidationInfo) -> object:
+    def _rows_fit_steps(cls, rows: object, info: ValidationInfo) -> object:
         if not isinstance(rows, list) or len(rows) > info.data.get("step", 0):
             raise ValueError("more rows than steps")
         return [TrainingRow.model_validate(row) for row in rows]
 
     @model_validator(mode="after")
-    def _adds_up(self) -> Self:
+    def _is_consistent(self) -> Self:
         steps = [row.step for row in self.rows]
         if steps != sorted(set(steps)) or (steps and not 0 < steps[0] <= steps[-1] <= self.step):
             raise ValueError("rows that are not in order")
@@ -171,7 +171,7 @@ def set_values(
     for optimiser, stored in pairs:
         settings = optimiser.state_dict()["param_groups"]
         optimiser.load_state_dict({"state": stored["state"], "param_groups": settings})
-        _lay_out(optimiser)
+        _set_memory_layout(optimiser)
 
 
 def _check_adam(state: object, optimiser: torch.optim.Optimizer, step: int) -> None:
@@ -199,7 +199,7 @@ def _check(values: object, like: Tensor, positive: bool = False) -> None:
         raise ValueError("values that no training leaves")
 
 
-def _lay_out(optimiser: torch.optim.Optimizer) -> None:
+def _set_memory_layout(optimiser: torch.optim.Optimizer) -> None:
     """Give an optimiser's state the memory layout of its parameters, which it would have after training.
 
     Otherwise sums are rounded in another order, and the training continues differently.

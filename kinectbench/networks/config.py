@@ -30,21 +30,24 @@ GENERATORS = ("3d-recgan++", "3d-recae")
 class NetworkSettings(Settings):
     """Which network is used, and how many channels and output cells it has."""
 
-    kind: Literal[NetworkName, "own"] = Field(description="the network, by the paper's name; own: a class")
+    kind: Literal[NetworkName, "own"] = Field(
+        description="the network, by its name in the paper; own: the user's class `class_path`"
+    )
     class_path: str | None = Field(
-        None, description="own: `package.module:Class`, a subclass of `Network` that is installed"
+        None, description="for kind own: `package.module:Class`, an installed subclass of `Network`"
     )
     channel_divisor: int = Field(
-        1, ge=1, le=64, description="hidden channels are divided by it; 1: the size that was published"
+        1, ge=1, le=64, description="numbers of hidden channels are divided by it; 1: the published size"
     )
     output_cells: Literal[64, 128, 256] = Field(
-        256, description="3d-recgan++ and 3d-recae: side of the output; 256 is the paper's"
+        256, description="3d-recgan++ and 3d-recae: cells along a side of the output (paper: 256)"
     )
     axes: Literal["kinectbench", "recgan"] = Field(
-        "kinectbench", description="recgan: x to the left and y up, as in the authors' files"
+        "kinectbench",
+        description="axes of the grids; recgan: x to the left and y up, as in the authors' files",
     )
     initial_weights: Literal["xavier", "he"] = Field(
-        "xavier", description="xavier: as in the authors' code; he: the generator's keep the variance"
+        "xavier", description="xavier: as in the authors' code; he: He-normal, which keeps the variance"
     )
 
     @model_validator(mode="after")
@@ -67,21 +70,21 @@ class LossSettings(Settings):
     """How the loss of each voxel is computed and weighted, and which voxels it counts."""
 
     kind: Literal["cross-entropy", "weighted-cross-entropy"] = Field(
-        "weighted-cross-entropy", description="of each voxel; weighted: by alpha"
+        "weighted-cross-entropy", description="loss of a voxel; weighted: by alpha"
     )
     alpha: float = Field(
         0.85, gt=0, lt=1, description="weight of occupied voxels, 1 - alpha of empty ones (paper: 0.85)"
     )
     probability_floor: float = Field(
-        0.0, ge=0, lt=0.5, description="predictions are held above it, and learn nothing below"
+        0.0, ge=0, lt=0.5, description="smaller predictions are clamped to it, and have no gradient"
     )
     unknown: Literal["count", "mask"] = Field(
-        "count", description="voxels whose truth is unknown: counted as published, or left out"
+        "count", description="voxels of unknown truth; count: by their published value; mask: left out"
     )
     tile_cells: Literal[32, 64, 128] | None = Field(
         None,
-        description="3d-recae beyond 64^3: the loss is that of one tile of so many cells a pair and step, "
-        "drawn again; default: of the whole output",
+        description="3d-recae beyond 64^3: side, in cells, of the random tile on which a step computes the "
+        "loss of a pair; default: the whole output",
     )
 
     @model_validator(mode="after")
@@ -95,53 +98,66 @@ class LossSettings(Settings):
 class AdversarialSettings(Settings):
     """Loss and learning rate of the discriminator, and its weight; only for 3d-recgan++."""
 
-    beta: float = Field(ge=0, le=1, description="weight of the reconstruction; 1 - beta of the discriminator")
-    loss_scale: float = Field(1.0, gt=0, description="the generator's loss is multiplied by it")
+    beta: float = Field(
+        ge=0, le=1, description="weight of the reconstruction loss; the discriminator's weight is 1 - beta"
+    )
+    loss_scale: float = Field(1.0, gt=0, description="factor on the generator's loss")
     gradient_penalty: float = Field(10.0, ge=0, description="lambda of WGAN-GP (paper: 10)")
     epsilon: Literal["voxel", "sample"] = Field(
-        "sample", description="what has a random mixture of truth and prediction of its own"
+        "sample",
+        description="whether each voxel or each sample gets its own random mixture of truth and "
+        "prediction for the gradient penalty",
     )
     penalty_on: Literal["mean", "sum"] = Field(
-        "mean", description="gradient of the features' mean, or of their sum as in the authors' code"
+        "mean", description="penalise the gradient of the features' mean, or of their sum (authors' code)"
     )
-    learning_rate: float = Field(5e-5, gt=0, le=1, description="of the discriminator (paper: 5e-5)")
+    learning_rate: float = Field(
+        5e-5, gt=0, le=1, description="learning rate of the discriminator (paper: 5e-5)"
+    )
 
 
 class TrainingSettings(Settings):
     """How long, on which pairs and at what learning rate a network is trained and validated."""
 
-    batch: int = Field(4, ge=1, le=4096, description="pairs of a step")
+    batch: int = Field(4, ge=1, le=4096, description="number of pairs in a step")
     epochs: float = Field(
-        10, gt=0, le=100_000, description="how often every pair is seen; 0.5: half of them, once"
+        10, gt=0, le=100_000, description="how often each pair is used; 0.5: half of the pairs, once"
     )
-    learning_rate: float = Field(1e-4, gt=0, le=1, description="of Adam")
-    halve_every_epochs: int | None = Field(None, ge=1, description="the learning rate is halved so often")
+    learning_rate: float = Field(1e-4, gt=0, le=1, description="initial learning rate of Adam")
+    halve_every_epochs: int | None = Field(
+        None, ge=1, description="number of epochs after which the learning rate is halved, repeatedly"
+    )
     schedule: Literal["constant", "cosine"] = Field(
         "constant", description="cosine: the learning rate falls to 0 along half a cosine"
     )
-    seed: int = Field(0, ge=0, le=2**31, description="of the weights, the order of pairs and all chance")
-    precision: Literal["float32", "bfloat16"] = Field(
-        "float32", description="of convolutions and matrix products; losses are float32"
+    seed: int = Field(
+        0,
+        ge=0,
+        le=2**31,
+        description="seed of the initial weights, the order of pairs and all random choices",
     )
-    validate_every_steps: int = Field(500, ge=1, description="steps between looks at the validation pairs")
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32", description="dtype of convolutions and matrix products; losses are float32"
+    )
+    validate_every_steps: int = Field(500, ge=1, description="number of steps between two validations")
     validation_pairs: int = Field(
-        20, ge=0, description="of the validation split, spread over it; 0: none are looked at"
+        20, ge=0, description="number of validation pairs, evenly spread over the split; 0: no validation"
     )
     leave_out: Annotated[tuple[str, ...], Field(strict=False)] = Field(
-        (), description="objects of the training split that are not learnt from, such as those of a test"
+        (), description="objects of the training split that are not trained on, such as test objects"
     )
     category: str | None = Field(
-        None, description="only pairs of this category are learnt from and validated on; default: all"
+        None, description="the only category that is trained and validated on; default: all"
     )
     keep: Literal["last", "best"] = Field(
-        "last", description="weights: those of the last step, or of the best validation IoU"
+        "last", description="the weights to keep: of the last step, or of the best validation IoU"
     )
 
 
 class MethodSettings(Settings):
     """A whole configuration: the method's name, and its network, loss and training."""
 
-    name: str = Field(description="of the method; its predictions lie in a folder of this name")
+    name: str = Field(description="name of the method, and of the folder of its predictions")
     network: NetworkSettings
     loss: LossSettings = LossSettings()
     adversarial: AdversarialSettings | None = Field(

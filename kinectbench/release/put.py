@@ -36,7 +36,7 @@ class PutSummary:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _StoreState:
     """The state of a store before an upload.
 
     Attributes:
@@ -88,7 +88,7 @@ def put_release(folder: Path, store: Store, progress: Progress = no_progress) ->
     """
     release_store(store.url)
     text, sums = release_text(folder / SHA256SUMS), listed_files(folder, progress)
-    place = _look(store)
+    place = _read_state(store)
     _refuse_other(store, place, sums)
     same = {
         name
@@ -123,7 +123,7 @@ def _put(folder: Path, store: Store, names: list[str], checked: int, progress: P
     progress(total, total)
 
 
-def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
+def _clear(store: Store, place: _StoreState, same: set[str], begins: bool) -> None:
     """Delete files that do not belong to the new release, so that a stopped upload can still be resumed.
 
     Files that the store's SHA256SUMS does not list are deleted first, while benchmark.json is there. If the
@@ -139,7 +139,7 @@ def _clear(store: Store, place: _Place, same: set[str], begins: bool) -> None:
         store.delete(listed if place.is_whole else [])
 
 
-def _look(store: Store) -> _Place:
+def _read_state(store: Store) -> _StoreState:
     """Read the state of a store; ignore a SHA256SUMS or benchmark.json that does not describe a release."""
     sizes = {each.name: each.size for each in store.objects()}
     text, sums, info, stated = "", dict[str, str](), None, ""
@@ -157,10 +157,10 @@ def _look(store: Store) -> _Place:
             info = ReleaseInfo.parse(stated, BENCHMARK_JSON)
     except (ReleaseError, UnicodeDecodeError):
         pass
-    return _Place(sizes, text, sums, info, stated)
+    return _StoreState(sizes, text, sums, info, stated)
 
 
-def _refuse_other(store: Store, place: _Place, sums: Mapping[str, str]) -> None:
+def _refuse_other(store: Store, place: _StoreState, sums: Mapping[str, str]) -> None:
     """Raise an error if a store has a file that belongs to no release.
 
     Files listed in the store's SHA256SUMS belong to a release. So do the files in `sums` if the store's

@@ -121,12 +121,11 @@ def view_agreement(release: Release, file: CameraPredictionFile, method: MethodF
         beyond_share=beyond_share(shape, T_grid_camera, float(size_m) * FULL_CELLS),
         refused=_refused(shape, T_grid_camera, float(size_m)),
         open_because=open_because(shape),
-        content=_shape_content(shape),
+        content=_shape_digest(shape),
     )
 
 
-def _shape_content(shape: CameraShape) -> Held:
-    """Return a digest of a predicted shape, equal for equal shapes."""
+def _shape_digest(shape: CameraShape) -> Held:
     return content_of(shape.points_m, shape.faces)
 
 
@@ -172,7 +171,7 @@ def check_camera(
             answered += 1
             try:
                 if not is_compared:
-                    content: Held | None = _shape_content(load_camera_shape(found, method))
+                    content: Held | None = _shape_digest(load_camera_shape(found, method))
                 elif (here := view_agreement(release, found, method)) is not None:
                     compared[name], content = here, here.content
                 else:
@@ -187,7 +186,7 @@ def check_camera(
         elif target.split == "test":
             problems.append(missing_in_camera(name))
         progress(done, len(release.targets) * method.hypotheses)
-    slips, notes = _judged(compared, method)
+    slips, notes = _problems_and_notes(compared, method)
     problems += [*slips, *strays_in_camera(release, folder, method)]
     said = [*_summary(release, method, compared, answered), *notes, *_open_lines(compared)]
     return problems, [*said, *same_lines(contents)]
@@ -215,11 +214,11 @@ def depth_warnings(release: Release, files: Sequence[CameraPredictionFile], meth
         with contextlib.suppress(PredictionError):  # reported by `score`
             if (found := view_agreement(release, file, method)) is not None:
                 compared[file.name] = found
-    slips, notes = _judged(compared, method)
+    slips, notes = _problems_and_notes(compared, method)
     return [f"{line}; `kinectbench check` looks at all" for line in [*slips, *notes][:1]]
 
 
-def _judged(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
+def _problems_and_notes(compared: Mapping[str, Agreement], method: MethodFile) -> tuple[list[str], list[str]]:
     """Return (problems, notes) about predictions that were compared with their views' depth, one line each.
 
     Problems are wrong units or axes, and meshes that cannot be made solid; `check` reports them as errors,

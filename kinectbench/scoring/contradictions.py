@@ -146,7 +146,7 @@ def _in_row(row: ScoreRow, version: int) -> Iterator[str]:
         return
     yield from _ratios(row)
     if row.iou_by_threshold is not None or version >= ACCOUNTED:
-        yield from _beside_its_curve(row, row.iou_by_threshold or ())
+        yield from _off_its_curve(row, row.iou_by_threshold or ())
 
 
 def _ratios(row: ScoreRow) -> Iterator[str]:
@@ -161,7 +161,7 @@ def _ratios(row: ScoreRow) -> Iterator[str]:
         yield f"states precision {precision:g} and recall {recall:g}, which no IoU of {iou:g} has"
 
 
-def _beside_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
+def _off_its_curve(row: ScoreRow, curve: Sequence[float]) -> Iterator[str]:
     """Report a row whose IoU differs from the value of its IoU curve at the row's threshold."""
     if len(curve) != len(THRESHOLDS) or row.threshold not in THRESHOLDS:
         yield f"has no IoU at each of the {len(THRESHOLDS)} thresholds"

@@ -122,11 +122,11 @@ def tally_unknown_share(tally: Tally) -> float:
 
 
 def is_all_unknown(tally: Tally, protocol: str) -> bool:
-    """Return whether a pair says nothing about a prediction under a protocol; means leave such pairs out.
+    """Return whether a pair's truth is too unknown to judge predictions under a protocol; means omit it.
 
-    There are two cases. First, the protocol counts no voxel: then every prediction has an IoU of 1. Second,
-    the part of the shape in the protocol's region is all unknown: then the IoU is 1 if the prediction is
-    empty in the known voxels, else 0. Neither case occurs under `paper`, which counts every voxel.
+    There are two cases. If the protocol counts no voxel, every prediction has an IoU of 1. If the part of the
+    shape in the protocol's region is all unknown, the IoU is 1 for a prediction that is empty in the known
+    voxels, and 0 for others. Neither case occurs under `paper`, which counts every voxel.
     """
     voxels: list[int] = tally.voxels.tolist()
     of = PROTOCOLS[protocol]

@@ -42,7 +42,7 @@ def content_of(*arrays: NDArray[np.generic]) -> Held:
 
 
 def same_lines(contents: Mapping[str, Held]) -> Iterator[str]:
-    """Yield a line for each value of constant predictions, and one if half of all or more are duplicates.
+    """Report constant predictions (a line for each value), and many equal ones (a line if half are equal).
 
     Args:
         contents: {name of a prediction: its content}.

@@ -230,7 +230,6 @@ class Journal:
 
 
 def _text(path: Path) -> str:
-    """Return the text of a journal; "" if it cannot be read."""
     try:
         return read_plain_text(path, MOST_JOURNAL_BYTES)
     except (OSError, UnicodeDecodeError):

@@ -144,7 +144,6 @@ def _close(one: object, other: object) -> bool:
 
 
 def _short(value: object) -> str:
-    """Return a value as short text without control characters."""
     if isinstance(value, float):
         return f"{value:.6g}"
     return "nothing" if value is None else printable(repr(value), 60)

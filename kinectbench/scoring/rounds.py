@@ -98,7 +98,7 @@ def plan(release: Release, predictions: Path, thresholds_file: Path | None, miss
 
 
 def pairs_to_score(release: Release, *, validation: bool, solid: bool = True) -> tuple[Target, ...]:
-    """Return the pairs of the test split, after checking that the truth of all needed splits is there.
+    """Return the pairs of the test split, after checking that the needed splits have public truth.
 
     Args:
         release: the release that is scored.

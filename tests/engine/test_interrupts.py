@@ -116,7 +116,7 @@ def test_a_signal_before_is_no_answer_to_one_after(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(interrupts, "LOOK_EVERY_S", 0.01)
     ended = list[int]()
     reading, writing = os.pipe()
-    watch = threading.Thread(target=interrupts._see_to_answers, args=(reading, ended.append, 0))
+    watch = threading.Thread(target=interrupts._watch_signals, args=(reading, ended.append, 0))
     watch.start()
     for _ in range(2):  # Python sees it: the system writes its number, and the handler is called
         os.write(writing, bytes([signal.SIGINT]))

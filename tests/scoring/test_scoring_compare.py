@@ -326,7 +326,7 @@ def test_scores_are_read_back(tmp_path: Path) -> None:
         with raises(StorageError, "storage.damaged", match=r"wrong\.json"):
             ScoreTable.read_file(tmp_path / "wrong.json")
     made.write(tmp_path)  # by itself into the folder of all
-    with pytest.raises(SettingsError, match=r"scores\.json is of one method.*or name .*/bad .*/good"):
+    with pytest.raises(SettingsError, match=r"json has the scores of one method.*name .*/bad .*/good"):
         find_methods([tmp_path])
     assert len(find_methods([tmp_path / "bad", tmp_path / "good"])) == 2
     (tmp_path / "empty").mkdir()

@@ -94,7 +94,7 @@ def verify(path: Path, progress: Progress = no_progress, *, checksums_only: bool
         objects = TruthCheck(contents, whole - of_objects.keys())
         for done, name in enumerate(sorted(pairs), start=len(sums) + 1):
             if metadata and name not in damaged:
-                lines += _pair_lines(contents, name, metadata, stated.get(name, _OfPair()), objects)
+                lines += _pair_lines(contents, name, metadata, stated.get(name, _StatedPair()), objects)
             progress(done, total)
         lines += [*objects.share_lines(metadata), *objects.key_lines()]
         if metadata is not None:
@@ -174,7 +174,7 @@ def _object_lines(
 
 
 @dataclass
-class _OfPair:
+class _StatedPair:
     """The facts about a pair that targets.csv and views.json state.
 
     Attributes:
@@ -188,9 +188,9 @@ class _OfPair:
 
 def _stated(
     contents: Contents, metadata: ReleaseInfo | None, targets: Sequence[Target]
-) -> dict[str, _OfPair]:
+) -> dict[str, _StatedPair]:
     """Return {pair file: the facts about the pair that targets.csv and views.json state}."""
-    stated = {target.file: _OfPair() for target in targets}
+    stated = {target.file: _StatedPair() for target in targets}
     for target in targets:
         if target.unknown_share is not None:
             stated[target.file].unknown_shares[TARGETS_CSV] = target.unknown_share
@@ -204,7 +204,7 @@ def _stated(
         # A held-back recording has no warnings.
         has_too_far = metadata.hides(recording) or any(TOO_FAR in line for line in views.warnings)
         for row in views.views:
-            of_pair = stated.setdefault(f"pairs/{recording}/{row.view}.npz", _OfPair())
+            of_pair = stated.setdefault(f"pairs/{recording}/{row.view}.npz", _StatedPair())
             of_pair.shown = StatedView(row, has_too_far)
             if row.unknown_share is not None:
                 of_pair.unknown_shares[ViewsFile.FILE] = row.unknown_share
@@ -223,7 +223,7 @@ def _pair_lines(
     contents: Contents,
     name: str,
     metadata: ReleaseInfo,
-    stated: _OfPair,
+    stated: _StatedPair,
     objects: TruthCheck,
 ) -> list[str]:
     """Read and check the pair file `name`; `objects` checks its truth. Return a message for each fault."""
@@ -312,7 +312,7 @@ def _small_file_problems(
     if metadata and BENCHMARK_JSON not in damaged:
         lines += recording_problems(targets, metadata)
     if metadata:
-        lines += [*missing_files(metadata, targets, sums), *_of_nobody(metadata, sums)]
+        lines += [*missing_files(metadata, targets, sums), *_undeclared_recordings(metadata, sums)]
     if SPLITS_JSON not in damaged and TARGETS_CSV not in damaged:
         lines += _split_problems(contents, targets)
     if metadata and not {BENCHMARK_JSON, TARGETS_CSV} & set(damaged):
@@ -320,7 +320,7 @@ def _small_file_problems(
     return metadata, targets, lines
 
 
-def _of_nobody(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
+def _undeclared_recordings(metadata: ReleaseInfo, sums: Mapping[str, str]) -> Iterator[str]:
     """Yield a message for each recording that has files in the release but no entry in benchmark.json."""
     owners = {name: recording_of(name) for name in sums if name.startswith("objects/")}
     owners |= {name: name.split("/")[1] for name in sums if name.startswith("views/")}

@@ -89,7 +89,7 @@ def export_bop(release: Release, out: Path, progress: Progress = no_progress) ->
                     "obj_id": None if model is None else number,
                     **{name: getattr(targets[0], name) for name in ("recording", "object", "category")},
                     "images": [int(target.view) for target in targets],
-                    "unknown_share": None if model is None else [_unknown(release, t) for t in targets],
+                    "unknown_share": None if model is None else [_unknown_share(release, t) for t in targets],
                 }
             )
         _write_dataset_files(release, folder, scenes, infos, camera)
@@ -181,6 +181,5 @@ def _rigid_mm(T: Float64, frames: str) -> dict[str, list[float]]:
     }
 
 
-def _unknown(release: Release, target: Target) -> float:
-    """Return the share of a pair's true shape whose cells are not `known`, rounded."""
+def _unknown_share(release: Release, target: Target) -> float:
     return round(unknown_share(*parts_of(release, target, ("full", "known"))), SHARE_DECIMALS)

@@ -198,7 +198,11 @@ def import_recgan(folder: Path, out: Path, progress: Progress = no_progress, vie
     content = Exported.read(folder) if exported.exists() else Exported()
     if content.pairs and views is not None:
         raise SettingsError(f"{exported}: a release that was exported has its own split; leave out --views")
-    pairs = _exported(folder, content) if content.pairs else _one_view_set(_theirs(folder), folder, views)
+    pairs = (
+        _exported(folder, content)
+        if content.pairs
+        else _one_view_set(_named_by_authors(folder), folder, views)
+    )
     if not pairs:
         raise SettingsError(
             f"{folder}: no P1_<synset>_<category>/<split>_<views>_25d_vox256/*.npz there", what="no-file"
@@ -260,7 +264,7 @@ def _exported(folder: Path, content: Exported) -> list[FoundPair]:
     return pairs
 
 
-def _theirs(folder: Path) -> list[FoundPair]:
+def _named_by_authors(folder: Path) -> list[FoundPair]:
     """Return the pairs of files that are named in the authors' way, sorted by category, split and model."""
     rows = []
     for path in sorted(folder.glob("P1_*/*_25d_vox256/*.npz")):

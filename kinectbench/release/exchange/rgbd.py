@@ -130,21 +130,23 @@ class ViewCamera(Stored):
     MAX_BYTES: ClassVar[int] = 1 << 16
 
     K: Matrix3 = Field(description="intrinsics of the images beside it, pixels; pixel centres are integers")
-    width: Side = Field(description="of the images, pixels")
-    height: Side = Field(description="of the images, pixels")
+    width: Side = Field(description="width of the images, pixels")
+    height: Side = Field(description="height of the images, pixels")
     T_world_camera: Matrix4 = Field(description="camera to world, metres")
     color: str = Field(description="where rgb.png comes from, or why there is none")
-    method: str | None = Field(None, description="whose files these are")
+    method: str | None = Field(None, description="the method that the files are for")
     T_camera_method: Matrix4 | None = Field(
-        None, description="similarity from what the method reads to the camera, metres; column vectors"
+        None, description="similarity from the frame of the method's files to the camera, metres"
     )
     volume_m: Box | None = Field(
-        None, description="lowest and highest x, y, z that the method looks at: camera frame, metres"
+        None, description="lowest and highest corner of the method's volume, camera frame, metres"
     )
     cut_share: float | None = Field(
-        None, ge=0, le=1, description="of the object, outside the volume that the method looks at"
+        None, ge=0, le=1, description="share of the object outside the method's volume"
     )
-    cut_of: str | None = Field(None, description="what cut_share counts: truth or seen")
+    cut_of: str | None = Field(
+        None, description="base of cut_share: truth (cells of the solid) or seen (measured points)"
+    )
 
 
 # Writes the files of one view into an existing folder, and returns further keys of its camera.json. It may

@@ -118,7 +118,7 @@ def publish(
         raise ReleaseError(f"{build}: no recording to publish; {passed.first_reasons()}", what="no-pairs")
     _refuse_empty_split(settings, passed.published, options.hold_back)
     _refuse_many_files(settings, build, passed.published)
-    hidden_ids = _hidden(settings, options)
+    hidden_ids = _held_back_ids(settings, options)
     isolated = isolate(settings, build, hidden_ids & set(passed.published)) if options.isolate else Isolated()
     passed = replace(
         passed,
@@ -145,8 +145,7 @@ def publish(
     )
 
 
-def _hidden(settings: BenchmarkSettings, options: PublishOptions) -> frozenset[str]:
-    """Return the ids of recordings whose truth is held back."""
+def _held_back_ids(settings: BenchmarkSettings, options: PublishOptions) -> frozenset[str]:
     return frozenset(each.id for each in settings.recordings if each.split in options.hold_back)
 
 
@@ -245,7 +244,7 @@ def _pairs(
 ) -> dict[str, Published]:
     """Write the files of each recording that passed; return {id: published part} for those with a pair."""
     made = dict[str, Published]()
-    by_id, recordings, hidden_ids = settings.by_id(), passed.published, _hidden(settings, options)
+    by_id, recordings, hidden_ids = settings.by_id(), passed.published, _held_back_ids(settings, options)
     most_named = max(1, MOST_NAMED_FILES // max(1, len(recordings)))
     for name in recordings:
         hidden, only = name in hidden_ids, isolated.views.get(name)

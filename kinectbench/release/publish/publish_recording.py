@@ -325,11 +325,12 @@ def _lineage(built: Built, names: Sequence[str]) -> LineageRecording:
     if built.hidden:
         return content
     rows = {row.view: row for row in built.views.views}
-    return content.model_copy(update={"views": tuple(_frame(rows[name]) for name in names if name in rows)})
+    return content.model_copy(
+        update={"views": tuple(_lineage_view(rows[name]) for name in names if name in rows)}
+    )
 
 
-def _frame(row: ViewRow) -> LineageView:
-    """Return a view's entry in lineage.json: its frame number and timestamp."""
+def _lineage_view(row: ViewRow) -> LineageView:
     if row.frame is None or row.stamp_ns is None:
         raise ReleaseError(
             f"view {row.view}: views.json does not say of which frame it is; build it again", what="not-built"

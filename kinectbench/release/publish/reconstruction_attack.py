@@ -96,13 +96,13 @@ def attack_ious(views: Mapping[str, PosedView], pair_of: Callable[[str], Pair]) 
         from one view alone. Both are means over the cubes of some views; the one view is that of the cube.
     """
     pairs = {name: pair_of(name) for name in spread(sorted(views), CUBES)}
-    every = [_ious(pair, list(views.values())) for pair in pairs.values()]
-    single = [_ious(pair, [views[name]]) for name, pair in pairs.items()]
+    every = [_ious_in_cube(pair, list(views.values())) for pair in pairs.values()]
+    single = [_ious_in_cube(pair, [views[name]]) for name, pair in pairs.items()]
     iou, single_iou = (round(float(np.mean(ious, axis=0).max()), DECIMALS) for ious in (every, single))
     return iou, single_iou
 
 
-def _ious(pair: Pair, views: Sequence[PosedView]) -> list[float]:
+def _ious_in_cube(pair: Pair, views: Sequence[PosedView]) -> list[float]:
     """Return the IoU with the truth, in a pair's cube, of each of the three `solids` made from the views."""
     return [sampled_known_iou(solid, pair) for solid in solids(pair.grid, views)]
 

@@ -87,7 +87,7 @@ def judged(
         settings: the benchmark's settings, with limits and the user's reviews.
         build: the folder with a subfolder for each recording.
         built: ids of recordings whose pairs are built.
-        by_limits_alone: whether to find violated limits and failures only, in milliseconds a recording.
+        by_limits_alone: whether to find only violated limits and failures, which takes milliseconds.
 
     Raises:
         StorageError: a built file is damaged.

@@ -68,14 +68,13 @@ def read_pointr(path: Path) -> CameraShape:
         PredictionError, NpyError, OSError: the file cannot be read, or is no array of points.
     """
     with open_plain(path) as file:
-        points = read_npy(file, size_of(file), _check).astype(np.float64)
+        points = read_npy(file, size_of(file), _refuse_no_points).astype(np.float64)
     if not np.isfinite(points).all():
         raise PredictionError(f"{path.name}: a number is not finite")
     return CameraShape("points", points, np.zeros((0, 3), np.int64))
 
 
-def _check(header: NpyHeader) -> None:
-    """Refuse the header of an array that is not (n, 3) floats."""
+def _refuse_no_points(header: NpyHeader) -> None:
     shape = header.shape
     if header.dtype.kind != "f" or len(shape) != 2 or shape[1] != 3 or not 1 <= shape[0] <= MAX_POINTS:
         raise NpyError(f"{shape} {header.dtype}; (n, 3) floats are wanted")

@@ -93,7 +93,7 @@ def adapt(
     with replaced_folder(out) as folder:
         for done, target in enumerate(release.targets, start=1):
             try:
-                camera = _adapted(release, name, adapter, output, target, folder)
+                camera = _convert_view(release, name, adapter, output, target, folder)
                 written += camera is not None
                 if camera is not None and camera.volume_m is not None:
                     volumes[target.name] = camera.volume_m
@@ -101,7 +101,7 @@ def adapt(
                 problems.append(f"{target.name}: {error}")
             progress(done, len(release.targets))
         if not written:
-            raise PredictionError(_nothing(output, adapter, problems), what="none")
+            raise PredictionError(_nothing_converted(output, adapter, problems), what="none")
         method_file = MethodFile(
             name=name,
             benchmark_sha256=release.benchmark_sha256,
@@ -120,7 +120,7 @@ def adapt(
     return written, problems
 
 
-def _adapted(
+def _convert_view(
     release: Release, name: str, adapter: Adapter, output: Path, target: Target, folder: Path
 ) -> ViewCamera | None:
     """Convert one view's output, write it to `folder`, return its camera.json; None if there is no output."""
@@ -134,7 +134,7 @@ def _adapted(
     if path is None:
         return None
     camera = ViewCamera.read(view_folder)
-    T_camera_method = _placed(camera, name)
+    T_camera_method = _method_to_camera(camera, name)
     if not np.allclose(camera.T_world_camera, camera_of(release, target)[1], rtol=0, atol=SAME_POSE):
         raise PredictionError(
             f"{ViewCamera.FILE}: of another release; export this one, and run {name} again",
@@ -148,7 +148,7 @@ def _adapted(
     return camera
 
 
-def _placed(camera: ViewCamera, name: str) -> Float64:
+def _method_to_camera(camera: ViewCamera, name: str) -> Float64:
     """Check camera.json, and return its similarity (4, 4) from the method's frame to the camera.
 
     Raises:
@@ -161,7 +161,7 @@ def _placed(camera: ViewCamera, name: str) -> Float64:
     return camera.T_camera_method
 
 
-def _nothing(output: Path, adapter: Adapter, problems: list[str]) -> str:
+def _nothing_converted(output: Path, adapter: Adapter, problems: list[str]) -> str:
     """Return the error text if nothing was converted: the first problem, or that `output` has no file."""
     if problems:
         more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""

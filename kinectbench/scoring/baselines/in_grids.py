@@ -153,7 +153,7 @@ def counted_baselines(
         results = run_tasks(partial(_count, counting, thresholds), tasks, jobs, tell)
         counted |= {task.target: of for task, of in zip(tasks, results, strict=True)}
         if "validation" in together:
-            thresholds = {name: _searched(release, name, counted) for name in names}
+            thresholds = {name: _thresholds_on_validation(release, name, counted) for name in names}
     settings = as_of_baseline(describe(counting, "error"))
     return [
         make_table(
@@ -209,8 +209,7 @@ def _tell(progress: Progress, before: int, pairs: int, done: int, _total: int) -
     progress(before + done, pairs)
 
 
-def _searched(release: Release, name: str, counted: Mapping[Target, Counts]) -> Thresholds:
-    """Choose the thresholds of a baseline from its counts on the validation split."""
+def _thresholds_on_validation(release: Release, name: str, counted: Mapping[Target, Counts]) -> Thresholds:
     tallies = {t: of[name].tally for t, of in counted.items() if t.split == "validation"}
     return searched_thresholds(release.targets, tallies)
 

@@ -62,7 +62,7 @@ def as_papers(
     emd_m = None
     if emd:
         emd_m = assigned_mean_m(one, other)
-    ways = [_to_points(one, other), _to_points(other, one)]
+    ways = [_nearest_distances(one, other), _nearest_distances(other, one)]
     l1_m, l2_m2 = sum(way.mean() for way in ways), sum((way**2).mean() for way in ways)
     near = [float((way < PCN_TOLERANCE * size_m).mean()) for way in ways]
     return AsPapers(
@@ -84,6 +84,5 @@ def points_by_area(surface: Surface) -> Float64:
     return found
 
 
-def _to_points(points_m: Float64, others_m: Float64) -> Float64:
-    """Return each point's distance to the nearest of `others_m`: (n,), metres."""
+def _nearest_distances(points_m: Float64, others_m: Float64) -> Float64:
     return Samples(others_m).nearest(points_m)[0]
