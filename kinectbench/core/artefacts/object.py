@@ -257,7 +257,9 @@ class QualityFile(Stored):
         None, description="share of depth around the object beyond `max_depth_m`"
     )
     off_share: float | None = Field(
-        None, description="share of the depth on the object that lies 20 mm and more off its surface"
+        None,
+        description="share of the depth on the object that lies 20 mm and more off its surface; null: all of "
+        "it is too near to the floor to tell",
     )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: source mesh")
