@@ -1,4 +1,4 @@
-"""`off_share` is measured from the plane of each face, and says nothing where there is no depth to compare."""
+"""`off_share` is measured from the plane of each face; where there is no depth to compare, it is none."""
 
 from dataclasses import replace
 
