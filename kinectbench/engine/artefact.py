@@ -44,7 +44,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 20,
     "track": 16,
     "fuse": 7,
-    "segment": 54,
+    "segment": 55,
     "sample-views": 8,
     "pairs": 4,
     "suggest": 8,

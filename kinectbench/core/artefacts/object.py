@@ -32,9 +32,9 @@ FLOOR_CUT = "floor_cut: "
 # The underside is asked about, and what a person says of it is shown, if it decides this share of the solid
 # (chosen by hand).
 LEAST_UNDERSIDE_SHARE = 0.05
-# If more of the depth on an object contradicts its surface, the surface is wrong. Of 24 simulated objects at
-# most 0.01 % does, of a real cabinet and a chair 0.15 and 0.00 %; of the cabinet moved by 8 cm half-way 0.4
-# to 8 %, with wrong intrinsics 1.6 to 5 %, with poses that are centimetres off 7 to 8 %
+# If more of the depth on an object contradicts its surface, the surface is wrong. Of simulated and real
+# objects of Kinects and phones whose parts are all there, at most 0.1 % does; with wrong intrinsics 0.6 to
+# 1.2 %, with poses that are a centimetre and more off 0.6 to 1.4 %, of objects moved half-way 5 to 16 %
 # (docs/evidence/ground-truth.md, The estimate).
 MAX_OFF_SHARE = 0.0025
 # Before the lines of `estimated_iou_reasons`, where an estimate is shown with its interval in brackets.
@@ -257,7 +257,9 @@ class QualityFile(Stored):
         None, description="share of depth around the object beyond `max_depth_m`"
     )
     off_share: float | None = Field(
-        None, description="share of the depth on the object that lies 20 mm and more off its surface"
+        None,
+        description="share of the depth on the object that lies 20 mm and more off its surface; null: all of "
+        "it is too near to the floor to tell",
     )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: source mesh")

@@ -80,11 +80,31 @@ class DepthRenderer:
 
     def depth_m(self, camera: Camera, T_world_camera: Float64) -> Float32:
         """Return depth along z in metres, (height, width) float32, 0 where the mesh is not hit."""
+        return self._hit(self._rays(camera, T_world_camera))[0]
+
+    def depth_and_lift(self, camera: Camera, T_world_camera: Float64) -> tuple[Float32, Float32]:
+        """Return `depth_m`, and how far a metre of depth leads away from the plane of the face that is hit.
+
+        The second image is dimensionless, 0 where the mesh is not hit: 1 where a ray along the optical axis
+        meets a face head-on, little where it grazes one.
+        """
+        rays = self._rays(camera, T_world_camera)
+        depth_m, normals = self._hit(rays)
+        return depth_m, np.abs(np.einsum("ijk,ijk->ij", rays[..., 3:], normals))
+
+    def _rays(self, camera: Camera, T_world_camera: Float64) -> Float32:
+        """Return origins and directions, (height, width, 6); directions have z = 1 in the camera's frame."""
         rays = np.empty((camera.height, camera.width, 6), np.float32)
         rays[..., :3], rays[..., 3:] = T_world_camera[:3, 3], camera.rays() @ T_world_camera[:3, :3].T
-        # Directions have z = 1 in the camera's frame, so the ray parameter is the depth.
-        hit = self._scene.cast_rays(self._tensor(rays))["t_hit"].numpy()
-        return np.where(np.isfinite(hit), hit, 0).astype(np.float32)
+        return rays
+
+    def _hit(self, rays: Float32) -> tuple[Float32, Float32]:
+        """Return the depth of the first hits, 0 for none, and the unit normals of the faces, 0 for none."""
+        hits = self._scene.cast_rays(self._tensor(rays))
+        depth_m = hits["t_hit"].numpy()  # the ray parameter, as directions have z = 1
+        return np.where(np.isfinite(depth_m), depth_m, 0).astype(np.float32), hits[
+            "primitive_normals"
+        ].numpy()
 
 
 def image_normals(surface: Float64, depth_m: Float32, reach_px: int = 1) -> Float64:

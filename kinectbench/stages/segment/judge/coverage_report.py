@@ -56,7 +56,7 @@ REMEDIES: Mapping[str, str] = {
 
 def frames_against_scene(
     sequence: Sequence, trajectory: Trajectory, scene: TriangleMesh, floor: Floor, box: OrientedBox
-) -> tuple[MovingPart, float]:
+) -> tuple[MovingPart, float | None]:
     """Compare at most 40 good frames with the fused scene; find what moves and what contradicts the object.
 
     The pixels are sampled in about 160 columns. One moves if it is nearer than the scene by more than max(5
@@ -66,12 +66,13 @@ def frames_against_scene(
 
     One contradicts the object's surface if it lies behind it (a surface in `box`) or, where nothing moves,
     before it (as a point in `box`) by more than max(5 sigma, 20 mm, 1.4 spacings of the scene's mesh), and 20
-    mm above the floor, in such a patch, too. Hardly any does unless the object was moved or changed, or
-    poses, intrinsics or depth are wrong.
+    mm (times `floor.scale`) above the floor, in such a patch, too. The distance is that from the plane of the
+    face: along a ray that grazes a face, noise and a pose that is off by millimetres reach centimetres.
+    Hardly any does unless the object was moved or changed, or poses, intrinsics or depth are wrong.
 
     Returns:
         The frames in which something moves; and the share of the depth on the object that contradicts it, to
-        four digits.
+        four digits, or None if there is no depth on it.
     """
     good = trajectory.good_frames
     judged = some_frames(good)
@@ -82,30 +83,30 @@ def frames_against_scene(
     for frame, measured_m in zip(judged, sequence.depths_m(judged, step_px), strict=True):
         T_world_camera = trajectory.T_world_camera[frame]
         heights_m = floor.heights_m(measured_m, camera, T_world_camera)
-        scene_m = renderer.depth_m(camera, T_world_camera)
+        scene_m, lift = renderer.depth_and_lift(camera, T_world_camera)
         both, sigmas_m = (measured_m > 0) & (scene_m > 0), NEARER_SIGMAS * depth_sigma_m(scene_m)
         nearer = both & (scene_m - measured_m > np.maximum(sigmas_m, NEARER_M))
         shares.append(float(_patches(nearer & (heights_m > NEARER_M)).mean()))
         T_floor_camera, off_m = floor.T_floor_world @ T_world_camera, np.maximum(sigmas_m, least_m)
         seen, there = (
-            both & _above_floor_in(box, transform_points(T_floor_camera, rays * depth_m[..., None]))
+            both & _clear_in(box, transform_points(T_floor_camera, rays * depth_m[..., None]), floor)
             for depth_m in (measured_m, scene_m)
         )
         if shares[-1] > MOVING_SHARE:  # somebody walks through: that leaves no surface
             seen = there
         else:
-            off += int(_patches(seen & (scene_m - measured_m > off_m)).sum())
-        off += int(_patches(there & (measured_m - scene_m > off_m)).sum())
+            off += int(_patches(seen & ((scene_m - measured_m) * lift > off_m)).sum())
+        off += int(_patches(there & ((measured_m - scene_m) * lift > off_m)).sum())
         on += int((seen | there).sum())
     moving: Int64 = judged[np.array(shares) > MOVING_SHARE]
     part = MovingPart(judged=len(judged), frames=tuple(moving.tolist()), largest_share=round(max(shares), 4))
-    return part, round(off / max(on, 1), 4)
+    return part, round(off / on, 4) if on else None
 
 
-def _above_floor_in(box: OrientedBox, points: Float64) -> Bools:
+def _clear_in(box: OrientedBox, points: Float64, floor: Floor) -> Bools:
     """Return which points (height, width, 3), floor frame, lie in a box, and clearly above the floor."""
     inside = box.contains(points.reshape(-1, 3)).reshape(points.shape[:-1])
-    return np.asarray(inside & (points[..., 2] > OFF_M))
+    return np.asarray(inside & (points[..., 2] > OFF_M * floor.scale))
 
 
 def _patches(pixels: Bools) -> Bools:
@@ -154,7 +155,7 @@ class CoverageReport:
     moving: MovingPart
     max_depth_m: float
     beyond_share: float
-    off_share: float
+    off_share: float | None
     warnings: tuple[str, ...]
     choice_warnings: tuple[str, ...]
     first_rad: float = 0.0
@@ -248,9 +249,9 @@ def _of_range(too_far: float, max_depth_m: float, is_set: bool) -> list[str]:
     ]
 
 
-def _of_contradictions(off_share: float) -> list[str]:
+def _of_contradictions(off_share: float | None) -> list[str]:
     """Return a warning if too much of the depth on the object contradicts its surface."""
-    if off_share <= MAX_OFF_SHARE:
+    if off_share is None or off_share <= MAX_OFF_SHARE:
         return []
     return [
         f"{off_share:.1%} of the depth on the object lies 2 cm and more off its surface, whose shape is "
