@@ -277,7 +277,7 @@ OPENED = {
     ("release/publish/archive.py", "open"): "a release that was just written",
     ("release/publish/card.py", "read_text"): "the package's own file",
     ("release/publish/datasheet.py", "read_text"): "the package's own file",
-    ("release/publish/schemas.py", "read_bytes"): "the package's own file",
+    ("release/publish/schemas.py", "read_text"): "the package's own file",
 }
 
 
