@@ -110,7 +110,7 @@ def test_a_step_takes_the_work_of_its_own_stage(stage: Stage) -> None:
 
 def test_segment_hands_on_the_word_and_the_lengths(monkeypatch: pytest.MonkeyPatch) -> None:
     handed: list[Any] = []
-    for name in ("_own", "_scene", "plane_given", "write_object"):
+    for name in ("_read_masked", "_scene", "plane_given", "write_object"):
         monkeypatch.setattr(steps, name, lambda *_: (None, None))
     monkeypatch.setattr(steps, "segment", lambda *values: handed.extend(values))
     own = {"id": "chair", "path": "chair", "category": "chair"}

@@ -66,9 +66,10 @@ def _of_this_version(
     """Yield the other files of a release that this version published."""
     yield from (*TEXTS, LINEAGE_JSON, PRIVACY_JSON, SPLITS_JSON)
     yield from (name for name, _ in schema_texts(names, columns_of(targets)))
-    yield from sorted({f"{CATEGORIES}/{target.category}.html" for target in targets})
-    yield from sorted({f"{SPLIT_TARGETS}/{target.split}.csv" for target in targets})
-    shown = {target.split for target in targets if not metadata.isolates(target.recording)}
+    infos = metadata.recordings.values()
+    yield from sorted({f"{CATEGORIES}/{info.category}.html" for info in infos})
+    yield from sorted({f"{SPLIT_TARGETS}/{info.split}.csv" for info in infos})
+    shown = {info.split for name, info in metadata.recordings.items() if not metadata.isolates(name)}
     yield from (f"{PREVIEWS}/{split}/{ROWS}" for split in sorted(shown))
     for recording in metadata.recordings:
         yield f"views/{recording}/{ViewsFile.FILE}"

@@ -7,6 +7,7 @@ import pytest
 from analytic_scenes import CAMERA
 from bad_scenes import FLOOR, FUSION, OBJECT, Recorded, recorded
 
+from kinectbench.core.artefacts.object import MAX_OFF_SHARE
 from kinectbench.core.geometry import OrientedBox, TriangleMesh, rigid_from_twist
 from kinectbench.core.geometry.camera import DepthRenderer
 from kinectbench.stages.fuse import fuse
@@ -22,7 +23,7 @@ def test_poses_off_by_millimetres_contradict_no_grazed_face(seed: int) -> None:
     poses = good.trajectory.T_world_camera @ np.stack([rigid_from_twist(twist) for twist in twists])
     off = replace(good.trajectory, T_world_camera=poses)
     seen = Recorded(good.sequence, off, fuse(good.sequence, off, FUSION).mesh).coverage_report()
-    assert seen.off_share is not None and seen.off_share <= 0.0025
+    assert seen.off_share is not None and seen.off_share <= MAX_OFF_SHARE
 
 
 def test_an_object_too_low_to_compare_has_no_share() -> None:
