@@ -1,7 +1,7 @@
 """Find contradictions in a score table, and values outside the bounds of its schema.
 
 `read_table` refuses such a table, and reports the first contradiction. These checks need only the table.
-Checks against the release are in `of_release`, and checks against the predictions in `recheck`.
+Checks against the release are in `release_contradictions`, and checks against the predictions in `recheck`.
 """
 
 import math

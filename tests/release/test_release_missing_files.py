@@ -47,6 +47,17 @@ def test_a_file_that_every_release_has(release: Path, name: str) -> None:
     assert f"{name}: {ABSENT}" in problems_without(release, name)
 
 
+def test_all_images_of_a_recording(release: Path) -> None:
+    """Without them no partial is compared with depth."""
+    images = sorted((release / "views/chair_01").glob("*.png"))
+    for image in images[1:]:
+        image.unlink()
+    first = images[0].relative_to(release).as_posix()
+    assert any(
+        line.startswith(f"{first}: missing, targets.csv ") for line in problems_without(release, first)
+    )
+
+
 def test_earlier_versions_may_have_written_fewer(release: Path) -> None:
     version = f'"package_version": "{__version__}"'
     for name in ("benchmark.json", "lineage.json"):

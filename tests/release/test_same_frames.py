@@ -16,6 +16,7 @@ from kinectbench.release.publish.same_frames import refuse_same_frames
 from kinectbench.settings.models import BenchmarkSettings
 
 TEST, TOO, VALIDATION = (recording[0] for recording in RECORDINGS[:3])
+FLOOR = {"plane_world": [0, 0, 1, -0.7]}
 BOX = {"center_m": [0, 0, 0.5], "size_m": [1, 2, 1], "yaw_rad": 0.0}
 
 
@@ -69,8 +70,8 @@ def test_what_is_tested_was_not_learnt_from(frames: range, same: bool, tmp_path:
             lines(tmp_path)
     else:
         assert lines(tmp_path) == []
-    # What boxes, masks or the object of a mask choose in one recording are two objects.
-    for own in ({"box": BOX}, {"segment_by": "turntable"}, {"camera": {"mask_object": 2}}):
+    # What boxes, floors, masks or the object of a mask choose in one recording are two objects.
+    for own in ({"box": BOX}, {"floor": FLOOR}, {"segment_by": "turntable"}, {"camera": {"mask_object": 2}}):
         assert lines(tmp_path, {VALIDATION: own}) == []
 
 
@@ -87,16 +88,17 @@ def test_one_object_of_several_of_a_recording(tmp_path: Path) -> None:
     [
         (range(600), True),  # a bag of what the other has as images
         (range(0, 600, 2), True),  # every second frame
-        (range(200, 260), True),  # a part
-        (range(500, 1100), False),  # fewer than half
-        (range(1000, 1600), False),
+        (range(200, 230), True),  # a part
+        (range(2980, 3040), False),  # a third of it
+        (range(2700, 3600), False),  # fewer than half
+        (range(4000, 4600), False),
         (range(0), False),  # nothing measured
     ],
 )
 def test_the_same_frames_in_other_files(frames: range, same: bool, tmp_path: Path) -> None:
     write_sources(tmp_path / TEST, range(600))
     write_sources(tmp_path / VALIDATION, range(9000, 9001))
-    write_sketch(tmp_path / TEST, range(600))
+    write_sketch(tmp_path / TEST, range(3000))
     write_sketch(tmp_path / VALIDATION, frames)
     if same:
         with raises(ReleaseError, "release.object-in-two-splits"):

@@ -57,7 +57,7 @@ def built(
         ({"moving": {"judged": 40, "frames": [3, 4, 5, 6, 7], "largest_share": 0.1}}, "in 5 of 40 frames"),
         ({"grade": "fair", "lost": 2}, "25% of the frames have no pose"),
         ({"beyond_share": 0.05}, "5% of the depth"),
-        ({"off_share": 0.009}, "0.9% of the depth on the object lies 2 cm and more off its surface"),
+        ({"off_share": 0.009}, "0.90% of the depth on the object lies 2 cm and more off its surface"),
         ({"warnings": ("x.klg: is cut off",)}, "x.klg: is cut off"),
     ],
 )

@@ -258,8 +258,8 @@ class QualityFile(Stored):
     )
     off_share: float | None = Field(
         None,
-        description="share of the depth on the object that lies 20 mm and more off its surface; null: all of "
-        "it is too near to the floor to tell",
+        description="share of the depth on the object that lies 20 mm and more off its surface; null: none "
+        "of it lies clear of the floor",
     )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: source mesh")

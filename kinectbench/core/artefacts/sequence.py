@@ -12,8 +12,8 @@ from kinectbench.core.types import Int64
 AGAIN = "delete the folder and run `kinectbench ingest` again"
 
 
-# Number of digests in `CameraFile.depth_sketch`: 32 are equal if two recordings share half of their frames.
-SKETCH_DIGESTS = 64
+# Largest number of digests in `CameraFile.depth_sketch`; recordings of fewer frames have them all.
+SKETCH_DIGESTS = 1024
 # How the warning about each frame begins that could not be read.
 DAMAGED_FRAME = "frame left out: "
 
@@ -49,7 +49,7 @@ class CameraFile(Stored):
     trajectory_error: str = Field(default="", description='Why the given trajectory is not used, or "".')
     depth_sketch: tuple[str, ...] = Field(
         default=(),
-        description="The 64 smallest digests (BLAKE2b) of depth images, in millimetres.",
+        description="The 1024 smallest digests (BLAKE2b) of depth images, in millimetres.",
     )
     up_world: tuple[float, float, float] | None = Field(
         default=None,

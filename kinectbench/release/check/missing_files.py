@@ -1,4 +1,4 @@
-"""Check that a release of recordings lacks none of the files that `publish` writes."""
+"""Check that a release of recordings has every file that its readers and its checks need."""
 
 from collections.abc import Collection, Iterator, Sequence
 
@@ -33,7 +33,7 @@ def missing_files(metadata: ReleaseInfo, targets: Sequence[Target], names: Colle
     """Yield a message for each missing file that every release of recordings has.
 
     Earlier versions may have written fewer files. Their releases need only the meshes and volumes, by which
-    pairs are checked. Images of views and previews are checked with their tables.
+    pairs are checked. Images are checked with the tables that list them.
 
     Args:
         metadata: content of benchmark.json.

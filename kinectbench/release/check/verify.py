@@ -308,7 +308,9 @@ def _small_file_problems(
         lines += [] if known else [str(error)]
     if not targets:
         return metadata, targets, lines
-    lines += [*sum_problems(targets, sums), *copy_problems(targets, sums), *_file_problems(targets, sums)]
+    has_images = metadata is not None and metadata.of_this_version
+    lines += [*sum_problems(targets, sums), *copy_problems(targets, sums)]
+    lines += _file_problems(targets, sums, has_images)
     if metadata and BENCHMARK_JSON not in damaged:
         lines += recording_problems(targets, metadata)
     if metadata:
@@ -330,12 +332,14 @@ def _undeclared_recordings(metadata: ReleaseInfo, sums: Mapping[str, str]) -> It
         yield f"{printable(name, 200)}: of a recording that {BENCHMARK_JSON} does not have"
 
 
-def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str]) -> Iterator[str]:
-    """Yield a message for each missing image of a pair, and each pair file that targets.csv does not list."""
-    # Synthesised views have no images.
+def _file_problems(targets: tuple[Target, ...], sums: Mapping[str, str], has_images: bool) -> Iterator[str]:
+    """Yield a message for each missing image of a pair, and each pair file that targets.csv does not list.
+
+    Unless `has_images`, a recording may lack all images, as synthesised views do.
+    """
     folders = {name.rpartition("/")[0] for name in sums if name.endswith(".png")}
     for line, target in enumerate(targets, start=FIRST_LINE):
-        if f"views/{target.recording}" in folders:
+        if has_images or f"views/{target.recording}" in folders:
             for suffix in VIEW_IMAGES:
                 image = f"views/{target.recording}/{target.view}{suffix}"
                 if image not in sums:

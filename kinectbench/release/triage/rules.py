@@ -170,7 +170,7 @@ def _of_object(quality: QualityFile) -> Iterator[str]:
     if (moving := quality.moving) is not None and len(moving.frames) > MOST_MOVING * moving.judged:
         yield f"something moves in {len(moving.frames)} of {moving.judged} frames"
     if (off := quality.off_share or 0.0) > MAX_OFF_SHARE:
-        yield f"{off:.1%} of the depth on the object lies 2 cm and more off its surface"
+        yield f"{off:.2%} of the depth on the object lies 2 cm and more off its surface"
     if (beyond := quality.beyond_share or 0.0) > MOST_BEYOND:
         yield f"{beyond:.0%} of the depth around the object is farther than what is fused"
 

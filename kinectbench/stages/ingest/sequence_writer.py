@@ -51,7 +51,7 @@ class SequenceWriter:
         folder: folder of the sequence.
         checks: checks of the frames taken so far.
         rows: rows of frames.json, one for each frame written so far.
-        depth_digests: of each depth image written so far that has any measurement.
+        depth_digests: digests of the depth images written so far; one without measurement has none.
         taken: number of frames taken from the recording, damaged ones included.
     """
 
@@ -180,9 +180,9 @@ def _packed(
 
 
 def _digest(depth: NDArray[np.uint16], depth_scale: float) -> str | None:
-    """Return a digest of a depth image in whole millimetres, so that files of other units have the same.
+    """Return a digest of a depth image in whole millimetres; None if nothing is measured.
 
-    It is None if nothing is measured.
+    Files of other units have the same, unless their values were rounded otherwise.
     """
     depth_mm = np.rint(depth * np.float32(1000 / depth_scale)).astype(np.int32)
     return blake2b(depth_mm.tobytes(), digest_size=8).hexdigest() if depth.any() else None

@@ -254,7 +254,7 @@ def _of_contradictions(off_share: float | None) -> list[str]:
     if off_share is None or off_share <= MAX_OFF_SHARE:
         return []
     return [
-        f"{off_share:.1%} of the depth on the object lies 2 cm and more off its surface, whose shape is "
+        f"{off_share:.2%} of the depth on the object lies 2 cm and more off its surface, whose shape is "
         "wrong there: the object was moved or changed, or poses, intrinsics or depth are wrong; look at "
         "object/mesh.ply, and record it again, or correct them"
     ]
