@@ -2,6 +2,8 @@
 
 import inspect
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -122,6 +124,12 @@ def test_segment_hands_on_the_word_and_the_lengths(monkeypatch: pytest.MonkeyPat
     (given,) = [each for each in handed if isinstance(each, GivenObject)]
     assert cuts.limits() == SensorLimits(line_width_m=0.02)
     assert (given.underside, given.picked, given.box) == ("closed", None, None)
+
+
+def test_open3d_is_loaded_by_what_needs_it() -> None:
+    """Two threads that load it at once do not find its submodules; and it takes half a second."""
+    code = "import kinectbench.engine.steps, sys; sys.exit('open3d' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_no_way_leads_from_the_work_to_the_job() -> None:

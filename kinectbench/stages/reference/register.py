@@ -11,10 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import permutations, product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from open3d.t.geometry import RaycastingScene
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -34,6 +34,9 @@ from kinectbench.core.types import Bools, Float64
 from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.stages.segment.object_model import ObjectModel
 from kinectbench.stages.segment.solid.solid import SolidShape
+
+if TYPE_CHECKING:
+    from open3d.t.geometry import RaycastingScene
 
 # Samples of each surface that are found as the nearest: 9 mm apart on a chair of 1.5 m2 (chosen here). The
 # object and the reference have seeds of their own: two equal meshes would else have equal samples.
