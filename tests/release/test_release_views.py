@@ -185,13 +185,17 @@ def test_cubes_of_any_size_take_bounded_time(copy: Path, voxel_m: float) -> None
 
 
 def test_what_no_depth_is_published_of_is_said(
-    copy: Path, analytic: Path, tmp_path: Path, command: Callable[..., Run]
+    copy: Path, analytic: Path, tmp_path: Path, command: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Only other versions may have published none."""
     said = command(tmp_path, "verify", str(analytic / "benchmark"))
     assert said.status == 0 and "no depth" not in said.out
     for path in (copy / "views").glob("*/*.png"):
         path.unlink()
     seal(copy)
+    said = command(tmp_path, "verify", str(copy))
+    assert said.status == 1 and said.err.count(".depth.png: missing, targets.csv has its pair") == 7
+    monkeypatch.setattr("kinectbench.core.artefacts.benchmark.__version__", "99")
     said = command(tmp_path, "verify", str(copy))
     assert said.status == 0 and "; 7 of 7 partials were compared with no depth" in said.out
 
