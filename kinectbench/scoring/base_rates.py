@@ -1,4 +1,4 @@
-"""References for scores: base rates of categories, and names of baselines."""
+"""Base rates of categories, by which scores are compared, and names of baselines."""
 
 from collections.abc import Mapping
 from pathlib import Path

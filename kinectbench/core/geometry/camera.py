@@ -99,12 +99,11 @@ class DepthRenderer:
         return rays
 
     def _hit(self, rays: Float32) -> tuple[Float32, Float32]:
-        """Return the depth of the first hits, 0 for none, and the unit normals of the faces, 0 for none."""
+        """Return depth of the first hits, metres, and unit normals of their faces, world; 0 for none."""
         hits = self._scene.cast_rays(self._tensor(rays))
         depth_m = hits["t_hit"].numpy()  # the ray parameter, as directions have z = 1
-        return np.where(np.isfinite(depth_m), depth_m, 0).astype(np.float32), hits[
-            "primitive_normals"
-        ].numpy()
+        normals_world = hits["primitive_normals"].numpy()
+        return np.where(np.isfinite(depth_m), depth_m, 0).astype(np.float32), normals_world
 
 
 def image_normals(surface: Float64, depth_m: Float32, reach_px: int = 1) -> Float64:
