@@ -22,6 +22,9 @@ def block() -> TriangleMesh:
 
 
 def test_a_given_plane_below_the_object_is_its_floor() -> None:
+    up = np.array([0.0, np.sin(0.1), np.cos(0.1)])
+    leaning = FloorHint(plane_world=np.array([0, 0, 1.0, 0]), up_world=up)
+    assert segment_masked_scene(block(), CAMERAS, hint=leaning).floor.tilt_rad == pytest.approx(0.1)
     found = segment_masked_scene(block(), CAMERAS, hint=FloorHint(plane_world=np.array([0, 0, 1.0, 0])))
     assert found.floor.given and found.box.size_m[2] == pytest.approx(0.3, abs=0.01)
 

@@ -26,10 +26,16 @@ from kinectbench.core.voxels.point_cells import cell_numbers, connected, spacing
 from kinectbench.stages.segment.find.floor import Floor, find_floor, level_floor
 from kinectbench.stages.segment.find.floor_choice import MIN_PLANE_POINTS
 from kinectbench.stages.segment.find.given import check_anchor
-from kinectbench.stages.segment.find.hints import NOTHING_KNOWN, FloorHint, cell_scale, distance_scale
+from kinectbench.stages.segment.find.hints import (
+    NOTHING_KNOWN,
+    FloorHint,
+    cell_scale,
+    distance_scale,
+    up_or_held,
+)
 from kinectbench.stages.segment.find.object import MIN_BOX_POINTS, Segmentation
 from kinectbench.stages.segment.find.pieces import CELL_M, fit_box
-from kinectbench.stages.segment.find.planes import GIVEN, against_gravity, floor_frame
+from kinectbench.stages.segment.find.planes import GIVEN, against_gravity, floor_frame, turn_rad
 
 # Neighbours on each side whose points make a normal (chosen by hand).
 NORMAL_REACH_PX = 2
@@ -294,6 +300,7 @@ def _level(points_world: Float64, T_world_camera: Float64, hint: FloorHint, scal
     """Return the plane z = 0 as a floor: the given plane, or else a level plane below the points (n, 3)."""
     if hint.plane_world is not None:
         against = against_gravity(hint.plane_world, hint.up_world)
+        tilt_rad = turn_rad(hint.plane_world, up_or_held(T_world_camera, hint.up_world))
         frame = floor_frame(hint.plane_world)
-        return Floor(hint.plane_world, frame, 0.0, 0.0, scale=scale, given=True, against=against)
+        return Floor(hint.plane_world, frame, 0.0, 0.0, tilt_rad, scale=scale, given=True, against=against)
     return level_floor(points_world, T_world_camera, hint.up_world, scale, BELOW_M * scale)
