@@ -178,8 +178,7 @@ class FrontierPart(StoredPart):
     solid_share: float = Field(description="share of that volume that the solid fills")
     underside: bool | None = Field(
         None,
-        description="whether the region can be seen only from below: `underside` in benchmark.yaml decides "
-        "it",
+        description="whether the region can be seen only from below",
     )
 
 
@@ -217,18 +216,16 @@ class QualityFile(Stored):
         None, description="estimate of the IoU to the unknown truth over known voxels alone"
     )
     estimated_known_iou_low: float | None = Field(
-        None, description="lower end of its interval: larger surface error; not guaranteed"
+        None, description="lower end of its interval; not guaranteed"
     )
     estimated_known_iou_high: float | None = Field(
-        None, description="upper end of its interval: smaller surface error; not guaranteed"
+        None, description="upper end of its interval; not guaranteed"
     )
     frontiers: tuple[FrontierPart, ...] = Field(
         (), description="openings that nobody looked into, largest volume behind first"
     )
     surface_sigma_m: float | None = Field(None, description="standard deviation of the surface, metres")
-    unknown_share: float | None = Field(
-        None, description="unknown share of the solid; unseen space taken for air is not counted"
-    )
+    unknown_share: float | None = Field(None, description="unknown share of the solid")
     unknown_air_share: float | None = Field(
         None, description="unseen volume taken for air, divided by the solid's volume; may exceed 1"
     )
@@ -240,8 +237,7 @@ class QualityFile(Stored):
     )
     underside_share: float | None = Field(
         None,
-        description="unseen share of the solid that cameras could see only from below: `underside` decides "
-        "it",
+        description="unseen share of the solid that cameras could see only from below",
     )
     volume_m3: float | None = Field(None, description="volume of the solid, cubic metres")
     labels: LabelCounts | None = Field(None, description="voxels of each label")
@@ -260,6 +256,11 @@ class QualityFile(Stored):
         None,
         description="share of the depth on the object that lies 20 mm and more off its surface; null: none "
         "of it lies clear of the floor",
+    )
+    disparity_steps: bool | None = Field(
+        None,
+        description="whether depth has a Kinect v1's steps of disparity; if not, the estimates allow for a "
+        "bias",
     )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: source mesh")

@@ -79,6 +79,9 @@ class EstimateMethod(StoredPart):
         description="surface error: part for each unit of the surface's standard deviation"
     )
     off_per_pose: float = Field(description="surface error: part for each unit of the median pose error")
+    unknown_bias_m: float | None = Field(
+        None, description="surface error: part for depth without steps of disparity, metres"
+    )
     fitted_frames: int | None = Field(
         None,
         description="number of frames in each recording that the estimate was fitted to; with more, the "

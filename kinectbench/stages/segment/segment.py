@@ -17,9 +17,10 @@ from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m, some_frames
 from kinectbench.stages.segment.find.floor import explained, other_floor
 from kinectbench.stages.segment.find.given import NOTHING_GIVEN, GivenObject, check_picked
-from kinectbench.stages.segment.find.hints import enlarged_transform, floor_hint
+from kinectbench.stages.segment.find.hints import floor_hint
 from kinectbench.stages.segment.find.moving import segment_masked_scene
 from kinectbench.stages.segment.find.object import Segmentation, find_floor_and_object
+from kinectbench.stages.segment.find.scale import enlarged_transform
 from kinectbench.stages.segment.judge.coverage_report import coverage_report
 from kinectbench.stages.segment.judge.estimate import FloorCut, pose_error_of, taken_by_floor_cut
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers, is_obstructed

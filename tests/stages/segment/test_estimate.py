@@ -22,6 +22,7 @@ from kinectbench.stages.segment.judge.estimate import (
     OFF_M_IF_THIN,
     OFF_PER_POSE,
     OFF_PER_SIGMA,
+    UNKNOWN_BIAS_M,
     IouEstimate,
     PoseError,
     estimate_iou,
@@ -135,6 +136,21 @@ def test_of_a_solid_that_is_known(sigma_m: float, median_m: float) -> None:
     check(found)
     known = (found.known_low, found.known, found.known_high)
     assert known == pytest.approx((found.low, found.value, found.high))
+
+
+def test_an_unknown_bias_is_expected_but_not_at_best() -> None:
+    without = estimate_iou(known_solid(), 0.001, CERTAIN, ())
+    found = estimate_iou(known_solid(), 0.001, CERTAIN, (), bias_known=False)
+    missing = missing_of(0.001) + 1000 * UNKNOWN_BIAS_M * CUBE_PER_MM
+    assert found.value == pytest.approx(iou_of_known(missing))
+    assert found.low == pytest.approx(iou_of_known(most_of(missing)))
+    assert (found.high, found.known_high) == (without.high, without.known_high)
+    check(found)
+    assert not any("disparity" in line for line in without.reasons)
+    # Of the cube 1 mm is 2 %: 1.5 mm are as much as is worth a reason.
+    thin = known_solid(block_mesh(0.3, 0.3, 0.05))
+    (reason,) = estimate_iou(thin, 0.0, CERTAIN, (), bias_known=False).reasons
+    assert "disparity" in reason
 
 
 def known_skin() -> SolidShape:

@@ -19,14 +19,16 @@ from kinectbench.stages.segment.solid.evidence import FloorLayers, Rules
 ASIDE = {
     "candidates": "boxes for a person, who chooses from them",
     "coverage_report": "warnings and what they rest on, which quality.json has",
+    "depth_bias": "whether depth has steps of disparity: `disparity_steps` in quality.json",
     "floor": "the floor, which floor.json has with how well it was measured",
     "floor_choice": "the floor, as above; floor.json has the planes among which it was chosen",
     "given": "what a person says: it stands in the settings, and the box in quality.json",
-    "hints": "which planes may be the floor, and how near cameras were: floor.json has both",
+    "hints": "which planes may be the floor: floor.json has the one that is",
     "moving": "what is chosen, not how it is made solid: `selection` in quality.json says how",
     "object": "what is chosen, as above",
     "pieces": "what is chosen, as above, and warnings, which say what they found",
     "planes": "planes of the scene, from which the floor is chosen: floor.json has the one that is",
+    "scale": "how near the cameras were: floor.json has the scale",
     "quality": "warnings and the verdict, which say what they found",
 }
 # Constants that shape nothing but words, extents of grids, or solids that are only compared.

@@ -25,14 +25,7 @@ from kinectbench.stages.segment.find.floor_choice import (
     PlaneChoice,
     choose_plane,
 )
-from kinectbench.stages.segment.find.hints import (
-    MIN_UP_COSINE,
-    NOTHING_KNOWN,
-    FloorHint,
-    distance_scale,
-    enlarged_transform,
-    up_or_held,
-)
+from kinectbench.stages.segment.find.hints import MIN_UP_COSINE, NOTHING_KNOWN, FloorHint, up_or_held
 from kinectbench.stages.segment.find.pieces import CELL_M
 from kinectbench.stages.segment.find.planes import (
     INLIER_M,
@@ -45,6 +38,7 @@ from kinectbench.stages.segment.find.planes import (
     refined_near,
     turn_rad,
 )
+from kinectbench.stages.segment.find.scale import distance_scale, enlarged_transform
 
 NO_FLOOR = (
     "no floor found: no plane that faces up, and below which nothing is seen, lies below most cameras{why}; "

@@ -26,16 +26,11 @@ from kinectbench.core.voxels.point_cells import cell_numbers, connected, spacing
 from kinectbench.stages.segment.find.floor import Floor, find_floor, level_floor
 from kinectbench.stages.segment.find.floor_choice import MIN_PLANE_POINTS
 from kinectbench.stages.segment.find.given import check_anchor
-from kinectbench.stages.segment.find.hints import (
-    NOTHING_KNOWN,
-    FloorHint,
-    cell_scale,
-    distance_scale,
-    up_or_held,
-)
+from kinectbench.stages.segment.find.hints import NOTHING_KNOWN, FloorHint, up_or_held
 from kinectbench.stages.segment.find.object import MIN_BOX_POINTS, Segmentation
 from kinectbench.stages.segment.find.pieces import CELL_M, fit_box
 from kinectbench.stages.segment.find.planes import GIVEN, against_gravity, floor_frame, turn_rad
+from kinectbench.stages.segment.find.scale import cell_scale, distance_scale
 
 # Neighbours on each side whose points make a normal (chosen by hand).
 NORMAL_REACH_PX = 2

@@ -13,13 +13,7 @@ from kinectbench.core.voxels.point_cells import connected, spacing_m, surface_po
 from kinectbench.settings.models import FloorCuts
 from kinectbench.stages.segment.find.floor import Floor, explained, find_floor, level_floor
 from kinectbench.stages.segment.find.given import check_anchor
-from kinectbench.stages.segment.find.hints import (
-    NOTHING_KNOWN,
-    FloorHint,
-    cell_scale,
-    distance_scale,
-    enlarged_box,
-)
+from kinectbench.stages.segment.find.hints import NOTHING_KNOWN, FloorHint
 from kinectbench.stages.segment.find.pieces import (
     CELL_M,
     FINE_CELL_M,
@@ -33,6 +27,7 @@ from kinectbench.stages.segment.find.pieces import (
     select_in_box,
     select_object,
 )
+from kinectbench.stages.segment.find.scale import cell_scale, distance_scale, enlarged_box
 from kinectbench.stages.track.outliers import far_warnings
 
 # The focus of the cameras lies at most this far beside the object.

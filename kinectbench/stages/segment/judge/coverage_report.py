@@ -25,6 +25,7 @@ from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.find.planes import GIVEN
+from kinectbench.stages.segment.judge.depth_bias import shows_disparity_steps
 from kinectbench.stages.segment.judge.frontiers import MOVE_AWAY, is_obstructed, turn_in_words
 
 # Images are looked at in about this many columns: a person who walks by is many of them wide.
@@ -144,6 +145,7 @@ class CoverageReport:
         max_depth_m: depth up to this is fused, metres.
         beyond_share: share of the depth near the object that lies beyond `max_depth_m`.
         off_share: share of the depth on the object that contradicts its surface.
+        disparity_steps: whether depth comes in a Kinect's steps, so that its bias is known.
         warnings: all warnings, one line each.
         choice_warnings: those about the floor and the choice of the object; `doubts` in quality.json.
         first_rad: direction from the object to the first camera, seen from above, radians, counterclockwise
@@ -156,6 +158,7 @@ class CoverageReport:
     max_depth_m: float
     beyond_share: float
     off_share: float | None
+    disparity_steps: bool
     warnings: tuple[str, ...]
     choice_warnings: tuple[str, ...]
     first_rad: float = 0.0
@@ -299,5 +302,6 @@ def coverage_report(
         towards_rad=np.radians(round(np.degrees(towards_rad), 1)),
         share=round(hidden_share, 4),
     )
-    figures = len(good), side, moving, max_depth_m, round(too_far, 4), off_share
+    steps = shows_disparity_steps(sequence, good)
+    figures = len(good), side, moving, max_depth_m, round(too_far, 4), off_share, steps
     return CoverageReport(*figures, warnings, of_choice, first_rad)

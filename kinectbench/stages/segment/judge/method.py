@@ -51,6 +51,7 @@ def _estimate() -> EstimateMethod:
         off_if_thin_m=estimate.OFF_M_IF_THIN,
         off_per_sigma=estimate.OFF_PER_SIGMA,
         off_per_pose=estimate.OFF_PER_POSE,
+        unknown_bias_m=estimate.UNKNOWN_BIAS_M,
         fitted_frames=estimate.FITTED_FRAMES,
         missed_more=estimate.MISSED_MORE,
         missed_less=estimate.MISSED_LESS,

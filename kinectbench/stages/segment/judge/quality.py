@@ -47,7 +47,15 @@ BOX_LEFT_OUT = 0.005
 # 0.92 to 1 on a rim or a flat base.
 RIM_LAYERS, STANDING_SHARE = 2, 0.5
 # Values of the coverage report that quality.json has by the same names.
-OF_REPORT = ("good_frames", "unseen_side", "moving", "max_depth_m", "beyond_share", "off_share")
+OF_REPORT = (
+    "good_frames",
+    "unseen_side",
+    "moving",
+    "max_depth_m",
+    "beyond_share",
+    "off_share",
+    "disparity_steps",
+)
 # Tenths of a millimetre, and less than that at a metre.
 BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
 
@@ -85,7 +93,9 @@ def measure_quality(
     repeatability = int((odd.solid & even.solid).sum()) / int((odd.solid | even.solid).sum())
     unknown, unknown_air = _unknown_shares(together)
     unresolved = unresolved_share(together)
-    estimate = estimate_iou(together, sigma_m, pose_error, frontiers, solids.frames, unresolved)
+    counted = solids.frames, unresolved
+    steps = report.disparity_steps
+    estimate = estimate_iou(together, sigma_m, pose_error, frontiers, *counted, bias_known=steps)
     estimate = floor_cut.applied(estimate)
     unsupported = _unsupported(chosen, together, rules)
     advice = tuple(f.advice(report.first_rad, rules.underside) for f in frontiers)

@@ -13,7 +13,7 @@ from kinectbench.core.types import Float64
 from kinectbench.core.voxels.observation import RAY_WIDTHS_VOXELS, Observation, ray_width_m
 from kinectbench.settings.models import FloorCuts, FusionSettings
 from kinectbench.stages.segment.find.floor import Floor
-from kinectbench.stages.segment.find.hints import enlarged_transform
+from kinectbench.stages.segment.find.scale import enlarged_transform
 from kinectbench.stages.segment.solid.evidence import FloorLayers
 
 # Margin around the object; less where this many voxels are less.
