@@ -44,7 +44,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 21,
     "track": 16,
     "fuse": 7,
-    "segment": 58,
+    "segment": 59,
     "sample-views": 8,
     "pairs": 4,
     "suggest": 8,

@@ -257,10 +257,9 @@ class QualityFile(Stored):
         description="share of the depth on the object that lies 20 mm and more off its surface; null: none "
         "of it lies clear of the floor",
     )
-    disparity_steps: bool | None = Field(
+    inverse_depth_steps: float | None = Field(
         None,
-        description="whether depth has a Kinect v1's steps of disparity; if not, the estimates allow for a "
-        "bias",
+        description="steps of inverse depth, 1/m: 346 of a Kinect v1; for others, estimates allow for a bias",
     )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: source mesh")

@@ -80,7 +80,7 @@ class EstimateMethod(StoredPart):
     )
     off_per_pose: float = Field(description="surface error: part for each unit of the median pose error")
     unknown_bias_m: float | None = Field(
-        None, description="surface error: part for depth without steps of disparity, metres"
+        None, description="surface error: part for depth that is not a Kinect v1's, metres"
     )
     fitted_frames: int | None = Field(
         None,

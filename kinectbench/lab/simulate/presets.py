@@ -99,6 +99,7 @@ PRESETS: dict[str, tuple[str, dict[str, object]]] = {
     ),
     "azure-v1": ("a full orbit, Azure Kinect", _orbit(sensor={"model": "azure_kinect"})),
     "phone-v1": ("a full orbit, a phone's LiDAR", _orbit(sensor={"model": "phone_lidar"})),
+    "stereo-v1": ("a full orbit, active stereo as of a RealSense D435", _orbit(sensor={"model": "stereo"})),
     # For recordings whose truth is judged: short, from 10 to 45 degrees of elevation, so that most openings
     # are seen at a slant. Two and a half swings in eighteen seconds show each side from low and from high.
     "known-v1": (

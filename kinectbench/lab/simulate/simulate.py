@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from kinectbench.core import SettingsError, replaced_file, replaced_folder, sha256_file
 from kinectbench.core.geometry import OrientedBox, invert_rigid, rigid, rotation_from_quaternion_xyzw
-from kinectbench.core.types import Float32, Float64, Progress, no_progress
+from kinectbench.core.types import Float64, Progress, no_progress
 from kinectbench.core.voxels.point_cells import sample_surface
 from kinectbench.engine.locks import sweep
 from kinectbench.lab.simulate.color import expose, exposure_gains
-from kinectbench.lab.simulate.kinect import KinectUnit, draw_device, measured_depth
 from kinectbench.lab.simulate.objects import make_object, parse_object
 from kinectbench.lab.simulate.objects.mesh_object import load_mesh_object
 from kinectbench.lab.simulate.objects.shapes import Subject
@@ -21,13 +20,9 @@ from kinectbench.lab.simulate.path import REACH_PEAK, CameraPath, draw_path
 from kinectbench.lab.simulate.plan import PlannedFrame, plan_frames
 from kinectbench.lab.simulate.render import Renderer, Rendering, make_texture
 from kinectbench.lab.simulate.scene import make_scene
+from kinectbench.lab.simulate.sensors import SensorUnit, draw_sensor, measured
 from kinectbench.lab.simulate.spec import DEVICE, MIN_RANGE_M, PATH, SCENE, SENSOR, WORLD, SimulationSpec
 from kinectbench.lab.simulate.still_camera import StillRenderer, still_renderer, turning_only
-from kinectbench.lab.simulate.time_of_flight import (
-    TimeOfFlightDevice,
-    draw_time_of_flight,
-    measure_time_of_flight,
-)
 from kinectbench.lab.simulate.truth import (
     DEPTH_SCALE,
     SurfaceTruth,
@@ -42,7 +37,6 @@ from kinectbench.lab.simulate.writers.frame import ColorImage, RecordedFrame, Ri
 
 # A foreign frame shows another object in another scene, drawn with the seed plus this.
 FOREIGN_SEED = 500_000
-SUNLIGHT = {"indoor": 0.0, "outdoor": 0.6}
 SURFACE_SAMPLES = 20_000
 # Random numbers of a separate colour stream come after those of all frames.
 OWN_COLORS = 1_000_000
@@ -71,7 +65,7 @@ class Simulation:
     renderer: Renderer | StillRenderer
     foreign: Renderer | None
     path: CameraPath
-    device: KinectUnit | TimeOfFlightDevice | None
+    device: SensorUnit | None
     gains: Float64
     rig: Rig
     T_world_room: Float64
@@ -145,7 +139,7 @@ def prepare(spec: SimulationSpec) -> Simulation:
         renderer=renderer,
         foreign=_foreign(spec, reach_m) if spec.faults.foreign_frames else None,
         path=path,
-        device=_device(spec),
+        device=draw_sensor(spec),
         gains=exposure_gains(frames_s, spec.sensor.exposure_drift, spec.rng(DEVICE, 1)),
         rig=_rig(spec),
         T_world_room=T_world_room,
@@ -167,7 +161,7 @@ def record_frame(simulation: Simulation, index: int) -> SimulatedFrame:
     rng = spec.rng(SENSOR, plan.source)
     depth_m = exact.depth_m
     if simulation.device is not None:
-        depth_m = _measured(exact, simulation.device, spec, rng)
+        depth_m = measured(exact, simulation.device, spec, rng)
     middle_s = plan.time_s + spec.sensor.color_delay_s
     color_rgb = _color(simulation, renderer, exact, index, middle_s, rng)
     mask = np.zeros_like(exact.mask) if plan.foreign else exact.mask
@@ -190,15 +184,6 @@ def _poses_of_rows(simulation: Simulation, height: int, time_s: float) -> Float6
     if readout_s == 0:
         return np.asarray(simulation.path.poses(np.array([time_s]))[0])
     return simulation.path.poses(time_s + readout_s * np.linspace(-0.5, 0.5, height))
-
-
-def _measured(
-    exact: Rendering, device: KinectUnit | TimeOfFlightDevice, spec: SimulationSpec, rng: np.random.Generator
-) -> Float32:
-    """Return the device's depth image of a noise-free rendering: (height, width) metres, 0 = none."""
-    if isinstance(device, TimeOfFlightDevice):
-        return measure_time_of_flight(exact, spec.camera, device, rng)
-    return measured_depth(exact, spec.camera, device, rng)
 
 
 def _color(
@@ -246,17 +231,6 @@ def _own_colors(
         stamp_ns = spec.stamp_ns(0) + round(time_s * 10**6) * 1000
         images.append(ColorImage(stamp_ns, _color(simulation, renderer, exact, index, time_s, rng)))
     return tuple(images)
-
-
-def _device(spec: SimulationSpec) -> KinectUnit | TimeOfFlightDevice | None:
-    """Draw the individual sensor, with the scene's sunlight; None for an ideal sensor."""
-    if spec.sensor.model == "ideal":
-        return None
-    sensor, rng = spec.sensor, spec.rng(DEVICE)
-    sunlight = SUNLIGHT[spec.scene.place] if sensor.sunlight is None else sensor.sunlight
-    if sensor.model != "kinect_v1":
-        return draw_time_of_flight(sensor.model, spec.camera, sensor.distortion, sunlight, rng)
-    return draw_device(spec.camera, sensor.distortion, sunlight, rng)
 
 
 def _rig(spec: SimulationSpec) -> Rig:

@@ -18,15 +18,17 @@ FIRST_STAMP_NS = 1_400_000_000 * 10**9
 SCENE, PATH, WORLD, SENSOR, DEVICE, FAULTS, GIVEN = range(7)
 # Surfaces nearer than this give no depth, metres. An ideal sensor has no such limit, but is carried like a
 # Kinect v1, so that recordings of both are comparable.
-MIN_RANGE_M = {"kinect_v1": 0.4, "ideal": 0.4, "azure_kinect": 0.5, "phone_lidar": 0.2}
+MIN_RANGE_M = {"kinect_v1": 0.4, "ideal": 0.4, "azure_kinect": 0.5, "phone_lidar": 0.2, "stereo": 0.28}
 # Focal length in pixels, width and height of each sensor's own images. Azure Kinect: depth mode NFOV unbinned
 # (Microsoft's hardware specification), with about the focal length of its factory calibrations. Phone:
-# ARKit's depth image (Apple), 62 degrees across, like its wide camera in video.
+# ARKit's depth image (Apple), 62 degrees across, like its wide camera in video. Stereo: a RealSense D435,
+# 90 degrees across (Intel's datasheet).
 NATIVE = {
     "kinect_v1": (525.0, 640, 480),
     "ideal": (525.0, 640, 480),
     "azure_kinect": (504.0, 640, 576),
     "phone_lidar": (212.0, 256, 192),
+    "stereo": (424.0, 848, 480),
 }
 # Settings added after the first presets were frozen. At their defaults they are left out of a stored spec, so
 # that the stored specs of older recordings, and their hashes, do not change.
@@ -109,17 +111,15 @@ class SceneSettings(GrownSettings):
 class SensorSettings(GrownSettings):
     """The sensor: its model, image size, depth errors, and the colour camera's exposure and timing."""
 
-    model: Literal["kinect_v1", "ideal", "azure_kinect", "phone_lidar"] = Field(
+    model: Literal["kinect_v1", "ideal", "azure_kinect", "phone_lidar", "stereo"] = Field(
         "kinect_v1", description="ideal: exact depth and colour"
     )
-    width: int = Field(
-        640, ge=16, le=4096, description="of the images, pixels; default: 256 of phone_lidar, 640 of others"
-    )
+    width: int = Field(640, ge=16, le=4096, description="of the images, pixels; default: the model's own")
     height: int = Field(
         480,
         ge=16,
         le=4096,
-        description="of the images, pixels; default: 576 of azure_kinect, 192 of phone_lidar",
+        description="of the images, pixels; default: the model's own",
     )
     distortion: float = Field(1.0, ge=0, le=10, description="depth distortion, 1 = a typical device")
     sunlight: float | None = Field(None, ge=0, le=1, description="default: 0 indoors, 0.6 outdoors")

@@ -1,4 +1,4 @@
-"""Depth with and without steps of disparity, in several units of depth."""
+"""The steps of inverse depth, in several units of depth, and whose they are."""
 
 import numpy as np
 import pytest
@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from kinectbench.core.own_pixels import by_own_pixels
 from kinectbench.core.sequence import Sequence
-from kinectbench.stages.segment.judge.depth_bias import shows_disparity_steps
+from kinectbench.stages.segment.judge.depth_bias import inverse_depth_steps, is_of_kinect
 
-# A Kinect v1: focal length in pixels, baseline in metres, steps of an eighth of a pixel.
-FOCAL_BASELINE_PX_M, STEPS_PER_PX = 575.8 * 0.075, 8.0
+# Focal length in pixels, baseline in metres, and steps a pixel.
+KINECT, REALSENSE = 575.8 * 0.075 * 8, 424.0 * 0.05 * 32
 FRAMES = np.arange(4)
 
 
@@ -19,37 +19,44 @@ def depths_m(nearest_m: float, farthest_m: float) -> NDArray[np.float64]:
     return np.random.default_rng(1).uniform(nearest_m, farthest_m, (CAMERA.height, CAMERA.width))
 
 
-def in_steps(depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    steps = STEPS_PER_PX * FOCAL_BASELINE_PX_M
+def in_steps(depth_m: NDArray[np.float64], steps: float = KINECT) -> NDArray[np.float64]:
     return steps / np.rint(steps / depth_m)
 
 
-def recorded(depth_m: NDArray[np.float64], depth_scale: float) -> Sequence:
+def recorded(depth_m: NDArray[np.float64], depth_scale: float = 1000.0) -> Sequence:
     native = np.rint(depth_m * depth_scale).astype(np.uint16)
     stamps_ns = FRAMES * 10**8
     return Sequence(CAMERA, depth_scale, stamps_ns, False, None, MemoryFrames(lambda _: native))
 
 
 @pytest.mark.parametrize("depth_scale", [256.0, 500.0, 1000.0, 1500.0, 5000.0, 10000.0])
-def test_steps_of_disparity_are_told_from_every_value(depth_scale: float) -> None:
+def test_a_kinect_is_told_from_sensors_without_steps(depth_scale: float) -> None:
     smooth_m = depths_m(0.5, 4.0)
-    assert shows_disparity_steps(recorded(in_steps(smooth_m), depth_scale), FRAMES)
-    assert not shows_disparity_steps(recorded(smooth_m, depth_scale), FRAMES)
+    found = inverse_depth_steps(recorded(in_steps(smooth_m), depth_scale), FRAMES)
+    assert found == pytest.approx(KINECT, rel=0.1) and is_of_kinect(found)
+    smooth = inverse_depth_steps(recorded(smooth_m, depth_scale), FRAMES)
+    assert smooth is not None and smooth > 2 * KINECT and not is_of_kinect(smooth)
+
+
+def test_a_realsense_has_steps_of_its_own() -> None:
+    found = inverse_depth_steps(recorded(in_steps(depths_m(0.5, 4.0), REALSENSE)), FRAMES)
+    assert found == pytest.approx(REALSENSE, rel=0.05) and not is_of_kinect(found)
 
 
 def test_noise_within_the_steps_hides_none() -> None:
     rng = np.random.default_rng(0)
     smooth_m = depths_m(0.8, 2.5)
     noisy_m = smooth_m + rng.normal(0, 0.002 * smooth_m**2)
-    assert shows_disparity_steps(recorded(in_steps(noisy_m), 1000.0), FRAMES)
-    assert not shows_disparity_steps(recorded(noisy_m, 1000.0), FRAMES)
+    assert is_of_kinect(inverse_depth_steps(recorded(in_steps(noisy_m)), FRAMES))
+    assert not is_of_kinect(inverse_depth_steps(recorded(noisy_m), FRAMES))
 
 
-def test_depth_that_is_too_near_shows_none() -> None:
-    assert not shows_disparity_steps(recorded(in_steps(depths_m(0.4, 0.69)), 1000.0), FRAMES)
+def test_depth_that_is_too_near_tells_nothing() -> None:
+    found = inverse_depth_steps(recorded(in_steps(depths_m(0.4, 0.9))), FRAMES)
+    assert found is None and not is_of_kinect(found)
 
 
 def test_the_whole_image_tells_of_a_masked_recording() -> None:
     nothing = np.zeros((CAMERA.height, CAMERA.width), bool)
-    masked = by_own_pixels(recorded(in_steps(depths_m(0.5, 4.0)), 1000.0), lambda _: nothing)
-    assert shows_disparity_steps(masked, FRAMES)
+    masked = by_own_pixels(recorded(in_steps(depths_m(0.5, 4.0))), lambda _: nothing)
+    assert is_of_kinect(inverse_depth_steps(masked, FRAMES))

@@ -19,7 +19,7 @@ from kinectbench.stages.segment.solid.evidence import FloorLayers, Rules
 ASIDE = {
     "candidates": "boxes for a person, who chooses from them",
     "coverage_report": "warnings and what they rest on, which quality.json has",
-    "depth_bias": "whether depth has steps of disparity: `disparity_steps` in quality.json",
+    "depth_bias": "whose depth it is: `inverse_depth_steps` in quality.json",
     "floor": "the floor, which floor.json has with how well it was measured",
     "floor_choice": "the floor, as above; floor.json has the planes among which it was chosen",
     "given": "what a person says: it stands in the settings, and the box in quality.json",

@@ -25,7 +25,7 @@ from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.find.planes import GIVEN
-from kinectbench.stages.segment.judge.depth_bias import shows_disparity_steps
+from kinectbench.stages.segment.judge.depth_bias import inverse_depth_steps
 from kinectbench.stages.segment.judge.frontiers import MOVE_AWAY, is_obstructed, turn_in_words
 
 # Images are looked at in about this many columns: a person who walks by is many of them wide.
@@ -145,7 +145,7 @@ class CoverageReport:
         max_depth_m: depth up to this is fused, metres.
         beyond_share: share of the depth near the object that lies beyond `max_depth_m`.
         off_share: share of the depth on the object that contradicts its surface.
-        disparity_steps: whether depth comes in a Kinect's steps, so that its bias is known.
+        inverse_depth_steps: steps of inverse depth, 1/m; None: there is too little depth to tell.
         warnings: all warnings, one line each.
         choice_warnings: those about the floor and the choice of the object; `doubts` in quality.json.
         first_rad: direction from the object to the first camera, seen from above, radians, counterclockwise
@@ -158,7 +158,7 @@ class CoverageReport:
     max_depth_m: float
     beyond_share: float
     off_share: float | None
-    disparity_steps: bool
+    inverse_depth_steps: float | None
     warnings: tuple[str, ...]
     choice_warnings: tuple[str, ...]
     first_rad: float = 0.0
@@ -302,6 +302,7 @@ def coverage_report(
         towards_rad=np.radians(round(np.degrees(towards_rad), 1)),
         share=round(hidden_share, 4),
     )
-    steps = shows_disparity_steps(sequence, good)
+    steps = inverse_depth_steps(sequence, good)
+    steps = None if steps is None else round(steps, 1)
     figures = len(good), side, moving, max_depth_m, round(too_far, 4), off_share, steps
     return CoverageReport(*figures, warnings, of_choice, first_rad)

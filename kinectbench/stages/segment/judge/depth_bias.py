@@ -1,10 +1,10 @@
-"""Tell by its depth values what a recording's depth may be off by everywhere.
+"""Tell by its values whether depth is a Kinect v1's, for which alone the surface error is known.
 
 Light that comes by a detour makes a time-of-flight sensor see every surface some millimetres too far away,
 from all sides: the object is smaller, and nothing in the recording contradicts it. So the kind of the sensor
-has to be known. The depth of a Kinect v1 comes in steps of disparity (Khoshelham and Elberink:
-Accuracy and Resolution of Kinect Depth Data, Sensors 12(2), 2012): 3 mm at 1 m, 13 mm at 2 m. That of a time
-of flight has every value.
+has to be known. The depth of a Kinect v1 comes in steps of disparity (Khoshelham and Elberink: Accuracy and
+Resolution of Kinect Depth Data, Sensors 12(2), 2012). Its inverse has 346 steps in 1/m, which is the product
+of 576 px, a baseline of 75 mm, and 8 steps a pixel: 3 mm at 1 m, 12 mm at 2 m. A RealSense D435 has 678.
 """
 
 from functools import partial
@@ -19,38 +19,41 @@ from kinectbench.core.threads import ahead
 from kinectbench.core.types import Int64
 from kinectbench.stages.fuse.depth_range import some_frames
 
-# The range of depth in which values are counted, metres: nearer than this, a Kinect's steps are below 1.6 mm,
-# and the values of farther surfaces are few.
-NEAREST_M, FARTHEST_M = 0.7, 3.0
-# Values are counted in bins as wide as a millimetre, or the unit of depth if that is wider.
-BIN_M = 0.001
-# A value is missing if it is this much rarer than the values around it, in a window of so many bins, which
-# have on average at least so many pixels. So many bins must be judged.
-RARER, WINDOW_BINS, LEAST_PIXELS, LEAST_BINS = 4.0, 41, 20, 100
-# Depth has steps if a smaller share of its values occurs. Measured: 0.05 to 0.17 in 40 recordings by a Kinect
-# v1 (simulated, cabinet, kitchen); 0.98 to 1 in 18 by a simulated Azure Kinect and phone.
-MAX_FILLED = 0.7
+# Measured: 342 to 351 of a Kinect v1 (simulated, cabinet, kitchen), 865 and more without steps.
+KINECT_STEPS, LEAST_KINECT_STEPS, MOST_KINECT_STEPS = 346.0, 300.0, 400.0
+# Values are counted in bins as wide as a millimetre, or the unit of depth if that is wider; from the depth on
+# where a Kinect's steps are this many bins wide, and up to where there is little depth, metres.
+BIN_M, STEP_BINS, FARTHEST_M = 0.001, 2.5, 4.0
+# A value occurs if it is at most this much rarer than those around it, in a window of so many bins, which
+# have on average at least so many pixels. So many values must occur.
+RARER, WINDOW_BINS, LEAST_PIXELS, LEAST_VALUES = 4.0, 41, 20, 20
 # Every second row and column is counted.
 STEP_PX = 2
 
 
-def shows_disparity_steps(sequence: Sequence, frames: Int64) -> bool:
-    """Whether depth as recorded comes in steps of disparity, by at most 40 of the frames (n,).
+def inverse_depth_steps(sequence: Sequence, frames: Int64) -> float | None:
+    """Return how many steps the inverse of depth has in 1/m, by at most 40 of the frames (n,).
 
-    False if too little of it lies in the range of depth that tells.
+    Where depth has no steps, its unit makes at least 865. None if there is too little depth between about 1
+    and 4 m.
     """
-    bin_units = max(1.0, BIN_M * sequence.depth_scale)
-    first, end = (round(depth_m * sequence.depth_scale / bin_units) for depth_m in (NEAREST_M, FARTHEST_M))
-    counts = np.zeros(end)
+    bin_m = max(BIN_M, 1 / sequence.depth_scale)
+    counts = np.zeros(round(FARTHEST_M / bin_m))
     for native in ahead(partial(_some_depth, whole(sequence)), some_frames(frames)):
-        values = np.rint(native[native > 0] / bin_units).astype(np.int64)
-        counts += np.bincount(values[values < end], minlength=end)
+        values = np.rint(native[native > 0] / (bin_m * sequence.depth_scale)).astype(np.int64)
+        counts += np.bincount(values[values < len(counts)], minlength=len(counts))
     usual = ndimage.uniform_filter1d(counts, WINDOW_BINS)
-    judged = usual >= LEAST_PIXELS
-    judged[:first] = False
-    if int(judged.sum()) < LEAST_BINS:
-        return False
-    return float((RARER * counts > usual)[judged].mean()) < MAX_FILLED
+    found_m = bin_m * np.flatnonzero((RARER * counts > usual) & (usual >= LEAST_PIXELS))
+    middles_m, gaps_m = (found_m[1:] + found_m[:-1]) / 2, np.diff(found_m)
+    judged = (middles_m**2 >= STEP_BINS * bin_m * KINECT_STEPS) & (gaps_m < WINDOW_BINS * bin_m)
+    if int(judged.sum()) < LEAST_VALUES:
+        return None
+    return float(np.median(middles_m[judged] ** 2 / gaps_m[judged]))
+
+
+def is_of_kinect(steps: float | None) -> bool:
+    """Whether `inverse_depth_steps` are those of a Kinect v1, Xtion or other PrimeSense camera."""
+    return steps is not None and LEAST_KINECT_STEPS <= steps <= MOST_KINECT_STEPS
 
 
 def _some_depth(sequence: Sequence, frame: int) -> NDArray[np.uint16]:

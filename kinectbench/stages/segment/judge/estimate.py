@@ -29,7 +29,7 @@ OFF_M, OFF_M_IF_THIN, OFF_PER_SIGMA, OFF_PER_POSE = 0.00005, 0.00064, 0.95, 0.25
 # 1.71 (the root of 3 is 1.73), and the IoU on known voxels changes by +0.003 and -0.016. So it is taken as if
 # there were no more.
 FITTED_FRAMES = 180
-# What else a surface is off by where depth has no steps of disparity, as by time of flight. Of 1 to 2.5 mm,
+# What else a surface is off by where depth is not a Kinect v1's, as by time of flight. Of 1 to 2.5 mm,
 # the value with the least mean error of the estimate on 16 recordings by a simulated Azure Kinect and a
 # simulated phone (docs/evidence/ground-truth.md, The estimate).
 UNKNOWN_BIAS_M = 0.0015
@@ -160,7 +160,7 @@ def estimate_iou(
         frontiers: openings that no frame saw into.
         frames: how many frames were fused.
         unresolved: `unresolved_share` of the solid, in [0, 1].
-        bias_known: whether depth has the steps of disparity of the sensor for which the error was fitted.
+        bias_known: whether depth is by a sensor like the one for which the error was fitted, a Kinect v1.
     """
     sigma_m *= max(1.0, frames / FITTED_FRAMES) ** 0.5
     per_mm = volume_share_per_mm(shape.mesh)
@@ -268,9 +268,8 @@ def _reasons(
         ),
         (
             not bias_known and 1000 * UNKNOWN_BIAS_M * per_mm > MAX_SHIFTED_SHARE,
-            "depth without a Kinect v1's steps of disparity, as by time of flight: all of it may be off by "
-            f"millimetres, and {1000 * UNKNOWN_BIAS_M:g} mm change {1000 * UNKNOWN_BIAS_M * per_mm:.0%} of "
-            "the volume",
+            "depth that is not a Kinect v1's, as by time of flight: all of it may be off by millimetres, and "
+            f"{1000 * UNKNOWN_BIAS_M:g} mm change {1000 * UNKNOWN_BIAS_M * per_mm:.0%} of the volume",
         ),
     )
     return tuple(line for holds, line in reasons if holds)

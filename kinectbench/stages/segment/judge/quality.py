@@ -19,6 +19,7 @@ from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.find.pieces import LOOK, fit_box, nearest_within
 from kinectbench.stages.segment.judge.coverage_report import CoverageReport
+from kinectbench.stages.segment.judge.depth_bias import is_of_kinect
 from kinectbench.stages.segment.judge.estimate import (
     MAX_VOLUME_SHARE_PER_MM,
     FloorCut,
@@ -54,7 +55,7 @@ OF_REPORT = (
     "max_depth_m",
     "beyond_share",
     "off_share",
-    "disparity_steps",
+    "inverse_depth_steps",
 )
 # Tenths of a millimetre, and less than that at a metre.
 BOX_DECIMALS_M, BOX_DECIMALS_RAD = 4, 5
@@ -94,8 +95,8 @@ def measure_quality(
     unknown, unknown_air = _unknown_shares(together)
     unresolved = unresolved_share(together)
     counted = solids.frames, unresolved
-    steps = report.disparity_steps
-    estimate = estimate_iou(together, sigma_m, pose_error, frontiers, *counted, bias_known=steps)
+    known = is_of_kinect(report.inverse_depth_steps)
+    estimate = estimate_iou(together, sigma_m, pose_error, frontiers, *counted, bias_known=known)
     estimate = floor_cut.applied(estimate)
     unsupported = _unsupported(chosen, together, rules)
     advice = tuple(f.advice(report.first_rad, rules.underside) for f in frontiers)
