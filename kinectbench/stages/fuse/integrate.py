@@ -226,7 +226,6 @@ def _integrate(  # type: ignore[no-untyped-def]
     corner = np.empty(3, np.float32)
     frames, height, width, _ = pixels.shape
     of_pixel = pixels.reshape(frames, height * width, 2)
-    # Depth and weight lie side by side: one fetch takes both.
     both_of_pixel = pixels.reshape(frames, height * width * 2).view(np.uint64)
     inside = np.empty((frames, 3, BLOCK_CELLS), np.float32)
     for f in range(frames):
@@ -247,7 +246,7 @@ def _integrate(  # type: ignore[no-untyped-def]
                     any_new |= _add_clear(new_total, new_weight, new_votes, weights, truncation)
                 else:
                     for n in range(BLOCK_CELLS):
-                        both[n] = both_of_pixel[f, index[n]]
+                        both[n] = both_of_pixel[f, index[n]]  # depth and weight at once
                     any_new |= _add(new_total, new_weight, new_votes, measured, z, truncation, noise[f])
         if any_new:
             _merge(tsdf[b], weight[b], new_total, new_weight)
