@@ -16,6 +16,7 @@ import numpy as np
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Other = TypeVar("Other")
 
 # Parts for each thread: several, so that no thread waits long for another.
 PARTS_A_THREAD = 4
@@ -76,6 +77,15 @@ def _started(
         yield failed
         return
     yield pool.submit(function, item)
+
+
+def both(first: Callable[[], Result], second: Callable[[], Other]) -> tuple[Result, Other]:
+    """Return the results of two functions; with several threads, the second runs beside the first, on one."""
+    if _threads.get() == 1:
+        return first(), second()
+    with ThreadPoolExecutor(1) as pool:
+        beside = pool.submit(second)
+        return first(), beside.result()
 
 
 def in_parts(function: Callable[[int, int], None], count: int) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from kinectbench.core.threads import ahead, in_parts, using_threads
+from kinectbench.core.threads import ahead, both, in_parts, using_threads
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
@@ -89,6 +89,28 @@ def test_parts_cover_everything_once(threads: int, count: int) -> None:
     with using_threads(threads):
         in_parts(touch, count)
     assert (touched == 1).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_both_results_and_either_error(threads: int) -> None:
+    begun = threading.Event()
+
+    def first() -> str:
+        assert threads == 1 or begun.wait(10)  # the second runs beside it
+        return "first"
+
+    def second() -> int:
+        begun.set()
+        return 2
+
+    def fails() -> int:
+        raise ValueError("fails")
+
+    with using_threads(threads):
+        assert both(first, second) == ("first", 2)
+        for pair in ((fails, second), (second, fails)):
+            with pytest.raises(ValueError, match="fails"):
+                both(*pair)
 
 
 def test_threads_are_one_elsewhere() -> None:

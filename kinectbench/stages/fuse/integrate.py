@@ -218,13 +218,15 @@ def _integrate(  # type: ignore[no-untyped-def]
     `truncation` are in metres.
     """
     index = np.empty(BLOCK_CELLS, np.uint32)
-    depths, weights = np.empty(BLOCK_CELLS, np.float32), np.empty(BLOCK_CELLS, np.float32)
+    weights, both = np.empty(BLOCK_CELLS, np.float32), np.empty(BLOCK_CELLS, np.uint64)
+    measured = both.view(np.float32)
     z = np.empty(BLOCK_CELLS, np.float32)
     new_total, new_weight = np.zeros(BLOCK_CELLS, np.float32), np.zeros(BLOCK_CELLS, np.float32)
     new_votes = np.zeros(BLOCK_CELLS, np.int32)
     corner = np.empty(3, np.float32)
     frames, height, width, _ = pixels.shape
     of_pixel = pixels.reshape(frames, height * width, 2)
+    both_of_pixel = pixels.reshape(frames, height * width * 2).view(np.uint64)
     inside = np.empty((frames, 3, BLOCK_CELLS), np.float32)
     for f in range(frames):
         _inside_block(inside[f], to_pixels[f], voxel)
@@ -244,10 +246,8 @@ def _integrate(  # type: ignore[no-untyped-def]
                     any_new |= _add_clear(new_total, new_weight, new_votes, weights, truncation)
                 else:
                     for n in range(BLOCK_CELLS):
-                        depths[n], weights[n] = of_pixel[f, index[n], 0], of_pixel[f, index[n], 1]
-                    any_new |= _add(
-                        new_total, new_weight, new_votes, depths, weights, z, truncation, noise[f]
-                    )
+                        both[n] = both_of_pixel[f, index[n]]  # depth and weight at once
+                    any_new |= _add(new_total, new_weight, new_votes, measured, z, truncation, noise[f])
         if any_new:
             _merge(tsdf[b], weight[b], new_total, new_weight)
             _count(votes[b], new_votes)
@@ -286,19 +286,19 @@ def _project(index, z, corner, inside, middle, width, height):  # type: ignore[n
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath=FAST, nogil=True)
-def _add(new_total, new_weight, new_votes, depths, weights, z, truncation, noise):  # type: ignore[no-untyped-def]
+def _add(new_total, new_weight, new_votes, measured, z, truncation, noise):  # type: ignore[no-untyped-def]
     """Add a frame's weighted distances, weights and votes to a block's sums; return whether any was added.
 
-    The sums (512,) are of weight * distance, of weights, and of votes. `depths` and `weights` (512,) are
-    those of the pixel to which each voxel projects. `z` (512,) is each voxel's depth, metres. `noise` (9,) is
-    as from `_noise_m`.
+    The sums (512,) are of weight * distance, of weights, and of votes. `measured` (1024,) holds depth and
+    weight of the pixel to which each voxel projects, by turns. `z` (512,) is each voxel's depth, metres.
+    `noise` (9,) is as from `_noise_m`.
     """
     f32 = np.float32
     near, growth, near_depth, pose, vote_pose = noise[0], noise[1], noise[2], noise[3], noise[4]
     half_diagonal, fading_per_m, window, clear = noise[5], noise[6], noise[7], noise[8]
     any_added = f32(0)
     for n in range(BLOCK_CELLS):
-        depth, weight = depths[n], weights[n]
+        depth, weight = measured[2 * n], measured[2 * n + 1]
         distance = depth - z[n]
         sigma = near + growth * (depth - near_depth) * (depth - near_depth)
         least = -max(truncation, BEHIND_SIGMAS * sigma) if weight >= 0 else BEFORE_FAR_M

@@ -89,11 +89,11 @@ def color_vertices(mesh: TriangleMesh, sequence: Sequence, trajectory: Trajector
     intrinsics = sequence.camera.intrinsics
     total = np.zeros((len(mesh.vertices), 3))
     count = np.zeros(len(mesh.vertices))
-    for index in some_frames(trajectory.good_frames, MAX_FRAMES):
-        color = sequence.color_rgb(int(index))
+    chosen = some_frames(trajectory.good_frames, MAX_FRAMES)
+    images = ahead(lambda index: (sequence.depth_m(index), sequence.color_rgb(index)), chosen.tolist())
+    for index, (depth_m, color) in zip(chosen, images, strict=True):
         if color is None:
             continue
-        depth_m = sequence.depth_m(int(index))
         T_camera_world = invert_rigid(trajectory.T_world_camera[index])
         _add_colors(total, count, mesh.vertices, depth_m, color, T_camera_world, intrinsics)
     colors = np.where(count[:, None] > 0, total / np.maximum(count, 1)[:, None], 128.0)

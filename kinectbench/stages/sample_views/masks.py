@@ -46,8 +46,12 @@ def agreement_mask(measured_m: Float32, rendered_m: Float32, tolerance_m: float,
         tolerance_m: smallest tolerance, metres.
         beside_px: a pixel may agree with any rendered pixel up to this many rows and columns away.
     """
-    allowed_m = np.maximum(AGREEMENT_SIGMAS * depth_sigma_m(rendered_m), tolerance_m).astype(np.float32)
-    agrees: Bools = _agrees(measured_m, rendered_m, allowed_m, beside_px)
+    agrees = np.zeros(measured_m.shape, np.bool_)
+    ends = [np.flatnonzero((rendered_m > 0).any(axis=axis))[[0, -1]] for axis in (1, 0) if rendered_m.any()]
+    if ends:
+        near = tuple(slice(max(first - beside_px, 0), last + beside_px + 1) for first, last in ends)
+        allowed_m = np.maximum(AGREEMENT_SIGMAS * depth_sigma_m(rendered_m[near]), tolerance_m)
+        agrees[near] = _agrees(measured_m[near], rendered_m[near], allowed_m.astype(np.float32), beside_px)
     return agrees
 
 

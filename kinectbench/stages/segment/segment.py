@@ -8,7 +8,7 @@ import numpy as np
 from kinectbench.core import ShapeError
 from kinectbench.core.geometry import Grid, TriangleMesh
 from kinectbench.core.sequence import Sequence
-from kinectbench.core.threads import ahead
+from kinectbench.core.threads import ahead, both
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress, no_progress
 from kinectbench.core.voxels.observation import Observation, merge
@@ -107,7 +107,9 @@ def segment(
     sigma_m = surface_sigma_m(odd, even)
     together = enlarged_observation(merge(odd, even), found.scale)
     del odd, even  # of a large object each is a gigabyte
-    whole, frontiers, floor_cut = _solid_of_all(together, found)
+    seen, range_is_set = (sequence, trajectory, scene, chosen, grid), fusion.max_depth_m is not None
+    judge = partial(coverage_report, *seen, found.max_depth_m, found.rules.limits, range_is_set=range_is_set)
+    (whole, frontiers, floor_cut), report = both(partial(_solid_of_all, together, found), judge)
     progress(SOLIDS, SOLIDS)
     del together
     solids = Solids(whole, bodies[0], bodies[1], sigma_m, len(good))
@@ -115,9 +117,6 @@ def segment(
     around = surround_grid(grid, chosen.floor)
     surround = observe(sequence, trajectory, some_frames(good), around, within)
     labels_around = surround_labels(surround, chosen.support)
-    # Judge the recording and the solid.
-    seen, range_is_set = (sequence, trajectory, scene, chosen, grid), fusion.max_depth_m is not None
-    report = coverage_report(*seen, found.max_depth_m, found.rules.limits, range_is_set=range_is_set)
     box, pose_error = solid_box(whole, chosen.floor), pose_error_of(trajectory)
     quality = measure_quality(chosen, box, solids, report, pose_error, frontiers, found.rules, floor_cut)
     return ObjectModel(chosen.floor, box, whole, around, labels_around, sigma_m, quality)

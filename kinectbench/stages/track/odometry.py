@@ -18,6 +18,7 @@ from kinectbench.core.geometry import (
     rotation_angle_rad,
     twist_from_rigid,
 )
+from kinectbench.core.threads import ahead
 from kinectbench.core.types import Float64
 from kinectbench.stages.track.features import FeatureCache, pose_from_features
 from kinectbench.stages.track.frame_maps import DepthAverage, FrameMaps, MapCache
@@ -168,7 +169,13 @@ class Follower:
 
     def take(self, index: int) -> None:
         """Register the next frame, whose index is the number of frames taken so far."""
-        reason = _too_little(self.maps[index])
+        self._take(index, self._too_little(index))
+
+    def _too_little(self, index: int) -> str | None:
+        """Compute a frame's maps; return why it cannot be registered to any other; None if it can."""
+        return _too_little(self.maps[index])
+
+    def _take(self, index: int, reason: str | None) -> None:
         if reason is not None:
             self.reasons[index] = reason
             self.frames.append(None)
@@ -184,8 +191,10 @@ class Follower:
 
     def to_the_end(self, progress: Callable[[int], None] | None = None) -> Odometry:
         """Take the remaining frames, and return the odometry of all frames."""
-        for index in range(len(self.frames), len(self.maps.sequence)):
-            self.take(index)
+        # Frames that are not taken yet have no averaged depth: threads may prepare their maps.
+        remaining = range(len(self.frames), len(self.maps.sequence))
+        for index, reason in zip(remaining, ahead(self._too_little, remaining), strict=True):
+            self._take(index, reason)
             if progress:
                 progress(index + 1)
         return self.so_far()

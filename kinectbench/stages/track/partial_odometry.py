@@ -13,6 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.threads import ahead
 from kinectbench.stages.ingest.sequence_folder import FolderFrames
 from kinectbench.stages.track.odometry import Follower
 
@@ -65,7 +66,7 @@ def partial_odometry_of(sequence: Sequence) -> Follower | None:
         == (sequence.camera, sequence.depth_scale, sequence.color_registered)
         and taken <= len(sequence)
         and np.array_equal(of.stamps_ns[:taken], sequence.stamps_ns[:taken])
-        and all(frames.digest(index) == digest for index, digest in enumerate(partial.digests))
+        and tuple(ahead(frames.digest, range(taken))) == partial.digests
     )
     maps.sequence = sequence
     return partial.follower if same else None

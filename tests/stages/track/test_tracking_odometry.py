@@ -1,7 +1,9 @@
 """Following a camera from frame to frame along known paths, and where it is lost."""
 
 import itertools
+import threading
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,9 +28,10 @@ from tracking_scenes import (
 
 from kinectbench.core.geometry import invert_rigid, rotation_angle_rad
 from kinectbench.core.sequence import Sequence
+from kinectbench.core.threads import using_threads
 from kinectbench.lab.simulate.path import look_at
 from kinectbench.stages.track.features import FeatureCache
-from kinectbench.stages.track.frame_maps import MapCache
+from kinectbench.stages.track.frame_maps import FrameMaps, MapCache
 from kinectbench.stages.track.odometry import NO_DEPTH, Follower, Odometry, follow, is_accepted
 from kinectbench.stages.track.registration import measure
 
@@ -174,14 +177,25 @@ def test_nothing_is_believed_that_does_not_fit() -> None:
     assert registration.inlier_share > 0.95 and not is_accepted(registration)
 
 
-def test_progress_and_the_same_bytes() -> None:
+@pytest.mark.parametrize("threads", [1, 3])
+def test_progress_and_the_same_bytes(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads prepare the maps of the next frames; however many there are, the result is the same."""
+    makers, made, own = set[int](), MapCache._made, threading.get_ident()
+
+    def watched(maps: MapCache, *frame: Any) -> FrameMaps:
+        makers.add(threading.get_ident())
+        return made(maps, *frame)
+
     done: list[int] = []
-    sequence = painted(ROOM, walk(5, 0.3), noise=np.random.default_rng(1))
-    maps = MapCache(sequence)
-    a = Follower(maps, FeatureCache(maps)).to_the_end(done.append)
-    assert done == [1, 2, 3, 4, 5]
+    sequence = painted(ROOM, walk(8, 0.6), noise=np.random.default_rng(1))
     b = followed(sequence)
+    monkeypatch.setattr(MapCache, "_made", watched)
+    maps = MapCache(sequence)
+    with using_threads(threads):
+        a = Follower(maps, FeatureCache(maps)).to_the_end(done.append)
+    assert done == list(range(1, 9)) and (makers == {own} if threads == 1 else makers - {own})
     assert poses_of(a).tobytes() == poses_of(b).tobytes() and a.keyframes == b.keyframes
+    assert len(a.keyframes) > 1 and all(maps.averaged[frame].any() for frame in a.keyframes)
 
 
 def test_uneven_stamps_change_no_pose() -> None:
