@@ -62,6 +62,15 @@ def test_every_order_and_flip_is_named(truths: list[tuple[Bools, Bools]]) -> Non
         assert f"taken as {name} (-: turned round)" in line
 
 
+def test_grids_whose_empty_and_occupied_are_exchanged_are_named(truths: list[tuple[Bools, Bools]]) -> None:
+    for wrong in (lambda full: ~full, lambda full: 1 - coarse(full), lambda full: 0.9 - 0.8 * coarse(full)):
+        line = axes_problem([(wrong(full), partial) for full, partial in truths])
+        assert line is not None and line.endswith("in 10 of 10 views; of arrays write 1 - grid")
+    for cells in (6, 10, 18):  # nearer to the camera than what it measured: another fault
+        near = [(np.roll(full, -cells, 2), partial) for full, partial in truths]
+        assert "1 - grid" not in (axes_problem(near) or "")
+
+
 @pytest.mark.slow
 def test_all_axes_are_named_and_the_remedy_brings_them_back(truths: list[tuple[Bools, Bools]]) -> None:
     right = [(coarse(full), partial) for full, partial in truths]
