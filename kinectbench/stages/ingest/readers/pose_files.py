@@ -13,7 +13,7 @@ from kinectbench.core import GivenPosesError, RecordingError, printable, read_he
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
-from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_matrix, text_rows
+from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_numbers, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
@@ -29,11 +29,14 @@ TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
 # Names of files that may contain poses in an unsupported layout.
 LIKE_POSES = re.compile(
     r"(?=.*(?:pose|traj|extrin|transform|odom|ground[-_. ]?truth|(?<![a-z])gt(?![a-z])|(?:to_?|2)world|c2w))"
-    r".+\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)|.+\.freiburg",
+    r".+\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl|mat)|.+\.(?:freiburg|traj|pose)",
     re.IGNORECASE,
 )
-# A file with the pose of one frame, as pose/000000.npy.
-IN_POSE_FOLDER = re.compile(r"\w*poses?/[^/]+\.(?:json|txt|np[yz])", re.IGNORECASE)
+# A file with the pose of one frame, as pose/000000.npy; or COLMAP's images, which have poses.
+IN_POSE_FOLDER = re.compile(
+    r"\w*poses?/[^/]+\.(?:json|txt|np[yz])|(?:.*/)?(?:sparse|colmap)(?:/\d+)?/images\.(?:txt|bin)",
+    re.IGNORECASE,
+)
 POSE_FOLDERS = ("pose", "poses")
 
 
@@ -171,7 +174,11 @@ def _joined(rows: Sequence[tuple[str, str]], file: Path) -> list[tuple[str, str]
 
 
 def _matrix(row: str, where: str) -> Float64:
-    numbers = parse_floats(row.translate(PUNCTUATION).split(), where)
+    return _of_rows(parse_floats(row.translate(PUNCTUATION).split(), where))
+
+
+def _of_rows(numbers: Sequence[float]) -> Float64:
+    """Return the matrix (4, 4) of 16 values, or of 12 without its last row."""
     last = [] if len(numbers) == MATRIX else [0.0, 0.0, 0.0, 1.0]
     return np.array([*numbers, *last]).reshape(4, 4)
 
@@ -265,9 +272,15 @@ def read_pose_matrix(file: Path, T_camera_depth: Float64) -> Float64 | None:
     The result is None if the file is missing.
 
     Raises:
-        RecordingError: the file does not contain 16 numbers.
+        RecordingError: the file contains neither 16 numbers nor 12, without the last row.
     """
     if not file.is_file():
         return None
-    T = read_matrix(file, 4)
+    numbers = read_numbers(file)
+    if len(numbers) not in (KITTI, MATRIX):
+        raise GivenPosesError(
+            f"{file}: holds {len(numbers)} numbers, not the 4x4 of a matrix: write the pose so, camera to "
+            "world, row by row"
+        )
+    T = _of_rows(numbers)
     return np.asarray(T @ T_camera_depth) if np.isfinite(T).all() else T
