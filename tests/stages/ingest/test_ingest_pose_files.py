@@ -1,6 +1,6 @@
 """Files with the poses of all frames, as other programs write them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +134,35 @@ def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
     (folder / "extrinsics" / "20150118.txt").touch()  # SUN RGB-D's tilt of the camera
     (line,) = opened(folder).warnings
     assert "extrinsics" not in line and "not read, by name poses: pose/000000.npy, pose/000001.npy" in line
+
+
+@pytest.mark.parametrize(
+    ("form", "numbers", "frames"),
+    [
+        ("pose_{:04d}.txt", range(4), 4),
+        ("frame-{:06d}.pose.txt", range(4), 4),
+        ("{:06d}.txt", (0, 2, 3), 3),
+        ("pose_{:04d}.txt", range(1, 5), 0),
+        ("pose_{:04d}.txt", (10, 20), 0),
+        ("first.txt", (0,), 0),
+    ],
+)
+def test_poses_whose_names_are_not_those_of_depth(
+    tmp_path: Path, form: str, numbers: Sequence[int], frames: int
+) -> None:
+    """They are matched by number if all have a partner, and otherwise named."""
+    folder = write_folder(tmp_path / "r", [f"depth_{i}" for i in range(4)])
+    (folder / "pose").mkdir()
+    for i in numbers:
+        (folder / "pose" / form.format(i)).write_text(in_rows(poses()[i % 4]))
+    recording = opened(folder)
+    if not frames:
+        (line,) = recording.warnings
+        assert recording.given_trajectory is None and line.endswith("name each as its depth image is named")
+        return
+    assert recording.given_trajectory is not None
+    assert recording.given_trajectory.stamps_ns.tolist() == recording.stamps_ns[list(numbers)].tolist()
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses()[list(numbers)], atol=1e-12)
 
 
 def test_a_pose_without_its_last_row_is_read_from_a_file_of_its_own(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
 from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_numbers, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.stages.ingest.image_names import FRAME_NUMBER
+from kinectbench.stages.ingest.image_names import FRAME_NUMBER, frame_numbers
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, visible
 from kinectbench.stages.ingest.recording import FrameFiles
@@ -238,6 +238,9 @@ def read_pose_folder(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read the pose of each frame from its own file; a pose that is not finite means that tracking was lost.
 
+    A file belongs to the depth image of its name; if none does, to that of its number, as depth_0001.png and
+    pose_0001.txt.
+
     Args:
         path: the recording.
         files: files of the frames, stamps strictly increasing.
@@ -253,8 +256,30 @@ def read_pose_folder(
     if folder is None:
         return None, []
     place = np.eye(4) if T_camera_depth is None else T_camera_depth
-    matrices = [read_pose_matrix(in_any_case(folder, f"{frame.depth.stem}.txt"), place) for frame in files]
+    poses = [in_any_case(folder, f"{frame.depth.stem}.txt") for frame in files]
+    if not any(pose.is_file() for pose in poses):
+        poses = _poses_by_number(folder, [frame.depth.stem for frame in files])
+    if not poses:
+        others = visible(folder, "*.txt")
+        said = f"{len(others)} files of poses are of no frame, such as {printable(others[0].name)}"
+        return None, [f"{folder}: {said}: name each as its depth image is named"]
+    matrices = [read_pose_matrix(pose, place) for pose in poses]
     return finite_trajectory([frame.stamp_ns for frame in files], matrices, str(path))
+
+
+def _poses_by_number(folder: Path, stems: Sequence[str]) -> list[Path]:
+    """Return the path of each frame's pose by the number in its name; [] if numbers do not match.
+
+    All frames must have a pose, or all poses a frame: else one may count from 0, and the other from 1.
+    """
+    files = visible(folder, "*.txt")
+    of_frames, of_files = frame_numbers(stems), frame_numbers([file.stem for file in files])
+    if of_frames is None or of_files is None:
+        return []
+    by_number = dict(zip(of_files, files, strict=True))
+    if not (by_number.keys() <= set(of_frames) or by_number.keys() >= set(of_frames)):
+        return []
+    return [by_number.get(number, folder / "none") for number in of_frames]
 
 
 def finite_trajectory(
