@@ -8,10 +8,8 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-
 from kinectbench.core import printable, read_head, scanned
-from kinectbench.stages.ingest.depth_files import READ_EXR, SUFFIXES, depth_size_px
+from kinectbench.stages.ingest.depth_files import READ_EXR, SUFFIXES, depth_size_px, shape_of_array
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_IMAGES, LEAST_SIDE_PX
 from kinectbench.stages.ingest.recording import read_image_file
@@ -139,15 +137,14 @@ def stacked(listed: Listed) -> str | None:
     for file in listed.files[listed.path]:
         if file.suffix.lower() != ".npy" or not is_named_depth(file.stem) or "`" in file.name:
             continue
-        with suppress(OSError, ValueError, EOFError):
-            shape = np.load(file, mmap_mode="r").shape
-            if len(shape) > 2 and shape[0] >= LEAST_IMAGES:
-                line = (
-                    f"import numpy; [numpy.save(f'depth/{{i:06d}}.npy', a) for i, a in "
-                    f"enumerate(numpy.load({file.name!r}))]"
-                )
-                held = f"{printable(file.name)} holds {shape[0]} images in one array, which is not read"
-                return f"{listed.path}: {held}: write each to a file, such as by `{line}`; then {MOVE}"
+        shape = shape_of_array(file)
+        if len(shape) > 2 and shape[0] >= LEAST_IMAGES:
+            line = (
+                "import numpy; [numpy.save(f'depth/{i:06d}.npy', a) for i, a in "
+                f"enumerate(numpy.load({file.name!r}))]"
+            )
+            held = f"{printable(file.name)} holds {shape[0]} images in one array, which is not read"
+            return f"{listed.path}: {held}: write each to a file, such as by `{line}`; then {MOVE}"
     return None
 
 
