@@ -105,7 +105,7 @@ def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
 
 
 def shape_of_array(file: Path) -> tuple[int, ...]:
-    """Return the shape of the array in an .npy file, of which only the header is read; () if it is damaged."""
+    """Return the shape of the array in an .npy file, of which the header is read; () if damaged."""
     with suppress(OSError, ValueError, EOFError):
         return tuple(np.load(file, mmap_mode="r").shape)
     return ()
