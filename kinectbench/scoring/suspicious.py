@@ -12,8 +12,6 @@ from kinectbench.scoring.thresholds import Thresholds
 MOST_OUTSIDE = 0.05
 # A smaller share of a mesh outside the grid is not reported.
 LEAST_OUTSIDE = 0.001
-# A larger share of the cube is suspicious: true shapes fill at most .19, baselines .44 (see `grid_axes`).
-MOST_FILLED = 0.5
 
 
 def suspicious_lines(
@@ -40,16 +38,10 @@ def suspicious_lines(
     test = {t: of for t, of in results.items() if t.split == "test" and of.cells}
     empty: list[str] = []
     full: list[str] = []
-    large: list[str] = []
     for target, of in sorted(test.items(), key=lambda item: item[0]):
         above = int(of.tally.above[THRESHOLDS.index(thresholds.of[target.category])].sum())
-        counted = int(of.tally.voxels.sum())
-        if above in (0, counted):
+        if above in (0, int(of.tally.voxels.sum())):
             (full if above else empty).append(target.name)
-        elif above > MOST_FILLED * counted:
-            large.append(target.name)
-    filled = f"fill more than {MOST_FILLED:.0%} of the cube"
-    for names, what in ((empty, "predict nothing"), (full, "fill the whole cube"), (large, filled)):
+    for names, what in ((empty, "predict nothing"), (full, "fill the whole cube")):
         if names:
-            said = f"{len(names)} of {len(test)} predictions {what} at their threshold, such as {names[0]}"
-            yield said + ": are they 1 - probability? `kinectbench check` tells" * (names is large)
+            yield f"{len(names)} of {len(test)} predictions {what} at their threshold, such as {names[0]}"
