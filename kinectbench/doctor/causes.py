@@ -26,7 +26,7 @@ def by_cause(
     findings: Sequence[Finding], recording: Recording, edges: EdgeFit | None, poses: PoseFit | None
 ) -> list[Finding]:
     """Return the findings, with one instead of several that wrong names or turned depth images explain."""
-    return _by_turned_depth(_by_names(list(findings), recording), edges, poses)
+    return _by_turned_depth(_by_clock(_by_names(list(findings), recording)), edges, poses)
 
 
 def _by_names(findings: list[Finding], recording: Recording) -> list[Finding]:
@@ -39,6 +39,14 @@ def _by_names(findings: list[Finding], recording: Recording) -> list[Finding]:
     one = Finding("names_differ", "stops", what, str(recording.path), advice)
     explained = {"time_jump", "color_unpaired", *OF_FLOOR, *OF_ORDER}
     return [one, *(f for f in findings if f.what not in differ and f.name not in explained)]
+
+
+def _by_clock(findings: list[Finding]) -> list[Finding]:
+    """Join if the given poses fit the depth in no convention, and do when they are moved in time."""
+    late = [replace(finding, severity="stops") for finding in findings if finding.name == "trajectory_delay"]
+    if not late or not any(finding.name == "trajectory_wrong" for finding in findings):
+        return findings
+    return [*late, *(finding for finding in findings if finding.name not in OF_ORDER)]
 
 
 def _by_turned_depth(findings: list[Finding], edges: EdgeFit | None, poses: PoseFit | None) -> list[Finding]:

@@ -377,7 +377,8 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
             name, advice = "mirrored_images", "mirror depth and colour back, and cx with them"
         if fit.convention.images == "y_up":
             advice = (
-                "give fy the other sign in intrinsics.json (ICL-NUIM's is negative), or `trajectory: ignore`"
+                "give fy the other sign in intrinsics.json (ICL-NUIM's is negative), and no fy under "
+                "`camera:`, or `trajectory: ignore`"
             )
         yield Finding(name, "stops", what, probe.where, advice)
     elif fits_no_better(fit):

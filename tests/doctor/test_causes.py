@@ -100,3 +100,12 @@ def test_poses_that_fit_otherwise_than_turned_do_not_blame_the_depth(tmp_path: P
     assert (colour.name, reading.name) == ("color_mirrored", "trajectory_reading")
     assert colour.severity == "warning" and "depth is the one" not in colour.what
     assert "world to camera" in reading.what
+
+
+def test_poses_that_fit_at_another_time_are_late_and_not_of_another_recording(tmp_path: Path) -> None:
+    folder = shortened(CHAIR, tmp_path / "r", 40)
+    rows = [[f"{float(row[0]) + 0.4:.6f}", *row[1:]] for row in rows_of(folder, "groundtruth")]
+    write_rows(folder, "groundtruth", rows)
+    (found,) = (each for each in found_in(folder) if each.name.startswith("trajectory"))
+    assert (found.name, found.severity) == ("trajectory_delay", "stops")
+    assert "trajectory_delay_s: 0.39" in found.advice or "trajectory_delay_s: 0.40" in found.advice

@@ -62,6 +62,24 @@ def test_every_order_and_flip_is_named(truths: list[tuple[Bools, Bools]]) -> Non
         assert f"taken as {name} (-: turned round)" in line
 
 
+def test_grids_whose_empty_and_occupied_are_exchanged_are_named(truths: list[tuple[Bools, Bools]]) -> None:
+    for wrong in (lambda full: ~full, lambda full: 1 - coarse(full), lambda full: 0.9 - 0.8 * coarse(full)):
+        line = axes_problem([(wrong(full), partial) for full, partial in truths])
+        assert line is not None and line.endswith("in 10 of 10 views; of arrays write 1 - grid")
+    for cells in (6, 10, 18):  # nearer to the camera than what it measured: another fault
+        near = [(np.roll(full, -cells, 2), partial) for full, partial in truths]
+        assert "1 - grid" not in (axes_problem(near) or "")
+
+
+def test_grids_that_lie_elsewhere_are_named(truths: list[tuple[Bools, Bools]]) -> None:
+    for wrong in (
+        lambda full: np.pad(full[::2, ::2, ::2], ((0, 128),) * 3),
+        lambda full: np.pad(coarse(full, 64), ((0, 64),) * 3).astype(np.float16),
+    ):
+        line = axes_problem([(wrong(full), partial) for full, partial in truths])
+        assert line is not None and "views the grids are empty near what the view measured" in line
+
+
 @pytest.mark.slow
 def test_all_axes_are_named_and_the_remedy_brings_them_back(truths: list[tuple[Bools, Bools]]) -> None:
     right = [(coarse(full), partial) for full, partial in truths]

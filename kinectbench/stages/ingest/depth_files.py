@@ -3,6 +3,7 @@
 import io
 import struct
 from collections.abc import Iterable
+from contextlib import suppress
 from itertools import permutations
 from math import prod
 from pathlib import Path
@@ -101,6 +102,13 @@ def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
     if is_netpbm(data, name):
         return netpbm_head(data, name)[:2]
     return image_header(data, name)[1:]
+
+
+def shape_of_array(file: Path) -> tuple[int, ...]:
+    """Return the shape of the array in an .npy file, of which the header is read; () if damaged."""
+    with suppress(OSError, ValueError, EOFError):
+        return tuple(np.load(file, mmap_mode="r").shape)
+    return ()
 
 
 def _refuse_exr(data: bytes, name: str) -> None:

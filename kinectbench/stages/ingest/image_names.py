@@ -26,6 +26,8 @@ DATE = re.compile(
     r"(?<!\d)((?:19[7-9]|20\d)\d)(\D?)(\d\d)\2(\d\d)\D{0,2}(\d\d)(\D?)(\d\d)\6(\d\d)"
     r"(?:\D(\d{1,9})|(\d{3}|\d{6}|\d{9})|)(?!\d)"
 )
+# Names of several cameras or recordings: at most so many series of at least so many images (chosen by hand).
+MOST_SERIES, LEAST_OF_SERIES = 8, 5
 # How many numbers a name, and how many digits a stamp may have: nanoseconds with decimals have no more.
 MOST_NUMBERS, MOST_DIGITS = 16, 30
 # Units of time in nanoseconds: s, ms, us, ns.
@@ -105,6 +107,31 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
         if stamps and _rises(stamps, columns[:place]):
             return stamps
     return None
+
+
+def several_series(stems: Sequence[str]) -> list[str]:
+    """Return the first name of each series if names are of several, as cam0_0001 and cam1_0001; else [].
+
+    Series differ in one word or one number. Each other series has at least half of its images in common with
+    the first, by the rest of the name. Names that are times are one series.
+
+    Args:
+        stems: names of one stream without suffix, in numeric order.
+    """
+    rows = [re.split(r"(\d{1,18})", stem) for stem in stems]
+    if len({len(row) for row in rows}) != 1 or times_of_names(stems) is not None:
+        return []
+    for place in range(len(rows[0])):
+        series, firsts = dict[str, set[tuple[str, ...]]](), dict[str, str]()
+        for stem, row in zip(stems, rows, strict=True):
+            firsts.setdefault(row[place], stem)
+            series.setdefault(row[place], set()).add((*row[:place], *row[place + 1 :]))
+        first, *others = series.values()
+        if not 1 < len(series) <= MOST_SERIES or min(map(len, series.values())) < LEAST_OF_SERIES:
+            continue
+        if all(2 * len(first & other) >= len(other) for other in others):
+            return list(firsts.values())
+    return []
 
 
 def stamps_of_names(stems: Sequence[str]) -> list[int]:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
@@ -68,6 +68,9 @@ LIKE_INTRINSICS = re.compile(
     r"|^k\.)).+\.(?:json|txt|ya?ml|xml|np[yz]|ini|toml|csv|mat)",
     re.IGNORECASE,
 )
+# nerfstudio's file; names of each frame's files; and where COLMAP writes its first model.
+TRANSFORMS, NUMBER, COLMAP = "transforms.json", re.compile(r"\d+"), ("sparse/0", "colmap/sparse/0")
+DATA, LEAST_OF_FRAMES = re.compile(r"(?!.*readme).+\.(?:json|txt|mat|ya?ml|xml|pincam)", re.IGNORECASE), 5
 TEXTS = frozenset({".txt", ".yaml", ".yml", ".xml", ".ini", ".toml"})
 # Largest number of names in a message, and of entries of a folder to look at.
 MOST_NAMED, LOOKED_AT = 4, 20_000
@@ -187,15 +190,30 @@ def named_like_intrinsics(path: Path) -> str:
     """
     if not path.is_dir():
         return ""
-    for file in _files_like(path, LIKE_INTRINSICS.fullmatch):
-        cameras = _cameras_inside(path / file)
-        if cameras:
-            names = " and ".join(name for name, _ in cameras)
-            lines = ", ".join(f"{name} as `{line}`" for name, line in cameras)
-            which = "give that of depth, or that of colour if depth lies on colour's pixels"
-            held = f"the camera {names}" if len(cameras) == 1 else f"cameras {names}"
-            return f"; {printable(str(file))} holds {held}: {which}: {lines}"
-    return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in")
+    if (path / TRANSFORMS).is_file():
+        return f"; {TRANSFORMS} may have them, and poses: write a depth_file_path into each of its frames"
+    files = [(file, _cameras_inside(path / file)) for file in _files_like(path, LIKE_INTRINSICS.fullmatch)]
+    cameras = [each for _, inside in files for each in inside]
+    if not cameras:
+        return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in") or _of_each_frame(path)
+    names = " and ".join(name for name, _ in cameras)
+    lines = ", ".join(f"{name} as `{line}`" for name, line in cameras)
+    which = "give that of depth, or that of colour if depth lies on colour's pixels"
+    held = f"the camera {names}" if len(cameras) == 1 else f"cameras {names}"
+    holding = [printable(str(file)) for file, inside in files if inside]
+    hold = "holds" if len(holding) == 1 else "hold"
+    return f"; {' and '.join(holding)} {hold} {held}: {which}: {lines}"
+
+
+def _of_each_frame(path: Path) -> str:
+    """Return the end of an error message: a file of each kind that seems to be there once for each frame."""
+    kinds = dict[str, list[str]]()
+    for file in map(str, _files_inside(path)):
+        if DATA.fullmatch(file):
+            kinds.setdefault(NUMBER.sub("#", file), []).append(file)
+    firsts = [names[0] for names in kinds.values() if len(names) >= LEAST_OF_FRAMES][:MOST_NAMED]
+    how = "; it may stand in the files of each frame, such as"
+    return f"{how} {printable(', '.join(firsts))}" if firsts else ""
 
 
 def _cameras_inside(file: Path) -> list[tuple[str, str]]:
@@ -242,13 +260,19 @@ def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_fold
 
 def _files_like(path: Path, wanted: Callable[[str], object], *, by_folder: bool = False) -> list[Path]:
     """Return the paths inside a folder of at most four files; see `names_like`."""
-    children = sorted(islice(listed_paths(path), LOOKED_AT))
-    folders = [child for child in children if child.is_dir() and not child.name.startswith(".")]
-    below = (file for folder in folders for file in sorted(islice(listed_paths(folder), LOOKED_AT)))
-    inside = (file.relative_to(path) for file in (*children, *below) if file.is_file())
+    inside = _files_inside(path)
     return list(
         islice((file for file in inside if wanted(str(file) if by_folder else file.name)), MOST_NAMED)
     )
+
+
+def _files_inside(path: Path) -> Iterator[Path]:
+    """Yield the paths inside a folder of its files, and of those in its subfolders, sorted; COLMAP's last."""
+    children = sorted(islice(listed_paths(path), LOOKED_AT))
+    folders = [child for child in children if child.is_dir() and not child.name.startswith(".")]
+    folders += [path / name for name in COLMAP if (path / name).is_dir()]
+    below = (file for folder in folders for file in sorted(islice(listed_paths(folder), LOOKED_AT)))
+    return (file.relative_to(path) for file in (*children, *below) if file.is_file())
 
 
 def passed_over(read: Path, names: Collection[str]) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 import re
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,9 @@ from kinectbench.stages.ingest.intrinsics import MATRIX_SHAPES, NEEDED, SAME_AS,
 NAMED_VALUE = re.compile(
     r"(?<![\w.])(fx|fy|cx|cy|ppx|ppy|width|height)[\"']?[ \t]*[:=][ \t]*([-+.\deE]{1,30})", re.IGNORECASE
 )
+# As librealsense's Python prints them: [ 640x480  p[cx cy]  f[fx fy]  Inverse Brown Conrady [0 0 0 0 0] ].
+PRINTED = re.compile(r"(\d{1,5})x(\d{1,5})\s+p\[(\S{1,30}) (\S{1,30})\]\s+f\[(\S{1,30}) (\S{1,30})\]")
+PRINTED_KEYS = ("width", "height", "cx", "cy", "fx", "fy")
 COMMENT = re.compile(r"#[^\r\n]*")
 # A matrix as OpenCV's FileStorage writes it in XML; the bounds keep the search short in any text.
 XML_MATRIX = re.compile(
@@ -36,7 +40,9 @@ def intrinsics_in_words(text: str, file: Path) -> Intrinsics | None:
         RecordingError: a name has two values, as of two cameras, or a size is not a number of pixels.
     """
     values: dict[str, Any] = {}
-    for said, word in NAMED_VALUE.findall(COMMENT.sub("", text)):
+    text = COMMENT.sub("", text)
+    printed = (zip(PRINTED_KEYS, words, strict=True) for words in PRINTED.findall(text))
+    for said, word in chain(NAMED_VALUE.findall(text), *printed):
         key, number = SAME_AS.get(said.lower(), said.lower()), None
         with suppress(RecordingError):
             number = parse_floats([word], "")[0]

@@ -43,7 +43,7 @@ Pixel = TypeVar("Pixel", bound=np.generic)
 # project made from the format's description.
 Evidence = Literal["recording", "copy", "writer"]
 # Folder of the user's masks beside the folders of a recording's images.
-MASKS_FOLDER = "masks"
+MASKS_FOLDER, MASK_KINDS = "masks", ("*.png", "*.jpg", "*.jpeg", "*.bmp", "*.npy", "*.tif", "*.tiff")
 
 # Settings of a camera that only some formats have a use for; others warn of them.
 OF_SOME_FORMATS = (
@@ -268,7 +268,11 @@ class FileRecording(Recording):
         depth = read_by_code(self.depth_code, cleaned, self.camera)
         mask = None if files.mask is None else self.mask(files.mask, depth)
         if mask is not None and mask.shape != native.shape:
-            raise DamagedImageError(f"{files.mask}: its size is not that of the depth image")
+            side = f"{native.shape[1]}x{native.shape[0]}"
+            raise DamagedImageError(
+                f"{files.mask}: its size is not that of the depth image",
+                advice=f"masks lie on depth's pixels, {side}: draw or scale them so",
+            )
         mask = None if mask is None else self.placed(mask, index)
         return RawFrame(str(files.depth), files.stamp_ns, depth, self.color(index), mask)
 
@@ -337,12 +341,15 @@ def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
     """Return a warning with the number of images in masks/ that belong to no frame; () if there are none."""
     used = {frame.mask for frame in files}
     folder = in_any_case(path, MASKS_FOLDER)
-    others = sorted(mask for mask in visible(folder, "*.png") if mask not in used)
+    others = sorted(mask for mask in visible(folder, *MASK_KINDS) if mask not in used)
     if not others:
         return ()
     count = "1 mask is" if len(others) == 1 else f"{len(others)} masks are"
     such = f"{count} of no frame, such as {printable(others[0].name)}"
-    return (f"{folder}: {such}: name each as its depth image is named",)
+    how = "name each as its depth image is named"
+    return (
+        f"{folder}: {such}: {how}{'' if others[0].suffix.lower() == '.png' else ', and write it as PNG'}",
+    )
 
 
 def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:

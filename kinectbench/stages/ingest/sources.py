@@ -1,9 +1,10 @@
 """List the files of a recording: plain files only, a limited number, links only if allowed."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
-from kinectbench.core import RecordingError, printable, scanned
+from kinectbench.core import RecordingError, below, printable, scanned
 
 # Largest number of frames: two hours at 30 frames a second.
 MOST_FRAMES = 250_000
@@ -50,6 +51,22 @@ def check_count(path: Path, frames: int) -> None:
             f"{path}: holds more than the {MOST_FRAMES} frames that a recording may have; split it",
             what="too-large",
         )
+
+
+def listed_name(folder: Path, name: str) -> str:
+    """Return a name from a list of a recording's files, relative to the folder of the list.
+
+    A name of Windows, with backslashes between folders, is returned with "/", if no file is so named.
+
+    Raises:
+        ValueError: the name leads out of the folder, or is no name; the message says which.
+    """
+    of_windows = name.replace("\\", "/")
+    with suppress(ValueError):
+        if of_windows != name and below(folder, name).exists():
+            return name
+    below(folder, of_windows)
+    return of_windows
 
 
 def files_below(folder: Path, *, follow_links: bool = False) -> list[Path]:

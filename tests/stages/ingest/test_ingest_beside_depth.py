@@ -85,6 +85,61 @@ def test_one_camera_under_a_name_and_none(tmp_path: Path) -> None:
             open_recording(without_intrinsics(tmp_path / name, content))
 
 
+def test_cameras_of_two_files_are_printed(tmp_path: Path) -> None:
+    folder = without_intrinsics(tmp_path / "r", {})
+    (folder / "intrinsics.json").unlink()
+    for name, camera in (("color", COLOR), ("depth", DEPTH)):
+        (folder / f"{name}_intrinsics.json").write_text(json.dumps(camera))
+    words = (
+        "color_intrinsics.json and depth_intrinsics.json hold cameras color_intrinsics and depth_intrinsics"
+    )
+    with raises(RecordingError, "recording.no-intrinsics", match=words) as error:
+        open_recording(folder)
+    assert "depth_intrinsics as `camera: {fx: 70, fy: 70, cx: 32, cy: 24}`" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("{:06d}-meta.mat", "the files of each frame, such as 000000-meta.mat"),
+        ("cameras/{:04d}.json", "the files of each frame, such as cameras/0000.json"),
+        ("sparse/0/cameras{}.txt", "it may stand in sparse/0/cameras0.txt"),
+        ("transforms.json", "transforms.json may have them, and poses: write a depth_file_path into each"),
+    ],
+)
+def test_other_files_that_may_hold_intrinsics_are_named(tmp_path: Path, name: str, words: str) -> None:
+    folder = without_intrinsics(tmp_path / "r", {})
+    (folder / "intrinsics.json").unlink()
+    for i in range(5):
+        (folder / name.format(i)).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name.format(i)).touch()
+    with raises(RecordingError, "recording.no-intrinsics", match=words):
+        open_recording(folder)
+
+
+def test_a_video_beside_depth_is_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "rgb.mp4").touch()
+    assert not any("no colour" in line for line in open_recording(folder).warnings)
+    (folder / "color").rename(tmp_path / "away")
+    (line,) = open_recording(folder).warnings
+    assert "no colour is read; rgb.mp4 is a video: write its frames to color/" in line
+
+
+@pytest.mark.parametrize("form", ["cam{}_{:04d}", "{1:04d}_cam{0}", "83621206012{}_{}"])
+def test_two_cameras_in_one_folder_are_named(tmp_path: Path, form: str) -> None:
+    names = [form.format(camera, i) for camera in range(2) for i in range(5)]
+    (line,) = open_recording(write_folder(tmp_path / "r", names)).warnings
+    assert "the names of depth are 2 series" in line and "give each its own folder" in line
+    assert all(form.format(camera, 0) in line for camera in range(2))
+
+
+@pytest.mark.parametrize("form", ["frame_{:04d}", "scan_1_{:03d}", "1305031102_{:06d}", "{0}-{0:012d}"])
+def test_one_camera_is_no_series(tmp_path: Path, form: str) -> None:
+    names = [form.format(i * 33333 if "06d" in form else i) for i in range(12)]
+    assert not any("series" in line for line in open_recording(write_folder(tmp_path / "r", names)).warnings)
+
+
 @pytest.mark.parametrize(
     ("name", "said"), [("colours", 1), ("RGB_images", 1), ("img", 1), ("depth_images", 0), ("rgb", 0)]
 )

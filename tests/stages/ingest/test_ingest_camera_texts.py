@@ -20,6 +20,7 @@ REALSENSE = (
     f" Intrinsic of 'Depth'\n  Width:      \t{WIDTH}\n  Height:     \t{HEIGHT}\n  PPX:        \t{CX}\n"
     f"  PPY:        \t{CY}\n  Fx:         \t{FX}\n  Fy:         \t{FY}\n  Distortion: \tBrown Conrady\n"
 )
+PRINTED = f"[ {WIDTH}x{HEIGHT}  p[{CX} {CY}]  f[{FX} {FY}]  Inverse Brown Conrady [0 0 0 0 0] ]\n"
 ECHO = f"header: \n  seq: 1\nheight: {HEIGHT}\nwidth: {WIDTH}\nD: [0.0, 0.0]\nK: {K}\nR: [1.0, 0.0]\n---\n"
 ROS = f"image_width: {WIDTH}\nimage_height: {HEIGHT}\ncamera_matrix:\n  rows: 3\n  cols: 3\n  data: {K}\n"
 XML = (
@@ -38,7 +39,7 @@ def folder_with(tmp_path: Path, name: str, text: str) -> Path:
 
 
 @pytest.mark.parametrize("name", ["intrinsics.txt", "camera-intrinsics.txt", "camera.txt", "calibration.txt"])
-@pytest.mark.parametrize("text", [NAMES, ASSIGNED, REALSENSE])
+@pytest.mark.parametrize("text", [NAMES, ASSIGNED, REALSENSE, PRINTED])
 def test_values_behind_names_are_read(tmp_path: Path, name: str, text: str) -> None:
     assert open_recording(folder_with(tmp_path, name, text)).camera == SMALL
 

@@ -140,6 +140,19 @@ def test_bad_list_row(tmp_path: Path, row: str) -> None:
         open_recording(folder)
 
 
+def test_lists_with_names_of_windows(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "r")
+    expected = raw_frames(open_recording(folder))
+    for name in ("depth.txt", "rgb.txt"):
+        (folder / name).write_text((folder / name).read_text().replace(" ", " .\\").replace("/", "\\"))
+    for got, frame in zip(raw_frames(open_recording(folder)), expected, strict=True):
+        np.testing.assert_array_equal(got.depth, frame.depth)
+        assert got.color == frame.color
+    (folder / "depth.txt").write_text("1.0 ..\\other\\0.png\n")
+    with pytest.raises(RecordingError, match=r"depth\.txt, line 1: .* leads out of the folder"):
+        open_recording(folder)
+
+
 def test_empty_list_and_missing_images(tmp_path: Path) -> None:
     folder = write_tum(tmp_path / "r")
     for image in (folder / "depth").iterdir():

@@ -213,3 +213,19 @@ def test_a_folder_that_cannot_be_read_is_passed_over(tmp_path: Path, monkeypatch
 def test_damaged_files_of_kinds_that_are_read_are_not_called_unread(tmp_path: Path, kind: str) -> None:
     said = refused(folder_of(tmp_path, f"depth_{{}}{kind}", b"x" * 100))
     assert "is not read" not in said and "look like depth" not in said
+
+
+def test_one_array_of_all_frames_is_named_with_a_line_that_divides_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "r"
+    folder.mkdir()
+    np.save(folder / "depth.npy", np.array([depth_image(i, 1000.0) for i in range(6)]))
+    with pytest.raises(RecordingError, match="holds 6 images in one array, which is not read") as error:
+        open_recording(folder)
+    (line,) = re.findall(r"such as by `([^`]*)`", str(error.value))
+    (folder / "depth").mkdir()
+    monkeypatch.chdir(folder)
+    exec(line, {})
+    assert len(list((folder / "depth").iterdir())) == 6
+    np.testing.assert_array_equal(np.load(folder / "depth/000003.npy"), depth_image(3, 1000.0))

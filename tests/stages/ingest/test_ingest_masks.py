@@ -12,6 +12,7 @@ from kinectbench.lab.simulate.simulate import simulate
 from kinectbench.lab.simulate.spec import SimulationSpec
 from kinectbench.lab.simulate.truth import truth_folder
 from kinectbench.settings.models import CameraSettings
+from kinectbench.stages.ingest.images import DamagedImageError
 from kinectbench.stages.ingest.readers import open_recording
 
 FRAMES = 3
@@ -68,6 +69,20 @@ def test_masks_of_no_frame_are_named(layout: str, tmp_path: Path) -> None:
     shutil.copy(first, recording / "masks" / "000999.png")
     (line,) = (line for line in open_recording(recording, CameraSettings()).warnings if "masks" in line)
     assert "1 mask is of no frame, such as 000999.png" in line
+
+
+def test_masks_of_another_kind_or_size_are_named(tmp_path: Path) -> None:
+    recording = recorded(tmp_path / "mug", "folder")
+    for mask in sorted((recording / "masks").iterdir()):
+        image = read_picture(mask, cv2.IMREAD_GRAYSCALE)
+        assert cv2.imwrite(str(mask), cv2.resize(image, (128, 96)))
+    with pytest.raises(DamagedImageError, match="its size is not that of the depth image") as error:
+        open_recording(recording, CameraSettings()).frame(0)
+    assert error.value.advice == "masks lie on depth's pixels, 64x48: draw or scale them so"
+    for mask in sorted((recording / "masks").iterdir()):
+        mask.rename(mask.with_suffix(".jpg"))
+    (line,) = (line for line in open_recording(recording, CameraSettings()).warnings if "masks" in line)
+    assert "3 masks are of no frame" in line and line.endswith("and write it as PNG")
 
 
 @pytest.mark.parametrize("moves", ["turntable", "hand"])

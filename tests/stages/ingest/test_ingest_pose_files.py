@@ -1,6 +1,6 @@
 """Files with the poses of all frames, as other programs write them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -101,7 +101,9 @@ def test_a_second_file_with_poses_is_named(tmp_path: Path, read: str) -> None:
 
 
 @pytest.mark.parametrize("write", [write_folder, write_tum])
-@pytest.mark.parametrize("name", ["camera_poses.csv", "ground_truth.txt", "gt.txt", "cam2world.npy"])
+@pytest.mark.parametrize(
+    "name", ["camera_poses.csv", "ground_truth.txt", "gt.txt", "cam2world.npy", "lowres_wide.traj"]
+)
 def test_files_that_look_like_poses_are_named_once(
     tmp_path: Path, write: Callable[[Path], Path], name: str
 ) -> None:
@@ -115,6 +117,14 @@ def test_files_that_look_like_poses_are_named_once(
     assert said == [line]
 
 
+def test_colmaps_model_is_named(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "sparse/0").mkdir(parents=True)
+    (folder / "sparse/0/images.bin").touch()
+    (line,) = opened(folder).warnings
+    assert "not read, by name poses: sparse/0/images.bin" in line
+
+
 def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "r")
     (folder / "pose").mkdir()
@@ -124,6 +134,49 @@ def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
     (folder / "extrinsics" / "20150118.txt").touch()  # SUN RGB-D's tilt of the camera
     (line,) = opened(folder).warnings
     assert "extrinsics" not in line and "not read, by name poses: pose/000000.npy, pose/000001.npy" in line
+
+
+@pytest.mark.parametrize(
+    ("form", "numbers", "frames"),
+    [
+        ("pose_{:04d}.txt", range(4), 4),
+        ("frame-{:06d}.pose.txt", range(4), 4),
+        ("{:06d}.txt", (0, 2, 3), 3),
+        ("pose_{:04d}.txt", range(1, 5), 0),
+        ("pose_{:04d}.txt", (10, 20), 0),
+        ("first.txt", (0,), 0),
+    ],
+)
+def test_poses_whose_names_are_not_those_of_depth(
+    tmp_path: Path, form: str, numbers: Sequence[int], frames: int
+) -> None:
+    """They are matched by number if all have a partner, and otherwise named."""
+    folder = write_folder(tmp_path / "r", [f"depth_{i}" for i in range(4)])
+    (folder / "pose").mkdir()
+    for i in numbers:
+        (folder / "pose" / form.format(i)).write_text(in_rows(poses()[i % 4]))
+    recording = opened(folder)
+    if not frames:
+        (line,) = recording.warnings
+        assert recording.given_trajectory is None and line.endswith("name each as its depth image is named")
+        return
+    assert recording.given_trajectory is not None
+    assert recording.given_trajectory.stamps_ns.tolist() == recording.stamps_ns[list(numbers)].tolist()
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses()[list(numbers)], atol=1e-12)
+
+
+def test_a_pose_without_its_last_row_is_read_from_a_file_of_its_own(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "r")
+    (folder / "pose").mkdir()
+    for i, T in enumerate(poses()):
+        (folder / f"pose/{i:06d}.txt").write_text(in_rows(T[:3]))
+    for depth in sorted((folder / "depth").iterdir()):
+        depth.rename(depth.with_name(f"{int(depth.stem):06d}.png"))
+    recording = opened(folder)
+    assert recording.given_trajectory is not None and not recording.trajectory_error
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses(), atol=1e-12)
+    (folder / "pose/000002.txt").write_text("0 0 0 0 0 0 1\n")
+    assert "holds 7 numbers, not the 4x4 of a matrix: write the pose" in str(opened(folder).trajectory_error)
 
 
 def test_poses_that_are_no_whole_matrices_are_named(tmp_path: Path) -> None:

@@ -73,6 +73,15 @@ def test_transforms_with_depth(tmp_path: Path) -> None:
     np.testing.assert_allclose(given.T_world_camera[2][:3, 3], [5, 0, 0], atol=1e-12)
 
 
+def test_names_of_windows(tmp_path: Path) -> None:
+    file = transforms(tmp_path / "r") / "transforms.json"
+    file.write_text(file.read_text().replace("./depth/", "depth\\\\").replace("./images/", "images\\\\"))
+    recording = open_recording(file.parent)
+    assert (len(recording), recording.warnings) == (3, ())
+    np.testing.assert_array_equal(recording.frame(1).depth, depth_image(2, 1000.0))
+    assert recording.frame(1).color is not None
+
+
 def test_names_of_colour_without_a_suffix(tmp_path: Path) -> None:
     """As instant-ngp and data sets of Blender have them."""
     folder = transforms(tmp_path / "r")

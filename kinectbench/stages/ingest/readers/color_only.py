@@ -5,7 +5,13 @@ from pathlib import Path
 
 from kinectbench.core import printable, read_head
 from kinectbench.core.encoded_images import PNG_MAGIC
-from kinectbench.stages.ingest.readers.folder_images import DEPTH_WORD, HEAD_BYTES, LEAST_IMAGES, is_16_bit
+from kinectbench.stages.ingest.readers.folder_images import (
+    DEPTH_WORD,
+    HEAD_BYTES,
+    LEAST_IMAGES,
+    VIDEO_SUFFIXES,
+    is_16_bit,
+)
 from kinectbench.stages.ingest.readers.foreign_depth import (
     CONVERT,
     MOVE,
@@ -14,10 +20,10 @@ from kinectbench.stages.ingest.readers.foreign_depth import (
     conversion,
     if_depth,
     is_named_depth,
+    stacked,
     unread_files,
 )
 
-VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 KINDS = "16-bit PNG, .npy, .npz, TIFF"
 RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
 # One file is read of all names that differ only in numbers, for at most this many kinds (chosen by hand).
@@ -71,6 +77,7 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
         return f"{path}: {where}, but in no layout that is known: {MOVE}"
     return (
         unread_files(listed)
+        or stacked(listed)
         or (_of_pictures(path, pictures) if len(pictures) >= LEAST_PICTURES else None)
         or (
             f"{path}: holds {images} colour images, but no depth that is read ({KINDS}): "

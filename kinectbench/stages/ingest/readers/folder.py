@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 from typing import ClassVar, Self
 
-from kinectbench.core import listed_paths
+from kinectbench.core import listed_paths, printable
 from kinectbench.core.sequence import GivenTrajectory
 from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_from_matrices
 from kinectbench.settings.models import CameraSettings
@@ -20,7 +20,7 @@ from kinectbench.stages.ingest.depth_files import (
     packed_channels,
     units_a_metre,
 )
-from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, stamps_of_names
+from kinectbench.stages.ingest.image_names import NUMBER_AND_STAMP, several_series, stamps_of_names
 from kinectbench.stages.ingest.images import (
     FLOAT_SCALE,
     DamagedImageError,
@@ -223,6 +223,7 @@ class FolderRecording(ConfidenceRecording):
                 *other_depth(path),
                 *(() if any(file.color for file in files) else unread_color(path)),
                 *paired,
+                *_said_series(path, several_series(depth.stems)),
                 *stored.warnings,
                 *(f"{path}: {line}" for line in misnamed(path, ALSO_READ)),
                 *(f"{path}: {line}" for line in clashing(path, ("depth", *COLOR_FOLDERS, *NAMED_FILES))),
@@ -260,6 +261,14 @@ def pair_files(
     order = sorted(range(len(depth.files)), key=stamps_ns.__getitem__)
     files = tuple(FrameFiles(stamps_ns[i], depth.files[i], of_depth[i]) for i in order)
     return files, (tuple(stamps_ns), color_ns), partners.warnings
+
+
+def _said_series(path: Path, firsts: Sequence[str]) -> tuple[str, ...]:
+    """Return a warning on names of several cameras or recordings in one folder; () if they are of one."""
+    if not firsts:
+        return ()
+    line = f"the names of depth are {len(firsts)} series, which begin with {printable(', '.join(firsts))}"
+    return (f"{path}: {line}: if they are of several cameras or recordings, give each its own folder",)
 
 
 def _usual_intrinsics(path: Path, stems: Sequence[str], size_px: tuple[int, int]) -> Intrinsics:

@@ -30,6 +30,7 @@ OTHER_DEPTH = (
     "depth_to_color",
 )
 COLOR_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".ppm"})
+VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 # YCB-Video has 000001-depth.png beside 000001-color.png; other data sets have the word first, or in between.
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
@@ -127,8 +128,14 @@ def color_images(path: Path) -> NamedImages:
 
 
 def unread_color(path: Path) -> tuple[str, ...]:
-    """Return a warning on folders of images that look like colour by their names, if no colour is read."""
-    lines = []
+    """Return a warning on folders of images that look like colour, and on videos, if no colour is read."""
+    videos = sorted(listed_paths(path, wanted=lambda name: Path(name).suffix.lower() in VIDEO_SUFFIXES))
+    lines = [
+        f"{path}: no colour is read; {printable(video.name)} is a video: write its frames to color/, "
+        "with the names of depth"
+        for video in videos
+        if not video.name.startswith(".")
+    ]
     for folder in sorted(listed_paths(path, wanted=LIKE_COLOR.fullmatch)):
         files = in_folder(folder, COLOR_SUFFIXES).files if folder.is_dir() and not folder.is_symlink() else ()
         if len(files) >= LEAST_IMAGES and not is_16_bit(files[0]):

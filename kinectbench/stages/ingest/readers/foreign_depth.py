@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from kinectbench.core import printable, read_head, scanned
-from kinectbench.stages.ingest.depth_files import READ_EXR, SUFFIXES, depth_size_px
+from kinectbench.stages.ingest.depth_files import READ_EXR, SUFFIXES, depth_size_px, shape_of_array
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_IMAGES, LEAST_SIDE_PX
 from kinectbench.stages.ingest.recording import read_image_file
@@ -129,6 +129,22 @@ def unread_files(listed: Listed) -> str | None:
             for kind, files in _by_kind(inside, of_depth=of_depth, named=named).items():
                 if len(files) >= LEAST_IMAGES and (named or _is_an_image(listed, files[0])):
                     return _message(listed, kind, files, "look like depth" if named else "may be depth")
+    return None
+
+
+def stacked(listed: Listed) -> str | None:
+    """Return an error message on an array with the depth images of all frames; None if there is none."""
+    for file in listed.files[listed.path]:
+        if file.suffix.lower() != ".npy" or not is_named_depth(file.stem) or "`" in file.name:
+            continue
+        shape = shape_of_array(file)
+        if len(shape) > 2 and shape[0] >= LEAST_IMAGES:
+            line = (
+                "import numpy; [numpy.save(f'depth/{i:06d}.npy', a) for i, a in "
+                f"enumerate(numpy.load({file.name!r}))]"
+            )
+            held = f"{printable(file.name)} holds {shape[0]} images in one array, which is not read"
+            return f"{listed.path}: {held}: write each to a file, such as by `{line}`; then {MOVE}"
     return None
 
 

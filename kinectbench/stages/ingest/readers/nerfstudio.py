@@ -21,7 +21,6 @@ from kinectbench.core import (
     GivenPosesError,
     IntrinsicsError,
     RecordingError,
-    below,
     printable,
     quoted,
     read_head,
@@ -44,7 +43,7 @@ from kinectbench.stages.ingest.readers.phone_images import (
     scaled_to_depth,
 )
 from kinectbench.stages.ingest.recording import FrameFiles, first_color_size, first_depth_size
-from kinectbench.stages.ingest.sources import check_count
+from kinectbench.stages.ingest.sources import check_count, listed_name
 from kinectbench.stages.ingest.undistortion import Undistortion
 
 FILE = "transforms.json"
@@ -174,12 +173,11 @@ def _name(file: Path, name: object) -> str:
     try:
         if not isinstance(name, str):
             raise ValueError("is no name")
-        below(file.parent, name)
+        return listed_name(file.parent, name)
     except ValueError as error:
         raise RecordingError(
             f"{file}: {quoted(name)} does not name a file inside the recording's folder", what="link"
         ) from error
-    return name
 
 
 def _color(path: Path, frame: Frame) -> Path | None:

@@ -13,10 +13,10 @@ from kinectbench.core import GivenPosesError, RecordingError, printable, read_he
 from kinectbench.core.geometry import rigid, rotation_from_quaternion_xyzw
 from kinectbench.core.sequence import GivenTrajectory, counts_frames
 from kinectbench.core.trajectory.stamps import NS_PER_S, are_of_today
-from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_matrix, text_rows
+from kinectbench.core.trajectory.text_rows import PUNCTUATION, parse_floats, read_numbers, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, trajectory_from_matrices
 from kinectbench.core.types import Float64
-from kinectbench.stages.ingest.image_names import FRAME_NUMBER
+from kinectbench.stages.ingest.image_names import FRAME_NUMBER, frame_numbers
 from kinectbench.stages.ingest.intrinsics_files import names_like
 from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, visible
 from kinectbench.stages.ingest.recording import FrameFiles
@@ -29,11 +29,14 @@ TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
 # Names of files that may contain poses in an unsupported layout.
 LIKE_POSES = re.compile(
     r"(?=.*(?:pose|traj|extrin|transform|odom|ground[-_. ]?truth|(?<![a-z])gt(?![a-z])|(?:to_?|2)world|c2w))"
-    r".+\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl)|.+\.freiburg",
+    r".+\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl|mat)|.+\.(?:freiburg|traj|pose)",
     re.IGNORECASE,
 )
-# A file with the pose of one frame, as pose/000000.npy.
-IN_POSE_FOLDER = re.compile(r"\w*poses?/[^/]+\.(?:json|txt|np[yz])", re.IGNORECASE)
+# A file with the pose of one frame, as pose/000000.npy; or COLMAP's images, which have poses.
+IN_POSE_FOLDER = re.compile(
+    r"\w*poses?/[^/]+\.(?:json|txt|np[yz])|(?:.*/)?(?:sparse|colmap)(?:/\d+)?/images\.(?:txt|bin)",
+    re.IGNORECASE,
+)
 POSE_FOLDERS = ("pose", "poses")
 
 
@@ -171,7 +174,11 @@ def _joined(rows: Sequence[tuple[str, str]], file: Path) -> list[tuple[str, str]
 
 
 def _matrix(row: str, where: str) -> Float64:
-    numbers = parse_floats(row.translate(PUNCTUATION).split(), where)
+    return _of_rows(parse_floats(row.translate(PUNCTUATION).split(), where))
+
+
+def _of_rows(numbers: Sequence[float]) -> Float64:
+    """Return the matrix (4, 4) of 16 values, or of 12 without its last row."""
     last = [] if len(numbers) == MATRIX else [0.0, 0.0, 0.0, 1.0]
     return np.array([*numbers, *last]).reshape(4, 4)
 
@@ -231,6 +238,9 @@ def read_pose_folder(
 ) -> tuple[GivenTrajectory | None, list[str]]:
     """Read the pose of each frame from its own file; a pose that is not finite means that tracking was lost.
 
+    A file belongs to the depth image of its name; if none does, to that of its number, as depth_0001.png and
+    pose_0001.txt.
+
     Args:
         path: the recording.
         files: files of the frames, stamps strictly increasing.
@@ -246,8 +256,30 @@ def read_pose_folder(
     if folder is None:
         return None, []
     place = np.eye(4) if T_camera_depth is None else T_camera_depth
-    matrices = [read_pose_matrix(in_any_case(folder, f"{frame.depth.stem}.txt"), place) for frame in files]
+    poses = [in_any_case(folder, f"{frame.depth.stem}.txt") for frame in files]
+    if not any(pose.is_file() for pose in poses):
+        poses = _poses_by_number(folder, [frame.depth.stem for frame in files])
+    if not poses:
+        others = visible(folder, "*.txt")
+        said = f"{len(others)} files of poses are of no frame, such as {printable(others[0].name)}"
+        return None, [f"{folder}: {said}: name each as its depth image is named"]
+    matrices = [read_pose_matrix(pose, place) for pose in poses]
     return finite_trajectory([frame.stamp_ns for frame in files], matrices, str(path))
+
+
+def _poses_by_number(folder: Path, stems: Sequence[str]) -> list[Path]:
+    """Return the path of each frame's pose by the number in its name; [] if numbers do not match.
+
+    All frames must have a pose, or all poses a frame: else one may count from 0, and the other from 1.
+    """
+    files = visible(folder, "*.txt")
+    of_frames, of_files = frame_numbers(stems), frame_numbers([file.stem for file in files])
+    if of_frames is None or of_files is None:
+        return []
+    by_number = dict(zip(of_files, files, strict=True))
+    if not (by_number.keys() <= set(of_frames) or by_number.keys() >= set(of_frames)):
+        return []
+    return [by_number.get(number, folder / "none") for number in of_frames]
 
 
 def finite_trajectory(
@@ -265,9 +297,15 @@ def read_pose_matrix(file: Path, T_camera_depth: Float64) -> Float64 | None:
     The result is None if the file is missing.
 
     Raises:
-        RecordingError: the file does not contain 16 numbers.
+        RecordingError: the file contains neither 16 numbers nor 12, without the last row.
     """
     if not file.is_file():
         return None
-    T = read_matrix(file, 4)
+    numbers = read_numbers(file)
+    if len(numbers) not in (KITTI, MATRIX):
+        raise GivenPosesError(
+            f"{file}: holds {len(numbers)} numbers, not the 4x4 of a matrix: write the pose so, camera to "
+            "world, row by row"
+        )
+    T = _of_rows(numbers)
     return np.asarray(T @ T_camera_depth) if np.isfinite(T).all() else T

@@ -5,7 +5,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from kinectbench.core import RecordingError, below, printable
+from kinectbench.core import RecordingError, printable
 from kinectbench.core.sequence import GivenTrajectory, UpSample
 from kinectbench.core.trajectory.stamps import (
     check_unit,
@@ -40,6 +40,7 @@ from kinectbench.stages.ingest.recording import (
     unmatched_masks,
     with_masks,
 )
+from kinectbench.stages.ingest.sources import listed_name
 
 DEPTH_SCALE = 5000.0
 # Names of the lists, the first that exists is read: OpenLORIS also lists depth on the pixels of colour.
@@ -178,7 +179,7 @@ def _read_rows(path: Path) -> list[tuple[int, Path]]:
         if len(words) != 2:
             raise RecordingError(f"{where}: '{printable(row)}' is not 'stamp file'")
         try:
-            file = below(path.parent, words[1])
+            file = path.parent / listed_name(path.parent, words[1])
         except ValueError as error:
             raise RecordingError(f"{where}: {error}") from error
         rows.append((parse_stamp_ns(words[0], where), file))
