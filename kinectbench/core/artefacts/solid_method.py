@@ -82,6 +82,7 @@ class EstimateMethod(StoredPart):
     unknown_bias_m: float | None = Field(
         None, description="surface error: part for depth that is not a Kinect v1's, metres"
     )
+    most_bias_m: float | None = Field(None, description="the same at the interval's lower end, metres")
     fitted_frames: int | None = Field(
         None,
         description="number of frames in each recording that the estimate was fitted to; with more, the "

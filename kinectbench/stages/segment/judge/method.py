@@ -52,6 +52,7 @@ def _estimate() -> EstimateMethod:
         off_per_sigma=estimate.OFF_PER_SIGMA,
         off_per_pose=estimate.OFF_PER_POSE,
         unknown_bias_m=estimate.UNKNOWN_BIAS_M,
+        most_bias_m=estimate.MOST_BIAS_M,
         fitted_frames=estimate.FITTED_FRAMES,
         missed_more=estimate.MISSED_MORE,
         missed_less=estimate.MISSED_LESS,
