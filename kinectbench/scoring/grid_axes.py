@@ -41,10 +41,10 @@ LEAST_BETTER, MOST_RATIO, LEAST_FIT = 0.9, 0.75, 0.12
 # Grids in which empty and occupied are exchanged fit by at most -LEAST_FIT, and fill more than this share of
 # the cube. Measured on 32 views of drawn objects: true shapes fill at most .19, baselines (silhouette) .44.
 LEAST_EXCHANGED_FILLED = 0.5
-# Grids lie elsewhere if they reach less than this share of their largest value in the cell of a grid of
-# NEAR_SIDE^3 that holds a measured cell, and in those around it. Of 16 views of four objects, true shapes
-# (also moved by 10 cells), seven baselines and a network reach .95 to 1; in the median, shapes half or a
-# quarter as large reach .03 to .10, and a corner that was cut out .06 and less.
+# Grids lie elsewhere if they reach less than this share of their usual value in the cell of a grid of
+# NEAR_SIDE^3 that holds a measured cell, and in those around it, and do not fit there. Of 16 views of four
+# objects, true shapes (also moved by 10 cells), seven baselines and a network reach .95 to 1; in the median,
+# shapes half or a quarter as large reach .03 to .10, and a corner that was cut out .06 and less.
 LEAST_NEAR, NEAR_SIDE = 0.3, 32
 # Axes that reach at least this share of the best fit count as equally good (symmetric objects); the simplest
 # of them are named.
@@ -83,7 +83,7 @@ def axes_problem(looked_at: Iterable[tuple[Prediction, Bools]]) -> str | None:
             f"in {elsewhere} of {len(fits)} views the grids are empty near what the view measured: are they "
             "of another frame or size, or cut out? A grid is the whole cube of its pair"
         )
-        return line if elsewhere >= LEAST_BETTER * len(fits) else None
+        return line if elsewhere >= LEAST_BETTER * len(fits) and mean[0] < LEAST_FIT else None
     order, turned = ALL_AXES[int(np.argmax(mean >= AS_WELL * best))]
     names = [f"{'-' * turned[axis]}{'xyz'[axis]}" for axis in order]
     minus = " (-: turned round)" * any(turned)
@@ -119,17 +119,22 @@ def _fits(prediction: Prediction, partial: Bools) -> Float64:
 
 
 def _near(prediction: Prediction, partial: Bools) -> float:
-    """Return the mean of a prediction's largest values near measured cells, by its largest; 1 if empty."""
-    largest, measured = float(prediction.max()), _measured(partial)
-    if not len(measured) or largest <= 0:
+    """Return the mean of a prediction's largest values near measured cells, by its usual one; 1 if empty.
+
+    The usual value is the mean of all values, weighted by themselves. A few cells that are surer than the
+    rest hardly change it.
+    """
+    total, measured = float(prediction.sum(dtype=np.float64)), _measured(partial)
+    if not len(measured) or total <= 0:
         return 1.0
+    usual = float(np.square(prediction, dtype=np.float32).sum(dtype=np.float64)) / total
     blocks = prediction
     if len(blocks) > NEAR_SIDE:
         starts = np.arange(NEAR_SIDE) * len(blocks) // NEAR_SIDE
         for axis in range(3):
             blocks = np.maximum.reduceat(blocks, starts, axis=axis)
     around = ndimage.maximum_filter(blocks.astype(np.float32), 3)
-    return _mean(around, measured, len(partial), ALL_AXES[0]) / largest
+    return _mean(around, measured, len(partial), ALL_AXES[0]) / usual
 
 
 def _measured(partial: Bools) -> Int64:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_once import made_once
+from scipy import ndimage
 
 from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.pair_file import unpack
@@ -78,6 +79,23 @@ def test_grids_that_lie_elsewhere_are_named(truths: list[tuple[Bools, Bools]]) -
     ):
         line = axes_problem([(wrong(full), partial) for full, partial in truths])
         assert line is not None and "views the grids are empty near what the view measured" in line
+
+
+def test_unsure_grids_in_their_place_are_not_named(truths: list[tuple[Bools, Bools]]) -> None:
+    """A shape of low probability with one sure cell, and one whose probability grows with its depth."""
+
+    def spiked(full: Bools, low: float) -> Float32:
+        grid = low * coarse(full)
+        grid[tuple(np.argwhere(grid > 0)[0])] = 1
+        return grid
+
+    def deep(full: Bools) -> Float32:
+        grid = coarse(full) > 0.5
+        depth_cells = ndimage.distance_transform_edt(grid)
+        return np.where(grid, 1 / (1 + np.exp(3 - depth_cells)), 0).astype(np.float32)
+
+    for made in (lambda full: spiked(full, 0.28), lambda full: spiked(full, 0.1), deep):
+        assert axes_problem([(made(full), partial) for full, partial in truths]) is None
 
 
 @pytest.mark.slow

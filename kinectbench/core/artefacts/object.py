@@ -259,7 +259,7 @@ class QualityFile(Stored):
     )
     inverse_depth_steps: float | None = Field(
         None,
-        description="steps of inverse depth, 1/m: 346 of a Kinect v1; for others, estimates allow for a bias",
+        description="steps of inverse depth, 1/m: 346 of a Kinect v1; else estimates allow for a bias",
     )
     method: SolidMethod | str | None = Field(None, description="how the solid was made, with figures")
     source: str | None = Field(None, description="synthesised: source mesh")

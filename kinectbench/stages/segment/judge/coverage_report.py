@@ -25,7 +25,7 @@ from kinectbench.stages.fuse.depth_range import some_frames
 from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.find.planes import GIVEN
-from kinectbench.stages.segment.judge.depth_bias import inverse_depth_steps
+from kinectbench.stages.segment.judge.depth_bias import inverse_depth_steps, is_of_kinect
 from kinectbench.stages.segment.judge.frontiers import MOVE_AWAY, is_obstructed, turn_in_words
 
 # Images are looked at in about this many columns: a person who walks by is many of them wide.
@@ -146,6 +146,7 @@ class CoverageReport:
         beyond_share: share of the depth near the object that lies beyond `max_depth_m`.
         off_share: share of the depth on the object that contradicts its surface.
         inverse_depth_steps: steps of inverse depth, 1/m; None: there is too little depth to tell.
+        of_kinect: whether the depth is a Kinect v1's, by these steps.
         warnings: all warnings, one line each.
         choice_warnings: those about the floor and the choice of the object; `doubts` in quality.json.
         first_rad: direction from the object to the first camera, seen from above, radians, counterclockwise
@@ -159,6 +160,7 @@ class CoverageReport:
     beyond_share: float
     off_share: float | None
     inverse_depth_steps: float | None
+    of_kinect: bool
     warnings: tuple[str, ...]
     choice_warnings: tuple[str, ...]
     first_rad: float = 0.0
@@ -305,4 +307,5 @@ def coverage_report(
     steps = inverse_depth_steps(sequence, good)
     steps = None if steps is None else round(steps, 1)
     figures = len(good), side, moving, max_depth_m, round(too_far, 4), off_share, steps
-    return CoverageReport(*figures, warnings, of_choice, first_rad)
+    of_kinect = is_of_kinect(steps, sequence.camera)
+    return CoverageReport(*figures, of_kinect, warnings, of_choice, first_rad)

@@ -270,7 +270,8 @@ def _reasons(
         ),
         (
             not bias_known and 1000 * UNKNOWN_BIAS_M * per_mm > MAX_SHIFTED_SHARE,
-            "depth that is not a Kinect v1's, as by time of flight: all of it may be off by millimetres, and "
+            "depth that is not known to be a Kinect v1's: all of it may be off by millimetres, as by time of "
+            "flight, and "
             f"{1000 * UNKNOWN_BIAS_M:g} mm change {1000 * UNKNOWN_BIAS_M * per_mm:.0%} of the volume",
         ),
     )

@@ -19,7 +19,6 @@ from kinectbench.stages.segment.find.floor import Floor
 from kinectbench.stages.segment.find.object import Segmentation
 from kinectbench.stages.segment.find.pieces import LOOK, fit_box, nearest_within
 from kinectbench.stages.segment.judge.coverage_report import CoverageReport
-from kinectbench.stages.segment.judge.depth_bias import is_of_kinect
 from kinectbench.stages.segment.judge.estimate import (
     MAX_VOLUME_SHARE_PER_MM,
     FloorCut,
@@ -95,7 +94,7 @@ def measure_quality(
     unknown, unknown_air = _unknown_shares(together)
     unresolved = unresolved_share(together)
     counted = solids.frames, unresolved
-    known = is_of_kinect(report.inverse_depth_steps)
+    known = report.of_kinect
     estimate = estimate_iou(together, sigma_m, pose_error, frontiers, *counted, bias_known=known)
     estimate = floor_cut.applied(estimate)
     unsupported = _unsupported(chosen, together, rules)
