@@ -134,16 +134,24 @@ def unread_files(listed: Listed) -> str | None:
 
 def stacked(listed: Listed) -> str | None:
     """Return an error message on an array with the depth images of all frames; None if there is none."""
+    known = {tuple(sorted(size)) for size in (*listed.color_px, *SIZES_PX)}
     for file in listed.files[listed.path]:
         if file.suffix.lower() != ".npy" or not is_named_depth(file.stem) or "`" in file.name:
             continue
-        shape = shape_of_array(file)
-        if len(shape) > 2 and shape[0] >= LEAST_IMAGES:
+        shape = tuple(side for side in shape_of_array(file) if side != 1)
+        if len(shape) != 3:
+            continue
+        # The frames are along the first axis, or along the last if that is the shortest.
+        last = shape[2] < min(shape[:2]) and tuple(sorted(shape[1:])) not in known
+        count, *sides = shape[::-1] if last else shape
+        if count >= LEAST_IMAGES and min(sides) >= LEAST_SIDE_PX:
+            array = f"numpy.load({file.name!r}).squeeze()"
+            array = f"numpy.moveaxis({array}, -1, 0)" if last else array
             line = (
-                "import numpy; [numpy.save(f'depth/{i:06d}.npy', a) for i, a in "
-                f"enumerate(numpy.load({file.name!r}))]"
+                "import numpy, os; os.makedirs('depth', exist_ok=True); "
+                f"[numpy.save(f'depth/{{i:06d}}.npy', a) for i, a in enumerate({array})]"
             )
-            held = f"{printable(file.name)} holds {shape[0]} images in one array, which is not read"
+            held = f"{printable(file.name)} holds {count} images in one array, which is not read"
             return f"{listed.path}: {held}: write each to a file, such as by `{line}`; then {MOVE}"
     return None
 
