@@ -1,7 +1,6 @@
 """Read poses from text: one file for all frames (TUM, RTAB-Map, KITTI, matrices), or one per frame."""
 
 import math
-import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -18,7 +17,7 @@ from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, tr
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER, frame_numbers
 from kinectbench.stages.ingest.intrinsics_files import names_like
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, visible
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
 from kinectbench.stages.ingest.recording import FrameFiles
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
@@ -26,27 +25,12 @@ POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
 # Number of values in a row: stamp, position, quaternion and an id; matrix without and with its last row.
 WITH_ID, KITTI, MATRIX = 9, 12, 16
 TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
-# Names of files that may contain poses in an unsupported layout.
-LIKE_POSES = re.compile(
-    r"(?=.*(?:pose|traj|extrin|transform|odom|ground[-_. ]?truth|(?<![a-z])gt(?![a-z])|(?:to_?|2)world|c2w))"
-    r".+\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl|mat)|.+\.(?:freiburg|traj|pose)",
-    re.IGNORECASE,
-)
-# A file with the pose of one frame, as pose/000000.npy; or COLMAP's images, which have poses.
-IN_POSE_FOLDER = re.compile(
-    r"\w*poses?/[^/]+\.(?:json|txt|np[yz])|(?:.*/)?(?:sparse|colmap)(?:/\d+)?/images\.(?:txt|bin)",
-    re.IGNORECASE,
-)
 POSE_FOLDERS = ("pose", "poses")
 
 
 def named_like_poses(path: Path) -> str:
     """Return the end of an error message that names files which look like poses; "" if there are none."""
-
-    def is_like(name: str) -> bool:
-        return bool(LIKE_POSES.fullmatch(Path(name).name) or IN_POSE_FOLDER.fullmatch(name))
-
-    return names_like(path, is_like, "not read, by name poses:", by_folder=True)
+    return names_like(path, is_like_poses, "not read, by name poses:", by_folder=True)
 
 
 def unread_poses(path: Path) -> list[str]:
@@ -268,7 +252,7 @@ def read_pose_folder(
 
 
 def _poses_by_number(folder: Path, stems: Sequence[str]) -> tuple[list[Path], list[str]]:
-    """Return the path of each frame's pose by the number in its name, and a warning unless all have a partner.
+    """Return the path of each frame's pose by the number in its name, and a warning if some have no partner.
 
     There are no paths if the numbers do not match: both must begin with the same number, or one may count
     from 0, and the other from 1; and all frames must have a pose, or all poses a frame.
