@@ -137,6 +137,12 @@ def test_a_video_beside_depth_is_named(tmp_path: Path) -> None:
     (folder / "color").rename(tmp_path / "away")
     (line,) = open_recording(folder).warnings
     assert "no colour is read; rgb.mp4 is a video: write its frames to color/" in line
+    for name in ("depth_preview.mp4", "turntable_depth.avi", "disparity.mp4", ".hidden.mp4"):
+        (folder / name).touch()
+    assert open_recording(folder).warnings == (line,)
+    (folder / "side.mov").touch()
+    (line,) = open_recording(folder).warnings
+    assert "no colour is read; rgb.mp4, side.mov are videos: write that of colour's frames to" in line
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Name files that look like depth, but are of a kind or in a layout that is not read, and say what to do."""
 
-import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pathlib import Path
 from kinectbench.core import printable, read_head, scanned
 from kinectbench.stages.ingest.depth_files import READ_EXR, SUFFIXES, depth_size_px, shape_of_array
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
-from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_IMAGES, LEAST_SIDE_PX
+from kinectbench.stages.ingest.readers.folder_images import LEAST_IMAGES, LEAST_SIDE_PX, is_named_depth
 from kinectbench.stages.ingest.recording import read_image_file
 
 # Limits of the search: entries of a folder, entries in all (two such folders), folders of a level, and levels
@@ -24,7 +23,6 @@ READ, ONLY_DEPTH = SUFFIXES - {".png"}, frozenset({".pfm", ".dpt"})
 BESIDE = frozenset(
     {"", ".json", ".yaml", ".yml", ".xml", ".md", ".py", ".log", ".ini", ".db", ".mp4", ".avi"}
 )
-LIKE_DEPTH = re.compile(r"depth|distance|disparity", re.IGNORECASE)
 MOVE = (
     "put depth alone into a folder depth/ and colour into color/, with the same number in the names of one "
     "frame, and intrinsics.json beside them"
@@ -107,11 +105,6 @@ class Listed:
                 with suppress(DamagedImageError):
                     return [image_header(read_image_file(file), str(file))[1:]]
         return []
-
-
-def is_named_depth(name: str) -> bool:
-    """Whether the name of a file (without suffix) or folder says depth, and not colour."""
-    return bool(LIKE_DEPTH.search(name)) and not COLOR_WORD.fullmatch(name)
 
 
 def unread_files(listed: Listed) -> str | None:
