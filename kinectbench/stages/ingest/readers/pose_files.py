@@ -241,7 +241,7 @@ def read_pose_folder(
         return None, []
     place = np.eye(4) if T_camera_depth is None else T_camera_depth
     poses = [in_any_case(folder, f"{frame.depth.stem}.txt") for frame in files]
-    said = []
+    said = list[str]()
     if not any(pose.is_file() for pose in poses):
         poses, said = _poses_by_number(folder, [frame.depth.stem for frame in files])
     if not poses:
