@@ -6,6 +6,7 @@ from dataclasses import replace
 from kinectbench.doctor.edges import EdgeFit
 from kinectbench.doctor.finding import Finding
 from kinectbench.doctor.fit import PoseConvention
+from kinectbench.doctor.pose_delay import FitsMoved
 from kinectbench.doctor.trajectory import PoseFit
 from kinectbench.stages.ingest.pairing import NamesDiffer
 from kinectbench.stages.ingest.recording import Recording
@@ -43,7 +44,7 @@ def _by_names(findings: list[Finding], recording: Recording) -> list[Finding]:
 
 def _by_clock(findings: list[Finding]) -> list[Finding]:
     """Join if the given poses fit the depth in no convention, and do when they are moved in time."""
-    late = [replace(finding, severity="stops") for finding in findings if finding.name == "trajectory_delay"]
+    late = [replace(finding, severity="stops") for finding in findings if isinstance(finding, FitsMoved)]
     if not late or not any(finding.name == "trajectory_wrong" for finding in findings):
         return findings
     return [*late, *(finding for finding in findings if finding.name not in OF_ORDER)]

@@ -11,7 +11,14 @@ from kinectbench.core.trajectory.clock_offset import steps_to_vertex
 from kinectbench.doctor.covered import covered
 from kinectbench.doctor.delays import ASSUMED_HZ, LEAST_NS, clock_ns, offset_in_words
 from kinectbench.doctor.finding import Finding, camera_line
-from kinectbench.doctor.fit import FramePair, PoseConvention, disagreements, frames_of
+from kinectbench.doctor.fit import (
+    FramePair,
+    PoseConvention,
+    disagreements,
+    fits,
+    frames_of,
+    pair_residual_m,
+)
 from kinectbench.doctor.probe import Probe
 
 # Lags up to half a second either way, enough for clocks that were synchronised over the network.
@@ -32,10 +39,14 @@ LEAST_PAIRS = 4
 MAX_GAP_S = 0.2
 
 
+class FitsMoved(Finding):
+    """A clock offset of given poses that fit the depth, and not only better, when shifted by it."""
+
+
 def check_trajectory_delay(
     probe: Probe, given: GivenTrajectory, convention: PoseConvention, pairs: tuple[FramePair, ...]
 ) -> Iterator[Finding]:
-    """Report given poses that fit the depth clearly better when shifted in time."""
+    """Report given poses that fit the depth clearly better when shifted in time; `FitsMoved` if they fit."""
     delay_ns = _trajectory_delay_ns(probe, given, convention, pairs)
     # Without stamps, an offset of less than a frame is no clock offset.
     if delay_ns is None or abs(delay_ns) < (LEAST_NS if probe.counts_frames else LEAST_FINE_NS):
@@ -47,7 +58,8 @@ def check_trajectory_delay(
         which = "late" if delay_ns > 0 else "early"
         what = f"the given poses are {abs(delay_ns) * ASSUMED_HZ / 1e9:.0f} frames {which}"
         advice = "number them again"
-    yield Finding("trajectory_delay", "warning", what, probe.where, advice)
+    kind = FitsMoved if _fit_moved(probe, given, convention, pairs, delay_ns) else Finding
+    yield kind("trajectory_delay", "warning", what, probe.where, advice)
 
 
 def on_clock(probe: Probe, given: GivenTrajectory) -> GivenTrajectory:
@@ -103,6 +115,20 @@ def _gains(
     points = covered(usable, np.stack([shifted, unshifted, standing]))
     by_shift = [points.over_both(0, other) for other in (1, 2)]
     return all(mine < BETTER * theirs for mine, theirs in by_shift)
+
+
+def _fit_moved(
+    probe: Probe,
+    given: GivenTrajectory,
+    convention: PoseConvention,
+    pairs: tuple[FramePair, ...],
+    delay_ns: int,
+) -> bool:
+    """Whether poses shifted by a delay fit the depth, in the pairs of which both frames then have a pose."""
+    shifted = convention.apply(_poses(probe, given, pairs, delay_ns))
+    posed = np.isfinite(shifted[:, 0, 0])
+    usable = [pair for pair in pairs if posed[pair.first] and posed[pair.second]]
+    return bool(usable) and fits(pair_residual_m(usable, shifted), usable)
 
 
 def _coarse_ns(costs: NDArray[np.float64]) -> int | None:

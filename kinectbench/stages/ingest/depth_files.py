@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core import MOST_PIXELS, UNPACKED_BYTES, RecordingError, is_too_large, printable
+from kinectbench.core import MOST_PIXELS, UNPACKED_BYTES, RecordingError, is_too_large, open_plain, printable
 from kinectbench.core.encoded_images import PNG_MAGIC, image_head
 from kinectbench.core.types import MM_PER_M, Bools, Float32
-from kinectbench.core.voxels.npy import MAGIC, read_npy
+from kinectbench.core.voxels.npy import MAGIC, NpyError, read_npy, read_npy_header
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
@@ -106,8 +106,10 @@ def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
 
 def shape_of_array(file: Path) -> tuple[int, ...]:
     """Return the shape of the array in an .npy file, of which the header is read; () if damaged."""
-    with suppress(OSError, ValueError, EOFError):
-        return tuple(np.load(file, mmap_mode="r").shape)
+    with suppress(OSError, NpyError), open_plain(file) as opened:
+        header = read_npy_header(opened)
+        if header.data_offset + header.data_bytes == file.stat().st_size:
+            return header.shape
     return ()
 
 

@@ -28,6 +28,15 @@ DATE = re.compile(
 )
 # Names of several cameras or recordings: at most so many series of at least so many images (chosen by hand).
 MOST_SERIES, LEAST_OF_SERIES = 8, 5
+# Words before the number of a device, and the fewest digits of a serial number: those of RealSense and of
+# Azure Kinect have 12, and seconds since 1970 have ten.
+DEVICE, SERIAL_DIGITS = (
+    re.compile(
+        r".*(?:cam(?:era)?|kinect|sensor|realsense|device|serial|(?<![a-z])(?:dev|rs|sn))[-_. ]*",
+        re.IGNORECASE,
+    ),
+    11,
+)
 # How many numbers a name, and how many digits a stamp may have: nanoseconds with decimals have no more.
 MOST_NUMBERS, MOST_DIGITS = 16, 30
 # Units of time in nanoseconds: s, ms, us, ns.
@@ -112,8 +121,9 @@ def times_of_names(stems: Sequence[str]) -> list[int] | None:
 def several_series(stems: Sequence[str]) -> list[str]:
     """Return the first name of each series if names are of several, as cam0_0001 and cam1_0001; else [].
 
-    Series differ in one word or one number. Each other series has at least half of its images in common with
-    the first, by the rest of the name. Names that are times are one series.
+    Series differ in one word, in one number behind a word for devices, or in one serial number. Other numbers
+    may be minutes, parts or rows, in which the last number restarts. Each other series has at least half of
+    its images in common with the first, by the rest of the name. Names that are times are one series.
 
     Args:
         stems: names of one stream without suffix, in numeric order.
@@ -128,6 +138,9 @@ def several_series(stems: Sequence[str]) -> list[str]:
             series.setdefault(row[place], set()).add((*row[:place], *row[place + 1 :]))
         first, *others = series.values()
         if not 1 < len(series) <= MOST_SERIES or min(map(len, series.values())) < LEAST_OF_SERIES:
+            continue
+        of_device = all(DEVICE.fullmatch(row[place - 1]) for row in rows)
+        if place % 2 and not of_device and min(map(len, series)) < SERIAL_DIGITS:
             continue
         if all(2 * len(first & other) >= len(other) for other in others):
             return list(firsts.values())

@@ -28,9 +28,13 @@ from kinectbench.stages.ingest.intrinsics import (
     read_intrinsics_json,
     read_intrinsics_matrix,
 )
-from kinectbench.stages.ingest.intrinsics_words import intrinsics_in_words, intrinsics_in_xml
+from kinectbench.stages.ingest.intrinsics_words import (
+    distortion_notes,
+    intrinsics_in_words,
+    intrinsics_in_xml,
+)
 from kinectbench.stages.ingest.json_values import read_json_object
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, visible
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
 
 JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
@@ -70,7 +74,9 @@ LIKE_INTRINSICS = re.compile(
 )
 # nerfstudio's file; names of each frame's files; and where COLMAP writes its first model.
 TRANSFORMS, NUMBER, COLMAP = "transforms.json", re.compile(r"\d+"), ("sparse/0", "colmap/sparse/0")
+# Other files are there once for each frame if so many have one name but for the numbers (chosen by hand).
 DATA, LEAST_OF_FRAMES = re.compile(r"(?!.*readme).+\.(?:json|txt|mat|ya?ml|xml|pincam)", re.IGNORECASE), 5
+OTHER_DATA = re.compile(r"(?:masks?|confidence|poses?|extrinsics?|labels?|annotations?)/", re.IGNORECASE)
 TEXTS = frozenset({".txt", ".yaml", ".yml", ".xml", ".ini", ".toml"})
 # Largest number of names in a message, and of entries of a folder to look at.
 MOST_NAMED, LOOKED_AT = 4, 20_000
@@ -190,12 +196,12 @@ def named_like_intrinsics(path: Path) -> str:
     """
     if not path.is_dir():
         return ""
-    if (path / TRANSFORMS).is_file():
-        return f"; {TRANSFORMS} may have them, and poses: write a depth_file_path into each of its frames"
     files = [(file, _cameras_inside(path / file)) for file in _files_like(path, LIKE_INTRINSICS.fullmatch)]
     cameras = [each for _, inside in files for each in inside]
+    if not cameras and (path / TRANSFORMS).is_file():
+        return f"; {TRANSFORMS} may have them, and poses: write a depth_file_path into each of its frames"
     if not cameras:
-        return names_like(path, LIKE_INTRINSICS.fullmatch, "it may stand in") or _of_each_frame(path)
+        return names_like(path, LIKE_INTRINSICS.fullmatch, "they may stand in") or _of_each_frame(path)
     names = " and ".join(name for name, _ in cameras)
     lines = ", ".join(f"{name} as `{line}`" for name, line in cameras)
     which = "give that of depth, or that of colour if depth lies on colour's pixels"
@@ -209,10 +215,10 @@ def _of_each_frame(path: Path) -> str:
     """Return the end of an error message: a file of each kind that seems to be there once for each frame."""
     kinds = dict[str, list[str]]()
     for file in map(str, _files_inside(path)):
-        if DATA.fullmatch(file):
+        if DATA.fullmatch(file) and not (OTHER_DATA.match(file) or is_like_poses(file)):
             kinds.setdefault(NUMBER.sub("#", file), []).append(file)
     firsts = [names[0] for names in kinds.values() if len(names) >= LEAST_OF_FRAMES][:MOST_NAMED]
-    how = "; it may stand in the files of each frame, such as"
+    how = "; they may stand in the files of each frame, such as"
     return f"{how} {printable(', '.join(firsts))}" if firsts else ""
 
 
@@ -318,9 +324,8 @@ def _read_yaml(file: Path) -> Intrinsics | None:
     sizes: dict[str, Any] = {key: int(value) for key, value in YAML_SIZE.findall(text)}
     polynomial = (_number(word) for word in YAML_POLYNOMIAL.findall(text))
     distorted = any(polynomial) or any(any(values.get(key) or ()) for key in YAML_DISTORTIONS)
-    note = f"{file}: its distortion is not taken away; if depth is not rectified, undistort it first"
     sizes["depth_scale"], notes = yaml_scale(text, file, of_bop="cam_K" in values)
-    sizes["notes"] = (*((note,) if distorted else ()), *notes)
+    sizes["notes"] = (*distortion_notes(file, distorted=distorted), *notes)
     for key in (key for key in YAML_MATRICES if key in values):
         numbers = values[key]
         if numbers is None:  # text: a file name, or another program's settings

@@ -17,8 +17,17 @@ NAMED_VALUE = re.compile(
     r"(?<![\w.])(fx|fy|cx|cy|ppx|ppy|width|height)[\"']?[ \t]*[:=][ \t]*([-+.\deE]{1,30})", re.IGNORECASE
 )
 # As librealsense's Python prints them: [ 640x480  p[cx cy]  f[fx fy]  Inverse Brown Conrady [0 0 0 0 0] ].
-PRINTED = re.compile(r"(\d{1,5})x(\d{1,5})\s+p\[(\S{1,30}) (\S{1,30})\]\s+f\[(\S{1,30}) (\S{1,30})\]")
+PRINTED = re.compile(
+    r"(\d{1,5})x(\d{1,5})\s+p\[(\S{1,30}) (\S{1,30})\]\s+f\[(\S{1,30}) (\S{1,30})\]"
+    r"(?:[^\[\]\n]{0,60}(\[[^\[\]\n]{0,200}\]))?"
+)
 PRINTED_KEYS = ("width", "height", "cx", "cy", "fx", "fy")
+# Distortion: librealsense's last bracket, rs-enumerate-devices' Coeffs:, and k1, p1 and so on by name.
+DISTORTION = re.compile(
+    r"(?<![\w.])(?:coeffs|distortion|dist_coeffs|[kp]\d)[\"']?[ \t]*[:=]([-+.\deE,;\[\] \t]{1,300})",
+    re.IGNORECASE,
+)
+NOT_ZERO = re.compile(r"(?<![\w.])[-+]?[\d.]*[1-9]")
 COMMENT = re.compile(r"#[^\r\n]*")
 # A matrix as OpenCV's FileStorage writes it in XML; the bounds keep the search short in any text.
 XML_MATRIX = re.compile(
@@ -30,7 +39,7 @@ XML_MATRIX = re.compile(
 def intrinsics_in_words(text: str, file: Path) -> Intrinsics | None:
     """Read the pinhole camera from a text with fx, fy, cx and cy by name; None if one is missing.
 
-    Comments, from # to the end of the line, are not read.
+    Comments, from # to the end of the line, are not read. A note tells of distortion.
 
     Args:
         text: the content of the file.
@@ -41,7 +50,8 @@ def intrinsics_in_words(text: str, file: Path) -> Intrinsics | None:
     """
     values: dict[str, Any] = {}
     text = COMMENT.sub("", text)
-    printed = (zip(PRINTED_KEYS, words, strict=True) for words in PRINTED.findall(text))
+    prints = PRINTED.findall(text)
+    printed = (zip(PRINTED_KEYS, words[:-1], strict=True) for words in prints)
     for said, word in chain(NAMED_VALUE.findall(text), *printed):
         key, number = SAME_AS.get(said.lower(), said.lower()), None
         with suppress(RecordingError):
@@ -58,7 +68,15 @@ def intrinsics_in_words(text: str, file: Path) -> Intrinsics | None:
             if not (values[key] > 0 and values[key].is_integer()):
                 raise IntrinsicsError(f"{file}: '{key}:' is not a number of pixels; correct it")
             values[key] = int(values[key])
-    return Intrinsics(**values)
+    coefficients = (*(words[-1] for words in prints), *DISTORTION.findall(text))
+    distorted = any(NOT_ZERO.search(words) for words in coefficients)
+    return Intrinsics(**values, notes=distortion_notes(file, distorted=distorted))
+
+
+def distortion_notes(file: Path, *, distorted: bool) -> tuple[str, ...]:
+    """Return the warning that a file states distortion, which is not taken away; () if it states none."""
+    note = f"{file}: its distortion is not taken away; if depth is not rectified, undistort it first"
+    return (note,) if distorted else ()
 
 
 def intrinsics_in_xml(text: str, file: Path) -> Intrinsics | None:

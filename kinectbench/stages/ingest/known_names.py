@@ -1,5 +1,6 @@
 """Find files and folders by the names that readers know, in any case, and names that nearly match."""
 
+import re
 from collections.abc import Collection, Iterable, Iterator
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -14,6 +15,17 @@ from kinectbench.core import listed_paths, printable, scanned
 SIMILAR, LENGTHS_APART = 0.85, 2
 # In folders with more entries, only names as given are found.
 LOOKED_AT = 20_000
+# Names of files that may contain poses in an unsupported layout.
+LIKE_POSES = re.compile(
+    r"(?=.*(?:pose|traj|extrin|transform|odom|ground[-_. ]?truth|(?<![a-z])gt(?![a-z])|(?:to_?|2)world|c2w))"
+    r".+\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl|mat)|.+\.(?:freiburg|traj|pose)",
+    re.IGNORECASE,
+)
+# A file with the pose of one frame, as pose/000000.npy; or COLMAP's images, which have poses.
+IN_POSE_FOLDER = re.compile(
+    r"\w*poses?/[^/]+\.(?:json|txt|np[yz])|(?:.*/)?(?:sparse|colmap)(?:/\d+)?/images\.(?:txt|bin)",
+    re.IGNORECASE,
+)
 
 
 def in_any_case(folder: Path, name: str) -> Path:
@@ -44,6 +56,11 @@ def first_file(candidates: Iterable[Path]) -> Path | None:
     files = list(candidates)
     found = chain(files, (in_any_case(file.parent, file.name) for file in files))
     return next((file for file in found if file.is_file()), None)
+
+
+def is_like_poses(name: str) -> bool:
+    """Whether a name, with or without its folder, is one of files that may contain poses."""
+    return bool(LIKE_POSES.fullmatch(Path(name).name) or IN_POSE_FOLDER.fullmatch(name))
 
 
 def visible(folder: Path, *patterns: str) -> list[Path]:

@@ -338,18 +338,18 @@ def with_masks(files: Sequence[FrameFiles], recording: Path) -> tuple[FrameFiles
 
 
 def unmatched_masks(path: Path, files: Sequence[FrameFiles]) -> tuple[str, ...]:
-    """Return a warning with the number of images in masks/ that belong to no frame; () if there are none."""
-    used = {frame.mask for frame in files}
-    folder = in_any_case(path, MASKS_FOLDER)
-    others = sorted(mask for mask in visible(folder, *MASK_KINDS) if mask not in used)
-    if not others:
-        return ()
-    count = "1 mask is" if len(others) == 1 else f"{len(others)} masks are"
-    such = f"{count} of no frame, such as {printable(others[0].name)}"
-    how = "name each as its depth image is named"
-    return (
-        f"{folder}: {such}: {how}{'' if others[0].suffix.lower() == '.png' else ', and write it as PNG'}",
-    )
+    """Return warnings on images in masks/ that are not read, and have no name of one that is; () without."""
+    used, frames = {frame.mask.stem for frame in files if frame.mask}, {frame.depth.stem for frame in files}
+    folder, lines = in_any_case(path, MASKS_FOLDER), list[str]()
+    others = sorted(mask for mask in visible(folder, *MASK_KINDS) if mask.stem not in used)
+    other_kind = [mask for mask in others if mask.stem in frames and mask.suffix.lower() != ".png"]
+    of_none = sorted({*others} - {*other_kind})
+    unnamed = (of_none, "of no frame", "name each as its depth image is named, as PNG")
+    for masks, said, how in (unnamed, (other_kind, "no PNG", "write it as PNG")):
+        if masks:
+            count = "1 mask is" if len(masks) == 1 else f"{len(masks)} masks are"
+            lines.append(f"{folder}: {count} {said}, such as {printable(masks[0].name)}: {how}")
+    return tuple(lines)
 
 
 def first_whole(read: Callable[[Item], Result], items: Iterable[Item]) -> Result:

@@ -142,8 +142,9 @@ class MapCache:
 
     Reading is slow, so the reduced images of the first 2000 frames read stay in memory. With `keeps_all`, the
     images of all frames stay until `forget` is called; it is for live frames, which cannot be read again.
-    Threads may share the cache as long as `improve`, `calibrate` and `undo_shutter` are not called: at worst
-    two of them compute the same maps.
+    Threads may share the cache: at worst two of them compute the same maps. Meanwhile `improve` may change
+    only frames that no other thread reads, as `Follower` does: its threads prepare frames that are not taken
+    yet, and it improves its last keyframe. `calibrate` and `undo_shutter` must not be called.
 
     Attributes:
         sequence: the recording.

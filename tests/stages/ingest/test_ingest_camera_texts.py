@@ -45,6 +45,25 @@ def test_values_behind_names_are_read(tmp_path: Path, name: str, text: str) -> N
 
 
 @pytest.mark.parametrize(
+    ("text", "distorted"),
+    [
+        (PRINTED, False),
+        (PRINTED.replace("[0 0 0 0 0]", "[0.15 -0.4 0.001 0 0.3]"), True),
+        (PRINTED.replace("[0 0 0 0 0]", "[0 0 1e-3 0 0]"), True),
+        (REALSENSE + "  Coeffs:     \t0  \t0  \t0  \t0  \t0  \n", False),
+        (REALSENSE + "  Coeffs:     \t-0.05  \t0.06  \t0  \t0  \t0  \n", True),
+        (NAMES + "k1: 0.0\nk2: 0\np1: 0.000\n", False),
+        (ASSIGNED + "k1 = 0.0\nk2 = -0.2\n", True),
+        (NAMES + "distortion: [0.0, 0.0, 0.1]\n", True),
+    ],
+)
+def test_distortion_is_told(tmp_path: Path, text: str, distorted: bool) -> None:
+    recording = open_recording(folder_with(tmp_path, "intrinsics.txt", text))
+    assert recording.camera == SMALL
+    assert any("its distortion is not taken away" in line for line in recording.warnings) == distorted
+
+
+@pytest.mark.parametrize(
     ("name", "text"),
     [
         ("depth.cam.info.txt", NAMES),
@@ -71,7 +90,7 @@ def test_two_cameras_in_one_text_are_not_mixed(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="holds 'fx' more than once"):
         open_recording(folder)
     (folder / "intrinsics.txt").rename(folder / "scan.info.txt")
-    with pytest.raises(RecordingError, match=r"it may stand in scan\.info\.txt"):
+    with pytest.raises(RecordingError, match=r"they may stand in scan\.info\.txt"):
         open_recording(folder)
 
 

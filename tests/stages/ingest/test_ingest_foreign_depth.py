@@ -215,17 +215,47 @@ def test_damaged_files_of_kinds_that_are_read_are_not_called_unread(tmp_path: Pa
     assert "is not read" not in said and "look like depth" not in said
 
 
+@pytest.mark.parametrize("axis", [0, 2])
+@pytest.mark.parametrize("further", [(), (-1,), (1,)])
 def test_one_array_of_all_frames_is_named_with_a_line_that_divides_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, axis: int, further: tuple[int, ...]
 ) -> None:
     folder = tmp_path / "r"
     folder.mkdir()
-    np.save(folder / "depth.npy", np.array([depth_image(i, 1000.0) for i in range(6)]))
+    array = np.stack([depth_image(i, 1000.0) for i in range(6)], axis)
+    np.save(folder / "depth.npy", np.expand_dims(array, further))
     with pytest.raises(RecordingError, match="holds 6 images in one array, which is not read") as error:
         open_recording(folder)
     (line,) = re.findall(r"such as by `([^`]*)`", str(error.value))
-    (folder / "depth").mkdir()
     monkeypatch.chdir(folder)
     exec(line, {})
     assert len(list((folder / "depth").iterdir())) == 6
-    np.testing.assert_array_equal(np.load(folder / "depth/000003.npy"), depth_image(3, 1000.0))
+    np.testing.assert_array_equal(np.load(folder / "depth/000003.npy").squeeze(), depth_image(3, 1000.0))
+
+
+def test_an_array_of_many_upright_images_has_its_frames_first(tmp_path: Path) -> None:
+    np.save(tmp_path / "depth.npy", np.zeros((400, 256, 192), np.uint8))
+    assert "holds 400 images in one array" in str(without_depth(tmp_path, ()))
+
+
+@pytest.mark.parametrize("shape", [(480, 640, 1), (480, 640), (4, 480, 640), (60, 80, 3), (60, 20, 80), (9,)])
+def test_an_array_of_few_or_small_images_is_no_stack(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    np.save(tmp_path / "depth.npy", np.zeros(shape, np.uint8))
+    assert "in one array" not in str(without_depth(tmp_path, ()))
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "{'descr': '<u2', 'fortran_order': False, 'shape': (1000000000000000000000, 10, 10), }",
+        "{'descr': '<u2', 'fortran_order': False, 'shape': (60, 60, 60), }",
+        "{'descr': '<u2', 'fortran_order': False, 'shape': (60, 60, 60",
+        "{'descr': '''",
+        "",
+    ],
+)
+def test_a_damaged_header_is_no_internal_error(tmp_path: Path, said: str) -> None:
+    text = said.encode() + b"\n"
+    head = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+    (tmp_path / "depth.npy").write_bytes(head + b"0" * 100)
+    assert "in one array" not in str(without_depth(tmp_path, ()))

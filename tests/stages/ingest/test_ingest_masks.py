@@ -82,7 +82,22 @@ def test_masks_of_another_kind_or_size_are_named(tmp_path: Path) -> None:
     for mask in sorted((recording / "masks").iterdir()):
         mask.rename(mask.with_suffix(".jpg"))
     (line,) = (line for line in open_recording(recording, CameraSettings()).warnings if "masks" in line)
-    assert "3 masks are of no frame" in line and line.endswith("and write it as PNG")
+    assert "3 masks are no PNG, such as 000000.jpg: write it as PNG" in line
+
+
+@pytest.mark.parametrize("kind", [".npy", ".jpg"])
+def test_other_files_of_a_mask_that_is_read_are_not_named(tmp_path: Path, kind: str) -> None:
+    recording = recorded(tmp_path / "mug", "folder")
+    for mask in sorted((recording / "masks").iterdir()):
+        mask.with_suffix(kind).touch()
+    assert not any("masks" in line for line in open_recording(recording, CameraSettings()).warnings)
+    (recording / "masks/000002.png").rename(recording / "masks/000999.png")
+    (recording / "masks/other.tiff").touch()
+    said = [line for line in open_recording(recording, CameraSettings()).warnings if "masks" in line]
+    assert [line.partition("masks: ")[2] for line in said] == [
+        "2 masks are of no frame, such as 000999.png: name each as its depth image is named, as PNG",
+        f"1 mask is no PNG, such as 000002{kind}: write it as PNG",
+    ]
 
 
 @pytest.mark.parametrize("moves", ["turntable", "hand"])

@@ -137,32 +137,53 @@ def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("form", "numbers", "frames"),
+    ("form", "numbers", "said"),
     [
-        ("pose_{:04d}.txt", range(4), 4),
-        ("frame-{:06d}.pose.txt", range(4), 4),
-        ("{:06d}.txt", (0, 2, 3), 3),
-        ("pose_{:04d}.txt", range(1, 5), 0),
-        ("pose_{:04d}.txt", (10, 20), 0),
-        ("first.txt", (0,), 0),
+        ("pose_{:04d}.txt", range(4), ""),
+        ("frame-{:06d}.pose.txt", range(4), ""),
+        ("{:06d}.txt", (0, 2, 3), "3 poses are matched by the number in their names, and 0 are of no frame"),
+        (
+            "pose_{:04d}.txt",
+            range(40),
+            "4 poses are matched by the number in their names, and 36 are of no frame",
+        ),
     ],
 )
-def test_poses_whose_names_are_not_those_of_depth(
-    tmp_path: Path, form: str, numbers: Sequence[int], frames: int
+def test_poses_of_other_names_than_depth_are_matched_by_number(
+    tmp_path: Path, form: str, numbers: Sequence[int], said: str
 ) -> None:
-    """They are matched by number if all have a partner, and otherwise named."""
+    folder = write_folder(tmp_path / "r", [f"depth_{i}" for i in range(4)])
+    (folder / "pose").mkdir()
+    for i in numbers:
+        (folder / "pose" / form.format(i)).write_text(in_rows(poses()[i % 4]))
+    recording, known = opened(folder), [i for i in numbers if i < 4]
+    assert recording.warnings == () if not said else said in recording.warnings[0]
+    assert recording.given_trajectory is not None
+    assert recording.given_trajectory.stamps_ns.tolist() == recording.stamps_ns[known].tolist()
+    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses()[known], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("form", "numbers", "said"),
+    [
+        ("pose_{:04d}.txt", range(1, 5), "their numbers begin with 1, those of depth with 0"),
+        ("pose_{:04d}.txt", range(1, 4), "their numbers begin with 1, those of depth with 0"),
+        ("pose_{:04d}.txt", (10, 20), "their numbers begin with 10, those of depth with 0"),
+        ("pose_{:04d}.txt", (0, 2, 5), "3 files of poses are of no frame, such as pose_0000.txt"),
+        ("first.txt", (0,), "1 files of poses are of no frame, such as first.txt"),
+    ],
+)
+def test_poses_whose_numbers_are_not_those_of_depth_are_named(
+    tmp_path: Path, form: str, numbers: Sequence[int], said: str
+) -> None:
     folder = write_folder(tmp_path / "r", [f"depth_{i}" for i in range(4)])
     (folder / "pose").mkdir()
     for i in numbers:
         (folder / "pose" / form.format(i)).write_text(in_rows(poses()[i % 4]))
     recording = opened(folder)
-    if not frames:
-        (line,) = recording.warnings
-        assert recording.given_trajectory is None and line.endswith("name each as its depth image is named")
-        return
-    assert recording.given_trajectory is not None
-    assert recording.given_trajectory.stamps_ns.tolist() == recording.stamps_ns[list(numbers)].tolist()
-    np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses()[list(numbers)], atol=1e-12)
+    (line,) = recording.warnings
+    assert recording.given_trajectory is None and said in line
+    assert line.endswith("name each as its depth image is named")
 
 
 def test_a_pose_without_its_last_row_is_read_from_a_file_of_its_own(tmp_path: Path) -> None:
@@ -176,7 +197,9 @@ def test_a_pose_without_its_last_row_is_read_from_a_file_of_its_own(tmp_path: Pa
     assert recording.given_trajectory is not None and not recording.trajectory_error
     np.testing.assert_allclose(recording.given_trajectory.T_world_camera, poses(), atol=1e-12)
     (folder / "pose/000002.txt").write_text("0 0 0 0 0 0 1\n")
-    assert "holds 7 numbers, not the 4x4 of a matrix: write the pose" in str(opened(folder).trajectory_error)
+    assert "holds 7 numbers, not the 4x4 of a matrix: write 16 numbers, the matrix row" in str(
+        opened(folder).trajectory_error
+    )
 
 
 def test_poses_that_are_no_whole_matrices_are_named(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     LEAST_IMAGES,
     VIDEO_SUFFIXES,
     is_16_bit,
+    is_named_depth,
 )
 from kinectbench.stages.ingest.readers.foreign_depth import (
     CONVERT,
@@ -19,7 +20,6 @@ from kinectbench.stages.ingest.readers.foreign_depth import (
     Listed,
     conversion,
     if_depth,
-    is_named_depth,
     stacked,
     unread_files,
 )

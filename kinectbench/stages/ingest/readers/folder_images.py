@@ -34,6 +34,7 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 # YCB-Video has 000001-depth.png beside 000001-color.png; other data sets have the word first, or in between.
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
+LIKE_DEPTH = re.compile(r"depth|distance|disparity", re.IGNORECASE)
 # What librealsense's tools and DexYCB add to the name of an image that lies on the other camera's pixels.
 TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
 # Arrays with a shorter side are no images of a room (our own bound); larger files are not opened for it.
@@ -53,6 +54,11 @@ class NamedImages:
 
     files: tuple[Path, ...]
     stems: tuple[str, ...]
+
+
+def is_named_depth(name: str) -> bool:
+    """Whether the name of a file (without suffix) or folder says depth, and not colour."""
+    return bool(LIKE_DEPTH.search(name)) and not COLOR_WORD.fullmatch(name)
 
 
 def depth_images(path: Path) -> NamedImages:
@@ -129,13 +135,16 @@ def color_images(path: Path) -> NamedImages:
 
 def unread_color(path: Path) -> tuple[str, ...]:
     """Return a warning on folders of images that look like colour, and on videos, if no colour is read."""
-    videos = sorted(listed_paths(path, wanted=lambda name: Path(name).suffix.lower() in VIDEO_SUFFIXES))
-    lines = [
-        f"{path}: no colour is read; {printable(video.name)} is a video: write its frames to color/, "
-        "with the names of depth"
-        for video in videos
-        if not video.name.startswith(".")
+    videos = [
+        file.name
+        for file in sorted(listed_paths(path, wanted=lambda name: not name.startswith(".")))
+        if file.suffix.lower() in VIDEO_SUFFIXES and not is_named_depth(file.stem)
     ]
+    lines = []
+    if videos:
+        are = "is a video: write its" if len(videos) == 1 else "are videos: write that of colour's"
+        named = f"{printable(', '.join(videos))} {are} frames to color/, with the names of depth"
+        lines.append(f"{path}: no colour is read; {named}")
     for folder in sorted(listed_paths(path, wanted=LIKE_COLOR.fullmatch)):
         files = in_folder(folder, COLOR_SUFFIXES).files if folder.is_dir() and not folder.is_symlink() else ()
         if len(files) >= LEAST_IMAGES and not is_16_bit(files[0]):

@@ -1,6 +1,5 @@
 """Name files that look like depth, but are of a kind or in a layout that is not read, and say what to do."""
 
-import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pathlib import Path
 from kinectbench.core import printable, read_head, scanned
 from kinectbench.stages.ingest.depth_files import READ_EXR, SUFFIXES, depth_size_px, shape_of_array
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
-from kinectbench.stages.ingest.readers.folder_images import COLOR_WORD, LEAST_IMAGES, LEAST_SIDE_PX
+from kinectbench.stages.ingest.readers.folder_images import LEAST_IMAGES, LEAST_SIDE_PX, is_named_depth
 from kinectbench.stages.ingest.recording import read_image_file
 
 # Limits of the search: entries of a folder, entries in all (two such folders), folders of a level, and levels
@@ -24,7 +23,6 @@ READ, ONLY_DEPTH = SUFFIXES - {".png"}, frozenset({".pfm", ".dpt"})
 BESIDE = frozenset(
     {"", ".json", ".yaml", ".yml", ".xml", ".md", ".py", ".log", ".ini", ".db", ".mp4", ".avi"}
 )
-LIKE_DEPTH = re.compile(r"depth|distance|disparity", re.IGNORECASE)
 MOVE = (
     "put depth alone into a folder depth/ and colour into color/, with the same number in the names of one "
     "frame, and intrinsics.json beside them"
@@ -109,11 +107,6 @@ class Listed:
         return []
 
 
-def is_named_depth(name: str) -> bool:
-    """Whether the name of a file (without suffix) or folder says depth, and not colour."""
-    return bool(LIKE_DEPTH.search(name)) and not COLOR_WORD.fullmatch(name)
-
-
 def unread_files(listed: Listed) -> str | None:
     """Return an error message on files that look like depth in no known layout or kind; None if none do.
 
@@ -134,16 +127,24 @@ def unread_files(listed: Listed) -> str | None:
 
 def stacked(listed: Listed) -> str | None:
     """Return an error message on an array with the depth images of all frames; None if there is none."""
+    known = {tuple(sorted(size)) for size in (*listed.color_px, *SIZES_PX)}
     for file in listed.files[listed.path]:
         if file.suffix.lower() != ".npy" or not is_named_depth(file.stem) or "`" in file.name:
             continue
-        shape = shape_of_array(file)
-        if len(shape) > 2 and shape[0] >= LEAST_IMAGES:
+        shape = tuple(side for side in shape_of_array(file) if side != 1)
+        if len(shape) != 3:
+            continue
+        # The frames are along the first axis, or along the last if that is the shortest.
+        last = shape[2] < min(shape[:2]) and tuple(sorted(shape[1:])) not in known
+        count, *sides = shape[::-1] if last else shape
+        if count >= LEAST_IMAGES and min(sides) >= LEAST_SIDE_PX:
+            array = f"numpy.load({file.name!r}).squeeze()"
+            array = f"numpy.moveaxis({array}, -1, 0)" if last else array
             line = (
-                "import numpy; [numpy.save(f'depth/{i:06d}.npy', a) for i, a in "
-                f"enumerate(numpy.load({file.name!r}))]"
+                "import numpy, os; os.makedirs('depth', exist_ok=True); "
+                f"[numpy.save(f'depth/{{i:06d}}.npy', a) for i, a in enumerate({array})]"
             )
-            held = f"{printable(file.name)} holds {shape[0]} images in one array, which is not read"
+            held = f"{printable(file.name)} holds {count} images in one array, which is not read"
             return f"{listed.path}: {held}: write each to a file, such as by `{line}`; then {MOVE}"
     return None
 

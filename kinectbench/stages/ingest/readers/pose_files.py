@@ -1,7 +1,6 @@
 """Read poses from text: one file for all frames (TUM, RTAB-Map, KITTI, matrices), or one per frame."""
 
 import math
-import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -18,7 +17,7 @@ from kinectbench.core.trajectory.trajectory_file import read_trajectory_file, tr
 from kinectbench.core.types import Float64
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER, frame_numbers
 from kinectbench.stages.ingest.intrinsics_files import names_like
-from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, visible
+from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
 from kinectbench.stages.ingest.recording import FrameFiles
 
 # Names of files with all poses, the first existing one is read: RTAB-Map and others, TUM, ICL and Replica.
@@ -26,27 +25,12 @@ POSE_FILES = ("poses.txt", "groundtruth.txt", "traj.txt", "camera_poses.txt")
 # Number of values in a row: stamp, position, quaternion and an id; matrix without and with its last row.
 WITH_ID, KITTI, MATRIX = 9, 12, 16
 TUM_ROWS = "as TUM has it: t tx ty tz qx qy qz qw, camera to world"
-# Names of files that may contain poses in an unsupported layout.
-LIKE_POSES = re.compile(
-    r"(?=.*(?:pose|traj|extrin|transform|odom|ground[-_. ]?truth|(?<![a-z])gt(?![a-z])|(?:to_?|2)world|c2w))"
-    r".+\.(?:json|txt|np[yz]|log|csv|ya?ml|pkl|mat)|.+\.(?:freiburg|traj|pose)",
-    re.IGNORECASE,
-)
-# A file with the pose of one frame, as pose/000000.npy; or COLMAP's images, which have poses.
-IN_POSE_FOLDER = re.compile(
-    r"\w*poses?/[^/]+\.(?:json|txt|np[yz])|(?:.*/)?(?:sparse|colmap)(?:/\d+)?/images\.(?:txt|bin)",
-    re.IGNORECASE,
-)
 POSE_FOLDERS = ("pose", "poses")
 
 
 def named_like_poses(path: Path) -> str:
     """Return the end of an error message that names files which look like poses; "" if there are none."""
-
-    def is_like(name: str) -> bool:
-        return bool(LIKE_POSES.fullmatch(Path(name).name) or IN_POSE_FOLDER.fullmatch(name))
-
-    return names_like(path, is_like, "not read, by name poses:", by_folder=True)
+    return names_like(path, is_like_poses, "not read, by name poses:", by_folder=True)
 
 
 def unread_poses(path: Path) -> list[str]:
@@ -239,7 +223,7 @@ def read_pose_folder(
     """Read the pose of each frame from its own file; a pose that is not finite means that tracking was lost.
 
     A file belongs to the depth image of its name; if none does, to that of its number, as depth_0001.png and
-    pose_0001.txt.
+    pose_0001.txt. If not all have a partner so, a warning counts those without.
 
     Args:
         path: the recording.
@@ -250,36 +234,48 @@ def read_pose_folder(
         The trajectory of the depth camera (None if no frame has a usable pose), and warnings.
 
     Raises:
-        RecordingError: a file does not contain 16 numbers.
+        RecordingError: a file contains neither 16 numbers nor 12, the matrix without its last row.
     """
     folder = pose_folder(path)
     if folder is None:
         return None, []
     place = np.eye(4) if T_camera_depth is None else T_camera_depth
     poses = [in_any_case(folder, f"{frame.depth.stem}.txt") for frame in files]
+    said = list[str]()
     if not any(pose.is_file() for pose in poses):
-        poses = _poses_by_number(folder, [frame.depth.stem for frame in files])
+        poses, said = _poses_by_number(folder, [frame.depth.stem for frame in files])
     if not poses:
-        others = visible(folder, "*.txt")
-        said = f"{len(others)} files of poses are of no frame, such as {printable(others[0].name)}"
-        return None, [f"{folder}: {said}: name each as its depth image is named"]
+        return None, said
     matrices = [read_pose_matrix(pose, place) for pose in poses]
-    return finite_trajectory([frame.stamp_ns for frame in files], matrices, str(path))
+    trajectory, warnings = finite_trajectory([frame.stamp_ns for frame in files], matrices, str(path))
+    return trajectory, [*said, *warnings]
 
 
-def _poses_by_number(folder: Path, stems: Sequence[str]) -> list[Path]:
-    """Return the path of each frame's pose by the number in its name; [] if numbers do not match.
+def _poses_by_number(folder: Path, stems: Sequence[str]) -> tuple[list[Path], list[str]]:
+    """Return the path of each frame's pose by the number in its name, and a warning if some have no partner.
 
-    All frames must have a pose, or all poses a frame: else one may count from 0, and the other from 1.
+    There are no paths if the numbers do not match: both must begin with the same number, or one may count
+    from 0, and the other from 1; and all frames must have a pose, or all poses a frame.
     """
     files = visible(folder, "*.txt")
     of_frames, of_files = frame_numbers(stems), frame_numbers([file.stem for file in files])
+    advice = "name each as its depth image is named"
+    refused = f"{folder}: {len(files)} files of poses are of no frame, such as {printable(files[0].name)}"
     if of_frames is None or of_files is None:
-        return []
+        return [], [f"{refused}: {advice}"]
     by_number = dict(zip(of_files, files, strict=True))
-    if not (by_number.keys() <= set(of_frames) or by_number.keys() >= set(of_frames)):
-        return []
-    return [by_number.get(number, folder / "none") for number in of_frames]
+    posed, frames = by_number.keys(), set(of_frames)
+    if min(posed) != min(frames):
+        begin = f"their numbers begin with {min(posed)}, those of depth with {min(frames)}"
+        return [], [f"{refused}: {begin}: {advice}"]
+    if not (posed <= frames or posed >= frames):
+        return [], [f"{refused}: {advice}"]
+    matched = [by_number.get(number, folder / "none") for number in of_frames]
+    if posed == frames:
+        return matched, []
+    said = f"{len(posed & frames)} poses are matched by the number in their names, and "
+    said += f"{len(posed - frames)} are of no frame; if numbers count other things, {advice}"
+    return matched, [f"{folder}: {said}"]
 
 
 def finite_trajectory(
@@ -304,8 +300,8 @@ def read_pose_matrix(file: Path, T_camera_depth: Float64) -> Float64 | None:
     numbers = read_numbers(file)
     if len(numbers) not in (KITTI, MATRIX):
         raise GivenPosesError(
-            f"{file}: holds {len(numbers)} numbers, not the 4x4 of a matrix: write the pose so, camera to "
-            "world, row by row"
+            f"{file}: holds {len(numbers)} numbers, not the 4x4 of a matrix: write 16 numbers, the matrix "
+            "row by row, camera to world"
         )
     T = _of_rows(numbers)
     return np.asarray(T @ T_camera_depth) if np.isfinite(T).all() else T
