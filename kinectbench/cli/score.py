@@ -216,7 +216,7 @@ def _tables(
     written to `folder`.
     """
     from kinectbench.scoring.baselines.in_grids import score_baselines
-    from kinectbench.scoring.predictions import lines_without, split_methods
+    from kinectbench.scoring.predictions import lines_without, misplaced, split_methods
     from kinectbench.scoring.score import score_methods
 
     with common.executor() as executor, progress_bar("score") as progress:
@@ -228,6 +228,9 @@ def _tables(
     if predictions is not None:
         methods = split_methods(predictions, release.targets)
         console.lines("warning", lines_without(predictions, methods, release.targets), "yellow")
+        for name, method in methods.items():
+            if line := misplaced(release, method):
+                console.lines(f"{name}: warning", [line], "yellow")
     tell_problems(tables)
     return tables
 

@@ -124,16 +124,19 @@ def _near(prediction: Prediction, partial: Bools) -> float:
     The usual value is the mean of all values, weighted by themselves. A few cells that are surer than the
     rest hardly change it.
     """
-    total, measured = float(prediction.sum(dtype=np.float64)), _measured(partial)
+    blocks, measured = prediction.astype(np.float32, copy=False), _measured(partial)
+    total = float(blocks.sum())
     if not len(measured) or total <= 0:
         return 1.0
-    usual = float(np.square(prediction, dtype=np.float32).sum(dtype=np.float64)) / total
-    blocks = prediction
-    if len(blocks) > NEAR_SIDE:
-        starts = np.arange(NEAR_SIDE) * len(blocks) // NEAR_SIDE
-        for axis in range(3):
+    usual = float(np.vdot(blocks, blocks)) / total
+    starts = np.arange(NEAR_SIDE) * len(blocks) // NEAR_SIDE
+    for axis in range(3) if len(blocks) > NEAR_SIDE else ():
+        if len(prediction) % NEAR_SIDE:
             blocks = np.maximum.reduceat(blocks, starts, axis=axis)
-    around = ndimage.maximum_filter(blocks.astype(np.float32), 3)
+        else:  # a tenth of the time
+            before, after = blocks.shape[:axis], blocks.shape[axis + 1 :]
+            blocks = blocks.reshape(*before, NEAR_SIDE, -1, *after).max(axis=axis + 1)
+    around = ndimage.maximum_filter(blocks, 3)
     return _mean(around, measured, len(partial), ALL_AXES[0]) / usual
 
 

@@ -325,6 +325,21 @@ def check_grids(
     return problems, list(same_lines({target.name: of for target, of in sorted(readable.items())}))
 
 
+def misplaced(release: Release, folder: Path) -> str | None:
+    """Return a line if one method's grids, of those that can be read, have other axes or lie elsewhere.
+
+    None for meshes, and for predictions in the camera frame.
+
+    Raises:
+        PredictionError: the folder is missing, or its method.json is refused (`read_method`).
+    """
+    predictions = find_predictions(folder, release.targets)
+    if predictions.method is not None and predictions.method.frame == "camera":
+        return None
+    grids = [target for target, path in predictions.files.items() if path.suffix not in MESHES]
+    return axes_problem(_looked_at(release, predictions, grids))
+
+
 def _looked_at(
     release: Release, predictions: FoundPredictions, readable: Sequence[Target]
 ) -> Iterator[tuple[Prediction, Bools]]:
@@ -332,7 +347,8 @@ def _looked_at(
     for target in sorted(readable)[:: -(-len(readable) // MOST_LOOKED_AT) or 1]:
         names = ("partial_256", "voxel_size_m")
         partial, size_m = read_parts(release.pair_path(target), target.sha256, names)
-        yield load_prediction(predictions.files[target], voxel_size_m=float(size_m)), unpack(partial)
+        with contextlib.suppress(PredictionError):
+            yield load_prediction(predictions.files[target], voxel_size_m=float(size_m)), unpack(partial)
 
 
 def _file_content(release: Release, target: Target, path: Path, method: MethodFile | None) -> str | Held:

@@ -1,11 +1,13 @@
 """Grids with other axes than those of the pairs are named by what the views measured; no right ones are."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from made_once import made_once
 from scipy import ndimage
+from small_benchmark import Run
 
 from kinectbench.core.types import Bools, Float32
 from kinectbench.core.voxels.pair_file import unpack
@@ -161,3 +163,17 @@ def test_check_names_the_axes_beside_other_faults(
     (tmp_path / "notes.txt").touch()
     line, stray = check(views, tmp_path)
     assert "taken as z, x, y, in 10 of 10 views" in line and stray.startswith("notes.txt: answers no target")
+
+
+def test_score_warns_and_scores(
+    views: Release, truths: list[tuple[Bools, Bools]], tmp_path: Path, command: Callable[..., Run]
+) -> None:
+    for target, (full, _) in zip(views.targets, truths, strict=True):
+        path = tmp_path / "net" / f"{target.name}.npy"
+        path.parent.mkdir(exist_ok=True, parents=True)
+        np.save(path, 1 - coarse(full))
+    options = ("--no-baselines", "--no-gallery", "--no-surface")
+    scored = command(tmp_path, "score", "net", "--benchmark", str(views.folder), *options)
+    assert scored.status == 0
+    warned = " ".join(scored.err.split())
+    assert "net: warning: the grids agree with their views' own depth if empty and occupied" in warned
