@@ -328,13 +328,11 @@ def check_grids(
 def misplaced(release: Release, folder: Path) -> str | None:
     """Return a line if one method's grids, of those that can be read, have other axes or lie elsewhere.
 
-    None for meshes, and for predictions in the camera frame.
-
-    Raises:
-        PredictionError: the folder is missing, or its method.json is refused (`read_method`).
+    None for meshes, for predictions in the camera frame, and for what is refused.
     """
-    predictions = find_predictions(folder, release.targets)
-    if predictions.method is not None and predictions.method.frame == "camera":
+    try:
+        predictions = find_predictions(folder, release.targets)
+    except PredictionError:
         return None
     grids = [target for target, path in predictions.files.items() if path.suffix not in MESHES]
     return axes_problem(_looked_at(release, predictions, grids))
