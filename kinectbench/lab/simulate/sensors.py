@@ -16,6 +16,7 @@ from kinectbench.lab.simulate.time_of_flight import (
 )
 
 SensorUnit: TypeAlias = KinectUnit | TimeOfFlightDevice | StereoUnit
+# Sunlight on the scene, of 1 for full sun on a white surface: outdoors, as through thin cloud (chosen here).
 SUNLIGHT = {"indoor": 0.0, "outdoor": 0.6}
 
 

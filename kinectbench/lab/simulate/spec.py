@@ -16,8 +16,8 @@ WorldFrame = Literal["upright", "first_camera", "random"]
 FIRST_STAMP_NS = 1_400_000_000 * 10**9
 # Each kind of random choice has its own stream, so that a new one does not change the rest.
 SCENE, PATH, WORLD, SENSOR, DEVICE, FAULTS, GIVEN = range(7)
-# Surfaces nearer than this give no depth, metres. An ideal sensor has no such limit, but is carried like a
-# Kinect v1, so that recordings of both are comparable.
+# Surfaces nearer than this give no depth, metres; the sensors' modules have the sources. An ideal sensor has
+# no such limit, but is carried like a Kinect v1, so that recordings of both are comparable.
 MIN_RANGE_M = {"kinect_v1": 0.4, "ideal": 0.4, "azure_kinect": 0.5, "phone_lidar": 0.2, "stereo": 0.195}
 # Focal length in pixels, width and height of each sensor's own images. Azure Kinect: depth mode NFOV unbinned
 # (Microsoft's hardware specification), with about the focal length of its factory calibrations. Phone:

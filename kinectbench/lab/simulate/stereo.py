@@ -6,10 +6,10 @@ has no depth or a wrong one, and noise is correlated over the window.
 
 Sources:
     Keselman, Woodfill, Grunnet-Jepsen, Bhowmik: Intel RealSense Stereoscopic Depth Cameras, CVPR Workshops
-    2017 (dots, baseline, matching). Intel: RealSense D400 Series Datasheet (D435: baseline of 50 mm, depth
-    from 0.195 m on at 848x480, error of the distance at most 2 % at 2 m). Konolige: Small Vision
-    Systems: Hardware and Implementation, ISRR 1997 (the matching here, by OpenCV; the camera's own is not
-    published). Values without a source are chosen here.
+    2017 (dots, baseline, matching). Intel: RealSense D400 Series Datasheet (D435: baseline of 50 mm, error of
+    the distance at most 2 % at 2 m). Intel's engineers on librealsense's tracker, #999 (depth from 0.17 m on
+    at 848x480). Konolige: Small Vision Systems: Hardware and Implementation, ISRR 1997 (the matching here, by
+    OpenCV; the camera's own is not published). Values without a source are chosen here.
 
 Not simulated: filters of depth, a projector that stands beside the left camera.
 """
@@ -26,6 +26,8 @@ from kinectbench.core.types import Float32
 from kinectbench.lab.simulate.kinect import smooth_error, smooth_normal
 from kinectbench.lab.simulate.render import Rendering
 
+# Baseline (datasheet), and the range of depth: a little more than the camera's nearest, so that 112 pixels
+# are searched, not 128; farther than 6 m, a disparity is below 3.5 pixels (both chosen here).
 BASELINE_M, NEAREST_M, FARTHEST_M = 0.05, 0.195, 6.0
 # Root mean square of a device's disparity error, pixels: 1 % of the distance at 2 m, half of the specified
 # limit.

@@ -30,13 +30,10 @@ DATE = re.compile(
 MOST_SERIES, LEAST_OF_SERIES = 8, 5
 # Words before the number of a device, and the fewest digits of a serial number: those of RealSense and of
 # Azure Kinect have 12, and seconds since 1970 have ten.
-DEVICE, SERIAL_DIGITS = (
-    re.compile(
-        r".*(?:cam(?:era)?|kinect|sensor|realsense|device|serial|(?<![a-z])(?:dev|rs|sn))[-_. ]*",
-        re.IGNORECASE,
-    ),
-    11,
+DEVICE = re.compile(
+    r".*(?:cam(?:era)?|kinect|sensor|realsense|device|serial|(?<![a-z])(?:dev|rs|sn))[-_. ]*", re.IGNORECASE
 )
+SERIAL_DIGITS = 11
 # How many numbers a name, and how many digits a stamp may have: nanoseconds with decimals have no more.
 MOST_NUMBERS, MOST_DIGITS = 16, 30
 # Units of time in nanoseconds: s, ms, us, ns.

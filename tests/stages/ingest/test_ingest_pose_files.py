@@ -136,6 +136,15 @@ def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
     assert "extrinsics" not in line and "not read, by name poses: pose/000000.npy, pose/000001.npy" in line
 
 
+def with_numbered_poses(tmp_path: Path, form: str, numbers: Sequence[int]) -> Path:
+    """A recording of depth_0 to depth_3, with poses in files whose names have these numbers."""
+    folder = write_folder(tmp_path / "r", [f"depth_{i}" for i in range(4)])
+    (folder / "pose").mkdir()
+    for i in numbers:
+        (folder / "pose" / form.format(i)).write_text(in_rows(poses()[i % 4]))
+    return folder
+
+
 @pytest.mark.parametrize(
     ("form", "numbers", "said"),
     [
@@ -152,10 +161,7 @@ def test_a_folder_of_poses_that_is_not_read_is_named(tmp_path: Path) -> None:
 def test_poses_of_other_names_than_depth_are_matched_by_number(
     tmp_path: Path, form: str, numbers: Sequence[int], said: str
 ) -> None:
-    folder = write_folder(tmp_path / "r", [f"depth_{i}" for i in range(4)])
-    (folder / "pose").mkdir()
-    for i in numbers:
-        (folder / "pose" / form.format(i)).write_text(in_rows(poses()[i % 4]))
+    folder = with_numbered_poses(tmp_path, form, numbers)
     recording, known = opened(folder), [i for i in numbers if i < 4]
     assert recording.warnings == () if not said else said in recording.warnings[0]
     assert recording.given_trajectory is not None
@@ -176,10 +182,7 @@ def test_poses_of_other_names_than_depth_are_matched_by_number(
 def test_poses_whose_numbers_are_not_those_of_depth_are_named(
     tmp_path: Path, form: str, numbers: Sequence[int], said: str
 ) -> None:
-    folder = write_folder(tmp_path / "r", [f"depth_{i}" for i in range(4)])
-    (folder / "pose").mkdir()
-    for i in numbers:
-        (folder / "pose" / form.format(i)).write_text(in_rows(poses()[i % 4]))
+    folder = with_numbered_poses(tmp_path, form, numbers)
     recording = opened(folder)
     (line,) = recording.warnings
     assert recording.given_trajectory is None and said in line

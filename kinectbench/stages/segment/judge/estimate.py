@@ -249,6 +249,7 @@ def _reasons(
     bias_known: bool,
 ) -> tuple[str, ...]:
     """Return a line for each cause of a wider interval."""
+    biased_mm = 0.0 if bias_known else 1000 * UNKNOWN_BIAS_M
     reasons = (
         (
             any(not each.underside for each in frontiers),
@@ -269,10 +270,9 @@ def _reasons(
             + ("" if checked else ", and other frames could not check them"),
         ),
         (
-            not bias_known and 1000 * UNKNOWN_BIAS_M * per_mm > MAX_SHIFTED_SHARE,
+            biased_mm * per_mm > MAX_SHIFTED_SHARE,
             "depth that is not known to be a Kinect v1's: all of it may be off by millimetres, as by time of "
-            "flight, and "
-            f"{1000 * UNKNOWN_BIAS_M:g} mm change {1000 * UNKNOWN_BIAS_M * per_mm:.0%} of the volume",
+            f"flight, and {biased_mm:g} mm change {biased_mm * per_mm:.0%} of the volume",
         ),
     )
     return tuple(line for holds, line in reasons if holds)
