@@ -38,7 +38,7 @@ missing_packages() {
 }
 
 install_packages() {
-  local as_root=() log
+  local as_root=() log wait=(-o DPkg::Lock::Timeout=300) # another apt-get may be running
   command -v apt-get >/dev/null || fail "missing system packages (Debian's names): $*; install them and try again"
   if [ "$(id -u)" -ne 0 ]; then
     sudo -n true 2>/dev/null || fail "missing system packages; run: sudo apt-get install -y $*"
@@ -46,9 +46,9 @@ install_packages() {
   fi
   say "installing system packages: $*"
   log=$(mktemp)
-  if ! { ${as_root[@]+"${as_root[@]}"} apt-get update -qq &&
+  if ! { ${as_root[@]+"${as_root[@]}"} apt-get "${wait[@]}" update -qq &&
     ${as_root[@]+"${as_root[@]}"} env DEBIAN_FRONTEND=noninteractive \
-      apt-get install -y -qq --no-install-recommends "$@"; } >"$log" 2>&1; then
+      apt-get "${wait[@]}" install -y -qq --no-install-recommends "$@"; } >"$log" 2>&1; then
     tail -n 5 "$log" >&2
     rm -f "$log"
     fail "apt-get could not install: $*; its last words are above"

@@ -44,7 +44,7 @@ VERSIONS: dict[str, int] = {
     "ingest": 22,
     "track": 16,
     "fuse": 7,
-    "segment": 60,
+    "segment": 61,
     "sample-views": 8,
     "pairs": 4,
     "suggest": 8,

@@ -32,6 +32,12 @@ class AirMethod(StoredPart):
     sheet_voxels: float = Field(
         description="distance from a measured surface at which a line ends, on both sides, voxels"
     )
+    blurred_m: float | None = Field(
+        None, description="height up to which the sensor may close a gap between floor and object, metres"
+    )
+    receding_voxels: int | None = Field(
+        None, description="how far a side recedes below the object where it may be such a gap, voxels"
+    )
 
     @property
     def limits(self) -> SensorLimits:

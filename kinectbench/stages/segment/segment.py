@@ -11,7 +11,7 @@ from kinectbench.core.sequence import Sequence
 from kinectbench.core.threads import ahead, both
 from kinectbench.core.trajectory.trajectory import Trajectory
 from kinectbench.core.types import Bools, Progress, no_progress
-from kinectbench.core.voxels.observation import Observation, merge
+from kinectbench.core.voxels.observation import Observation, merge, ray_width_m
 from kinectbench.settings.models import FusionSettings, ObjectCuts
 from kinectbench.stages.fuse import observe
 from kinectbench.stages.fuse.depth_range import grid_range_m, some_frames
@@ -26,12 +26,13 @@ from kinectbench.stages.segment.judge.estimate import FloorCut, pose_error_of, t
 from kinectbench.stages.segment.judge.frontiers import Frontier, find_frontiers, is_obstructed
 from kinectbench.stages.segment.judge.quality import measure_quality, solid_box, surface_sigma_m
 from kinectbench.stages.segment.object_model import ObjectModel
-from kinectbench.stages.segment.solid.evidence import Rules, classify_voxels
+from kinectbench.stages.segment.solid.evidence import BLURRED_PIXELS, Rules, classify_voxels
 from kinectbench.stages.segment.solid.grids import (
     choose_resolution,
     enlarged_observation,
     floor_layers,
-    grid_ray_width_m,
+    median_distance_m,
+    middle_world,
     object_grid,
     surround_grid,
     surround_labels,
@@ -147,9 +148,12 @@ def _find(
         lines = other_floor(chosen.floor, sequence, trajectory, hint, max_depth_m)
         chosen = replace(chosen, warnings=(*lines, *chosen.warnings))
     layers = floor_layers(chosen.support, segmentation, voxel_m)
-    ray_width_m = grid_ray_width_m(camera, trajectory, grid)
-    stands = chosen.support is not None
-    rules = Rules(layers, ray_width_m, segmentation.limits(), given.underside, stands=stands)
+    distance_m, stands = median_distance_m(trajectory, middle_world(grid)), chosen.support is not None
+    widths_m = (
+        ray_width_m(camera, trajectory.median_pose_sigma_m, distance_m),
+        BLURRED_PIXELS * distance_m / camera.fx,
+    )
+    rules = Rules(layers, *widths_m, segmentation.limits(), given.underside, stands=stands)
     return _Found(chosen, grid, chosen.neighbours(grid), chosen.beyond_box(grid), max_depth_m, scale, rules)
 
 

@@ -237,14 +237,50 @@ def test_what_a_few_rays_grazed_is_unseen(share: float, observed: bool) -> None:
     assert (evidence.unseen[grazed] == (not observed)).all()
 
 
+# A body 45 mm above the floor, on a foot: its sides below lead inwards to the floor, 25 mm.
+OVER_A_GAP = np.minimum(
+    box_distance((0.06, 0.05, 0.045), (0.26, 0.19, 0.3)),
+    np.maximum(
+        box_distance((0.06, 0.05, -1), (0.26, 0.19, 0.05)),
+        (box_distance((0.06, 0.05, -1), (0.26, 0.19, 1)) + (0.045 - centers()[..., 2]) * 25 / 45) * 0.87,
+    ),
+)
+STANDS_FLAT = box_distance((0.06, 0.05, -1), (0.26, 0.19, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("body_m", "blurred_m", "label"),
+    [
+        (OVER_A_GAP, 0.0, Label.INTERIOR),  # a camera of fine pixels measured that surface
+        (OVER_A_GAP, 0.03, Label.INTERIOR),  # no line of sight enters so low a gap
+        (OVER_A_GAP, 0.06, Label.UNKNOWN),
+        (STANDS_FLAT, 0.06, Label.INTERIOR),
+        (box_distance((0.06, 0.05, -1), (0.26, 0.19, 0.05)), 0.06, Label.INTERIOR),  # a board
+    ],
+)
+def test_a_gap_below_the_object_that_blur_closes_is_unknown(
+    body_m: np.ndarray, blurred_m: float, label: Label
+) -> None:
+    small = SensorLimits(near_m=0.05, camera_size_m=0.06, camera_height_m=0.03)
+    evidence, shape = classified(observation(body_m), replace(RULES, limits=small, blurred_m=blurred_m))
+    beneath = within((0.12, 0.1, 0.0), (0.2, 0.14, 0.02))
+    assert (shape.labels[beneath] == label).mean() > 0.95
+    assert evidence.unknown[beneath].any() == (label is Label.UNKNOWN)
+
+
 def test_layers_about_the_floor() -> None:
     layers = FloorLayers(below=4, contact=2, low=3)
     assert (layers.first, layers.cut) == (6, 9)
 
 
 def test_rules_of_a_small_thing_are_for_the_larger_world() -> None:
-    rules = Rules(LAYERS, ray_width_m=0.001, limits=SensorLimits(line_width_m=0.02)).enlarged(0.25)
-    assert rules.ray_width_m == pytest.approx(0.004) and rules.limits.line_width_m == pytest.approx(0.08)
+    small = Rules(LAYERS, ray_width_m=0.001, blurred_m=0.01, limits=SensorLimits(line_width_m=0.02))
+    rules = small.enlarged(0.25)
+    assert (
+        rules.ray_width_m == pytest.approx(0.004)
+        and rules.blurred_m == pytest.approx(0.04)
+        and rules.limits.line_width_m == pytest.approx(0.08)
+    )
     assert rules.limits.near_m == pytest.approx(1.6) and rules.layers == LAYERS
 
 

@@ -62,6 +62,7 @@ NO_FIGURES = {
     ("grids", "MAX_VOXELS"): "extents of grids, as above",
     ("grids", "MAX_SURROUND_CELLS"): "extents of grids, as above",
     ("grids", "CUBE_VOXELS"): "extents of grids, as above",
+    ("evidence", "BLURRED_PIXELS"): "`blurred_m` is recorded",
     ("evidence", "COARSE"): "of the solids of odd and of even frames, which are only compared",
 }
 PATHS = {

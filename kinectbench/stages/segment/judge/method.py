@@ -42,6 +42,8 @@ def _air(rules: Rules) -> AirMethod:
         narrower=evidence.NARROWER,
         narrowed_voxels=evidence.NARROWED_VOXELS,
         sheet_voxels=evidence.SHEET_VOXELS,
+        blurred_m=round(rules.blurred_m, 4),
+        receding_voxels=evidence.RECEDING_VOXELS,
     )
 
 

@@ -10,7 +10,7 @@ from kinectbench.core.geometry import Grid
 from kinectbench.core.sensor_limits import DEFAULT_LIMITS, SensorLimits
 from kinectbench.core.types import Bools, Float32, Underside
 from kinectbench.core.voxels.lines_of_sight import Space
-from kinectbench.core.voxels.morphology import distance_within_m
+from kinectbench.core.voxels.morphology import dilated, distance_within_m
 from kinectbench.core.voxels.observation import Observation, trust_in_votes, without_fringe
 from kinectbench.core.voxels.sight import swept_from_outside
 
@@ -33,6 +33,12 @@ COARSE: Final = 400  # a quarter of the time
 # not air: a gap that was measured too narrow, by up to half a line, stays a gap. A camera keeps this share of
 # its size, too, however large voxels are.
 NARROWER = 0.5
+# The sensor's blur may close a gap between floor and object that is less than this many pixels high. A phone
+# closes one of 40 mm (7.6 pixels), not one of 60 mm (11 pixels).
+BLURRED_PIXELS = 8
+# The surface that closes such a gap recedes below the object by more than this many voxels. Of a phone's
+# depth it recedes by 18 to 56 mm, and the sides of a box that stands flat by 7 mm at most.
+RECEDING_VOXELS = 2
 # A gap is measured narrower than it is by this many voxels: by the sheet (1.2) and rounding (.5) on both
 # sides, and by noise at edges. A gap of 173 mm between two doors was measured as 148 mm (voxels of 5 mm).
 NARROWED_VOXELS = 5
@@ -71,6 +77,7 @@ class Rules:
     Attributes:
         layers: how many layers of the grid lie below, at and just above the floor.
         ray_width_m: width of a pixel's ray at the object, including the error of the poses; 0: negligible.
+        blurred_m: height up to which the sensor may close a gap between floor and object; 0: negligible.
         limits: of the sensor and of its positions, which define air.
         underside: what the user states about the object's underside: closed, open or unseen (nothing).
         stands: whether the object stands on a plane; if not, cameras may be anywhere.
@@ -78,13 +85,19 @@ class Rules:
 
     layers: FloorLayers
     ray_width_m: float = 0.0
+    blurred_m: float = 0.0
     limits: SensorLimits = DEFAULT_LIMITS
     underside: Underside = "unseen"
     stands: bool = True
 
     def enlarged(self, scale: float) -> "Rules":
         """Return the same rules in a world that is 1 / scale times as large."""
-        return replace(self, ray_width_m=self.ray_width_m / scale, limits=self.limits.enlarged(scale))
+        return replace(
+            self,
+            ray_width_m=self.ray_width_m / scale,
+            blurred_m=self.blurred_m / scale,
+            limits=self.limits.enlarged(scale),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,23 +163,24 @@ def classify_voxels(
     excluded = neighbours & observed if beyond is None else (neighbours & observed) | beyond
     excluded |= _detached(behind & ~excluded, layers)
     surface = _measured_sheet(observation, observed, signed_m) & ~excluded
+    blurred = _blurred_gap(surface, free, rules, voxel_m)
+    surface &= ~blurred
     # Next to the floor nothing can be measured: objects above continue down to it.
     surface[:, :, : layers.first] = surface[:, :, layers.first, None]
-    heights_m = _heights_m(observation.grid, layers) if rules.stands else None
     count, closer = (COARSE, None) if roughly else (FINE, rules.limits)
-    limits = narrow(rules.limits, voxel_m)
-    sight = swept_from_outside(surface, free, heights_m, voxel_m, limits, count, closer)
-    near_surface = behind & ~excluded & ~_beyond_band(behind, observed & free, observation.tsdf, voxel_m)
+    lines = narrow(rules.limits, voxel_m), count, closer
+    sight = swept_from_outside(surface, free, _heights_m(observation.grid, rules), voxel_m, *lines)
+    too_deep = _beyond_band(behind, observed & free, observation.tsdf, voxel_m)
+    near_surface = behind & ~(excluded | blurred | too_deep)
     near_surface[:, :, : layers.first] = False
     unseen = ~(free | near_surface | excluded)
     unseen[:, :, : layers.below] = False
     underside = unseen & sight.only_from_below
     closed = unseen & (sight.any_way == 0)
     # In contact with the floor nothing is measured: these layers follow the layer above them.
-    above = contact.stop
-    standing = near_surface[:, :, above] | unseen[:, :, above]
-    solid = near_surface[:, :, above] | closed[:, :, above]
-    from_below = underside[:, :, above] & ~solid
+    of_object, unseen_there = near_surface[:, :, layers.first], unseen[:, :, layers.first]
+    solid = of_object | closed[:, :, layers.first]
+    standing, from_below = of_object | unseen_there, underside[:, :, layers.first] & ~solid
     unseen[:, :, contact] &= standing[:, :, None]
     excluded[:, :, contact] |= ~standing[:, :, None] & ~free[:, :, contact]
     closed[:, :, contact] = unseen[:, :, contact] & solid[:, :, None]
@@ -189,9 +203,11 @@ def classify_voxels(
     )
 
 
-def _heights_m(grid: Grid, layers: FloorLayers) -> Float32:
-    """Heights of the layers' middles above the plane that the object stands on, metres."""
-    return np.asarray((np.arange(grid.shape[2]) - layers.below + 0.5) * grid.voxel_size_m, np.float32)
+def _heights_m(grid: Grid, rules: Rules) -> Float32 | None:
+    """Heights of the layers' middles above the plane that the object stands on, metres; None: no plane."""
+    if not rules.stands:
+        return None
+    return np.asarray((np.arange(grid.shape[2]) - rules.layers.below + 0.5) * grid.voxel_size_m, np.float32)
 
 
 def _observed(observation: Observation) -> Bools:
@@ -207,6 +223,24 @@ def _measured_sheet(observation: Observation, observed: Bools, signed_m: Float32
     sheet_m = np.float32(SHEET_VOXELS * observation.grid.voxel_size_m)
     right_behind = (signed_m <= 0) & (signed_m > -sheet_m)
     return np.asarray(observed & (right_behind | (np.abs(observation.tsdf) < sheet_m)))
+
+
+def _blurred_gap(surface: Bools, free: Bools, rules: Rules, voxel_m: float) -> Bools:
+    """Return where surface near the floor may be a gap below the object that the sensor blurred.
+
+    Such surface leads from an edge of the object inwards to the floor, below unseen space. The sides of an
+    object that stands flat lead straight down.
+    """
+    blurred = np.zeros_like(surface)
+    height = rules.layers.below + round(rules.blurred_m / voxel_m)
+    if rules.stands and rules.blurred_m > rules.limits.line_width_m:  # lines do not enter lower gaps
+        low, above = slice(0, height), slice(1, height + 1)
+        beside = dilated(surface[:, :, above], (RECEDING_VOXELS, RECEDING_VOXELS, 0))
+        inside = ~free[:, :, above] & ~beside
+        below = np.logical_or.accumulate(inside[:, :, ::-1], axis=2)[:, :, ::-1]
+        receding = dilated(surface[:, :, low] & below, (RECEDING_VOXELS,) * 3)
+        blurred[:, :, low] = receding | below
+    return blurred
 
 
 def _beyond_band(behind: Bools, in_front: Bools, tsdf_m: Float32, voxel_m: float) -> Bools:

@@ -81,22 +81,14 @@ def floor_layers(floor: Floor | None, segmentation: FloorCuts, voxel_size_m: flo
     return FloorLayers(FLOOR_LAYERS, contact, cut - contact)
 
 
-def median_ray_width_m(camera: Camera, trajectory: Trajectory, middle_world: Float64) -> float:
-    """Return the width of a pixel's ray at a point (3,), for the cameras' median distance from it, metres.
-
-    The error of the poses widens it.
-    """
+def median_distance_m(trajectory: Trajectory, point_world: Float64) -> float:
+    """Return the cameras' median distance from a point (3,), metres."""
     cameras_world = trajectory.T_world_camera[trajectory.good_frames, :3, 3]
-    distance_m = float(np.median(np.linalg.norm(cameras_world - middle_world, axis=1)))
-    return ray_width_m(camera, trajectory.median_pose_sigma_m, distance_m)
+    return float(np.median(np.linalg.norm(cameras_world - point_world, axis=1)))
 
 
-def grid_ray_width_m(camera: Camera, trajectory: Trajectory, grid: Grid) -> float:
-    """Return `median_ray_width_m` at the middle of a grid."""
-    return median_ray_width_m(camera, trajectory, _middle_world(grid))
-
-
-def _middle_world(grid: Grid) -> Float64:
+def middle_world(grid: Grid) -> Float64:
+    """Return the middle of a grid, (3,), world frame, metres."""
     return transform_points(grid.T_world_grid, grid.size_m / 2)
 
 
@@ -111,7 +103,7 @@ def surround_grid(grid: Grid, floor: Floor) -> Grid:
     voxel_m = factor * grid.voxel_size_m
     side = int(np.ceil(2 * half_m / (voxel_m * CUBE_VOXELS))) * CUBE_VOXELS
     rotation = floor.T_world_floor[:3, :3]
-    corner = _middle_world(grid) - rotation @ np.full(3, side * voxel_m / 2)
+    corner = middle_world(grid) - rotation @ np.full(3, side * voxel_m / 2)
     return Grid((side, side, side), voxel_m, rigid(rotation, corner))
 
 
@@ -146,9 +138,9 @@ def choose_resolution(
     """
     if fusion.voxel_size_m is not None:
         return fusion.voxel_size_m, 1.0
-    middle_world = transform_points(floor.T_world_floor, np.array(box.center_m))
-    ray_width_m = median_ray_width_m(camera, trajectory, middle_world)
-    wanted_m = max(max(box.size_m) / VOXELS_LONG, ray_width_m / RAY_WIDTHS_VOXELS[0])
+    distance_m = median_distance_m(trajectory, transform_points(floor.T_world_floor, np.array(box.center_m)))
+    width_m = ray_width_m(camera, trajectory.median_pose_sigma_m, distance_m)
+    wanted_m = max(max(box.size_m) / VOXELS_LONG, width_m / RAY_WIDTHS_VOXELS[0])
     steps = int(np.ceil(np.clip(wanted_m, LEAST_VOXEL_M, REFERENCE_VOXEL_M) / STEP_M - 1e-6))
     voxel_size_m = round(steps * STEP_M, 6)
     return voxel_size_m, voxel_size_m / REFERENCE_VOXEL_M
