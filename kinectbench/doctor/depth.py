@@ -11,7 +11,7 @@ from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.probe import Probe
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
-from kinectbench.stages.ingest.depth_codes import Pattern, find_pattern
+from kinectbench.stages.ingest.depth_codes import Pattern, find_pattern, float16_m
 from kinectbench.stages.ingest.images import advice_on
 from kinectbench.stages.ingest.intrinsics import OFF_CENTRE, Intrinsics, ratio_by_centre
 from kinectbench.stages.ingest.plausibility import (
@@ -31,6 +31,8 @@ MAX_ASPECT = 1.1
 # tables, in the right unit, have medians down to 0.21 m (five data sets: 0.21, 0.31, 0.415, 0.42, 0.43 m).
 LIKELY_MEDIAN_M = (0.2, 6.0)
 LIKELY_FAR_M = 12.0
+# Depth as the bits of a float16: nearly all is farther, metres (chosen by hand), and none is infinite.
+NEAREST_M, NO_FLOAT16 = 0.1, 0x7C00
 # Where depth in mm would show a room, a median nearer than this is unlikely (chosen by hand).
 ROOM_UNITS, ROOM_MEDIAN_M, NEAR_MEDIAN_M = 1000.0, (0.9, 2.5), 0.45
 # With swapped bytes, neighbouring pixels differ by this factor more; smaller relative differences than the
@@ -277,7 +279,12 @@ def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     # Some cameras record objects on a table from such a small distance.
     offers = probe.recording.float_scale is None and not math.isclose(better, scale)
     if offers and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
-        advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
+        at_units = f"at {better:g} the median would be {median / better:.2f} m"
+        nearest_m, median_m, far_m = np.quantile(float16_m(measured), [0.05, 0.5, 0.95]).tolist()
+        stored = isinstance(probe.recording, FileRecording) and probe.recording.depth_code == "plain"
+        if stored and nearest_m > NEAREST_M and is_likely(median_m, far_m) and measured.max() < NO_FLOAT16:
+            at_units += f", as the bits of a float16 (of CO3D: `depth_code: float16`) {median_m:.2f} m"
+        advice += f"; {at_units}, which nothing here proves"
     yield Finding("depth_scale", severity, what, probe.where, advice)
 
 

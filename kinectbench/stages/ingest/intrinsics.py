@@ -41,6 +41,7 @@ SLIGHTLY_OFF, SAME_SLIGHTLY = 0.06, 0.03
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
 MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "camera_matrix", "K", "k")
 HELD = "width, height, fx, fy, cx, cy"
+NICE_SLAM = "cam_params.json"
 
 
 @dataclass(frozen=True)
@@ -200,18 +201,22 @@ def scale_warnings(path: Path, said_scale: float | None, settings: CameraSetting
 
 
 def read_intrinsics_json(path: Path) -> Intrinsics:
-    """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
+    """Read camera.json, intrinsics.json, Open3D's camera_intrinsic.json or NICE-SLAM's cam_params.json.
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), color_registered, and a unit (`scale_of_keys`).
     Instead of fx, fy, cx and cy there may be a matrix under `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K`
     or `k`: three rows, nine numbers, or an object with either as `data`. The zeros show whether nine numbers
-    are column-major (as in Open3D) or row-major.
+    are column-major (as in Open3D) or row-major. NICE-SLAM's keys are under `camera`; its unit is `scale`.
 
     Raises:
         RecordingError: not JSON, a value of the wrong type or out of range, no pinhole matrix, or values that
             contradict each other.
     """
-    return intrinsics_of_keys(read_json_object(path, HELD), path)
+    raw = read_json_object(path, HELD)
+    inside = raw.get("camera") if path.name == NICE_SLAM else None
+    if isinstance(inside, dict):
+        raw = {"depth_scale" if key == "scale" else key: value for key, value in inside.items()}
+    return intrinsics_of_keys(raw, path)
 
 
 def intrinsics_of_keys(raw: Mapping[str, object], path: Path) -> Intrinsics:

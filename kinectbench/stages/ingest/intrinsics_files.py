@@ -19,6 +19,7 @@ from kinectbench.stages.ingest.intrinsics import (
     HELD,
     MATRIX_SHAPES,
     NEEDED,
+    NICE_SLAM,
     Intrinsics,
     gives_intrinsics,
     intrinsics_of_keys,
@@ -36,7 +37,14 @@ from kinectbench.stages.ingest.intrinsics_words import (
 from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
 
-JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
+JSON_FILES = (
+    "intrinsics.json",
+    "camera.json",
+    "camera_intrinsic.json",
+    "intrinsic.json",
+    "cam_K.json",
+    NICE_SLAM,
+)
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
 # Files of these names with other content are ignored. ETH3D's calibration.txt has fx fy cx cy.
 LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt")
@@ -78,6 +86,8 @@ TRANSFORMS, NUMBER, COLMAP = "transforms.json", re.compile(r"\d+"), ("sparse/0",
 DATA, LEAST_OF_FRAMES = re.compile(r"(?!.*readme).+\.(?:json|txt|mat|ya?ml|xml|pincam)", re.IGNORECASE), 5
 OTHER_DATA = re.compile(r"(?:masks?|confidence|poses?|extrinsics?|labels?|annotations?)/", re.IGNORECASE)
 TEXTS = frozenset({".txt", ".yaml", ".yml", ".xml", ".ini", ".toml"})
+# The pinhole matrix in a camera's file of MVSNet's data, behind its pose.
+MVSNET = re.compile(r"^intrinsic\s+((?:[-+.\deE]{1,30}\s+){9})", re.MULTILINE)
 # Largest number of names in a message, and of entries of a folder to look at.
 MOST_NAMED, LOOKED_AT = 4, 20_000
 # Side of the largest image, pixels, of a camera whose file states none: the limit of JPEG.
@@ -162,7 +172,7 @@ def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[s
 
 def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
     """Do as `find_intrinsics`, but without a unit of depth from a second file."""
-    file = first_named(path, (*JSON_FILES, *MATRIX_FILES))
+    file = camera_file(path)
     if file is not None:
         by_json = file.suffix.lower() == ".json"
         intrinsics = read_intrinsics_json(file) if by_json else _read_text(file)
@@ -176,6 +186,13 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
                 return _read_text(file), None
     files = [file for folder in YAML_FOLDERS for file in visible(in_any_case(path, folder), YAML_NAMES)]
     return _of_yaml(sorted(files)), None
+
+
+def camera_file(path: Path) -> Path | None:
+    """Return the file of intrinsics with a sure name, in a folder or beside NICE-SLAM's scene; or None."""
+    of_scene = (path / "results").is_dir()
+    above = first_named(path.parent, (NICE_SLAM,)) if of_scene else None
+    return first_named(path, (*JSON_FILES, *MATRIX_FILES)) or above
 
 
 def _read_text(file: Path) -> Intrinsics:
@@ -198,6 +215,8 @@ def named_like_intrinsics(path: Path) -> str:
         return ""
     files = [(file, _cameras_inside(path / file)) for file in _files_like(path, LIKE_INTRINSICS.fullmatch)]
     cameras = [each for _, inside in files for each in inside]
+    if len(files) == MOST_NAMED and len({line for _, line in cameras}) == 1:  # one file for each frame
+        cameras, files = cameras[:1], files[:1]
     if not cameras and (path / TRANSFORMS).is_file():
         return f"; {TRANSFORMS} may have them, and poses: write a depth_file_path into each of its frames"
     if not cameras:
@@ -219,6 +238,9 @@ def _of_each_frame(path: Path) -> str:
             kinds.setdefault(NUMBER.sub("#", file), []).append(file)
     firsts = [names[0] for names in kinds.values() if len(names) >= LEAST_OF_FRAMES][:MOST_NAMED]
     how = "; they may stand in the files of each frame, such as"
+    for first in firsts:
+        for _, line in _cameras_inside(path / first)[:1]:
+            return f"{how} {printable(first)}, which holds `{line}`"
     return f"{how} {printable(', '.join(firsts))}" if firsts else ""
 
 
@@ -247,7 +269,12 @@ def _cameras_inside(file: Path) -> list[tuple[str, str]]:
 
 def _in_text(file: Path) -> Intrinsics | None:
     text = read_text(file, YAML_BYTES)
-    return _read_yaml(file) or intrinsics_in_words(text, file) or intrinsics_in_xml(text, file)
+    said = _read_yaml(file) or intrinsics_in_words(text, file) or intrinsics_in_xml(text, file)
+    words = (MVSNET.search(text) or [text, text])[1].split()
+    if said is None and len(words) in MATRIX_SHAPES:
+        K = np.array(parse_floats(words, str(file))).reshape(MATRIX_SHAPES[len(words)])
+        return pinhole(K[:3, :3], file)
+    return said
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from kinectbench.core import printable, read_head
 from kinectbench.core.encoded_images import PNG_MAGIC
+from kinectbench.stages.ingest.depth_files import SUFFIXES
 from kinectbench.stages.ingest.readers.folder_images import (
     DEPTH_WORD,
     HEAD_BYTES,
@@ -14,6 +15,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     is_named_depth,
 )
 from kinectbench.stages.ingest.readers.foreign_depth import (
+    AS_READ,
     CONVERT,
     MOVE,
     PICTURES,
@@ -24,6 +26,8 @@ from kinectbench.stages.ingest.readers.foreign_depth import (
     unread_files,
 )
 
+# Names of disparity images and their folders, as Middlebury's disp0.pfm and KITTI's disp_occ_0/.
+DISPARITY = re.compile(r"(?:.*[-_. ])?disp(?:arity|arities|s)?(?:[-_. \d].*)?", re.IGNORECASE | re.DOTALL)
 KINDS = "16-bit PNG, .npy, .npz, TIFF"
 RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
 # One file is read of all names that differ only in numbers, for at most this many kinds (chosen by hand).
@@ -70,6 +74,8 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
         samples += _one_of_each_kind(files)
         of_depth = is_named_depth(folder.name) and folder != path
         pictures += [file for file in files if of_depth or DEPTH_WORD.fullmatch(file.stem)]
+    if (said := _disparity(listed)) is not None:
+        return said
     deep = next((file for file in samples if is_16_bit(file)), None)
     if deep is not None:
         place = deep.parent.relative_to(path).as_posix() if deep.parent != path else path.name
@@ -86,6 +92,20 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
             else None
         )
     )
+
+
+def _disparity(listed: Listed) -> str | None:
+    """Return an error message on images that are named disparity; None if there are none."""
+    for folder, inside in listed.files.items():
+        of_folder = folder != listed.path and DISPARITY.fullmatch(folder.name)
+        for file in inside:
+            kind = file.suffix.lower()
+            named = kind in SUFFIXES and (of_folder or DISPARITY.fullmatch(file.stem))
+            if named and (kind != ".png" or is_16_bit(file)):
+                name = printable(file.relative_to(listed.path).as_posix())
+                what = f"{listed.path}: {name} is disparity by its name, not depth"
+                return f"{what}: write depth = fx * baseline / disparity, {AS_READ}; then {MOVE}"
+    return None
 
 
 def _one_of_each_kind(files: list[Path]) -> list[Path]:
