@@ -230,9 +230,10 @@ def intrinsics_of_keys(raw: Mapping[str, object], path: Path) -> Intrinsics:
         RecordingError: a value of the wrong type or out of range, no pinhole matrix, or values that
             contradict each other.
     """
-    known = {SAME_AS.get(key, key): value for key, value in raw.items() if value is not None}
+    names = {SAME_AS.get(key, key): key for key, value in raw.items() if value is not None}
+    known = {key: raw[name] for key, name in names.items()}
     keys = [key for key in (*NEEDED, "depth_scale", "depth_factor", "width", "height") if key in known]
-    values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
+    values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{names[key]}'") for key in keys}
     values |= {key: int(values[key]) for key in ("width", "height") if key in values}
     for stated in ("depth_scale", "depth_factor"):
         if values.pop(stated, 1.0) <= 0:
@@ -299,13 +300,19 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
     numbers = read_numbers(path)
     if len(numbers) == len(NEEDED):
         return of_four_numbers(numbers, path)
-    shape = MATRIX_SHAPES.get(len(numbers))
-    if shape is None:
+    matrix = of_matrix_numbers(numbers, path)
+    if matrix is None:
         raise IntrinsicsError(
             f"{path}: holds {len(numbers)} numbers, not the 3x3 of a pinhole matrix (nor 3x4, 4x4, or fx fy "
             "cx cy)"
         )
-    return pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
+    return matrix
+
+
+def of_matrix_numbers(numbers: Sequence[float], path: Path) -> Intrinsics | None:
+    """Make intrinsics from the numbers of a pinhole matrix, row by row; None if they are not 9, 12 or 16."""
+    shape = MATRIX_SHAPES.get(len(numbers))
+    return None if shape is None else pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
 
 
 def of_four_numbers(numbers: Sequence[float], path: Path) -> Intrinsics:
@@ -363,19 +370,7 @@ def rig_calibration(
     return ColorCalibration(camera, (), np.linalg.inv(T_rig_color) @ T_rig_depth)
 
 
-def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:
-    """Read JSON with a pinhole matrix under `key` (column- or row-major) and its images' width and height.
-
-    Raises:
-        RecordingError: not JSON, or a value is missing or invalid.
-    """
-    raw = read_json_object(path, ", ".join((key, *size_keys)))
-    width, height = (int(number_of(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
-    matrix = pinhole(_open3d_matrix(raw.get(key), path, key), path)
-    return replace(matrix, width=width, height=height)
-
-
-def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
+def _open3d_matrix(value: object, path: Path, key: str) -> Float64:
     """Read a JSON matrix (3, 3): three rows, or nine numbers, column-major (row-major if 7th, 8th are 0)."""
     numbers = json_numbers(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):

@@ -9,8 +9,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kinectbench.core import IntrinsicsError, RecordingError, listed_paths, printable
 from kinectbench.core.trajectory.text_rows import parse_floats, read_text
 from kinectbench.settings.models import CameraSettings
@@ -23,17 +21,16 @@ from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
     gives_intrinsics,
     intrinsics_of_keys,
-    of_four_numbers,
-    pinhole,
+    of_matrix_numbers,
     read_color_calibration,
     read_intrinsics_json,
     read_intrinsics_matrix,
 )
 from kinectbench.stages.ingest.intrinsics_words import (
-    distortion_notes,
     intrinsics_in_words,
     intrinsics_in_xml,
 )
+from kinectbench.stages.ingest.intrinsics_yaml import intrinsics_in_yaml
 from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
 
@@ -52,23 +49,6 @@ LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt"
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
 # Limit in bytes of a camera's file, which has a few kB; and how many files to read of many, as of RTAB-Map.
 YAML_BYTES, MOST_YAML = 64 << 10, 200
-YAML_MATRICES = ("camera_matrix", "cam_K", "intrinsic_matrix", "K", "k", "intrinsics")
-# Other programs use these keys for other things: they count only with as many numbers as a camera has.
-LOOSE_KEYS = frozenset({"K", "k", "intrinsics"})
-YAML_DISTORTIONS = ("distortion_coefficients", "distortion_coeffs", "distortion", "dist_coeffs", "D", "d")
-# ORB-SLAM's k1, k2, p1, p2.
-YAML_POLYNOMIAL = re.compile(r"^[ \t]*Camera\d?\.[kp]\d[ \t]*:[ \t]*([-+.\deE]{1,30})", re.MULTILINE)
-YAML_SIZE = re.compile(r"^image_(width|height):\s*(\d{1,6})\s*$", re.MULTILINE)
-# Keys of focal lengths in ORB-SLAM (Camera.fx) and many other programs.
-YAML_FOCAL = re.compile(
-    r"^[ \t]*(?:Camera\d?\.)?(fx|fy|cx|cy)[ \t]*:[ \t]*([-+.\deE]{1,30})[ \t]*(?:#.*)?$", re.MULTILINE
-)
-# Keys that OpenCV and ROS write beside `data`.
-OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
-# A key, and the number of lines after it to read: 4x4 numbers, one per line, after OpenCV's header lines.
-YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
-# Characters that may stand between the numbers of a value.
-YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
 # Files that may state a unit, and how many to read at most (chosen by hand): some programs write one for each
 # image.
 UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)", re.IGNORECASE), 20
@@ -269,11 +249,10 @@ def _cameras_inside(file: Path) -> list[tuple[str, str]]:
 
 def _in_text(file: Path) -> Intrinsics | None:
     text = read_text(file, YAML_BYTES)
-    said = _read_yaml(file) or intrinsics_in_words(text, file) or intrinsics_in_xml(text, file)
+    said = intrinsics_in_yaml(text, file) or intrinsics_in_words(text, file) or intrinsics_in_xml(text, file)
     words = (MVSNET.search(text) or [text, text])[1].split()
     if said is None and len(words) in MATRIX_SHAPES:
-        K = np.array(parse_floats(words, str(file))).reshape(MATRIX_SHAPES[len(words)])
-        return pinhole(K[:3, :3], file)
+        return of_matrix_numbers(parse_floats(words, str(file)), file)
     return said
 
 
@@ -325,7 +304,7 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
     """
     first: tuple[Path, Intrinsics] | None = None
     for file in files[:MOST_YAML]:
-        intrinsics = _read_yaml(file)
+        intrinsics = intrinsics_in_yaml(read_text(file, YAML_BYTES), file)
         if intrinsics is None:
             continue
         if first is not None and _differ(first[1], intrinsics):
@@ -342,84 +321,3 @@ def _differ(first: Intrinsics, second: Intrinsics) -> bool:
     """Whether two files have different cameras or units; a file without a unit contradicts none."""
     no_unit: dict[str, Any] = {"depth_scale": None} if None in (first.depth_scale, second.depth_scale) else {}
     return replace(first, notes=(), **no_unit) != replace(second, notes=(), **no_unit)
-
-
-def _read_yaml(file: Path) -> Intrinsics | None:
-    """Read the pinhole camera from a YAML file of OpenCV, ROS or others; return None if it has none."""
-    text = read_text(file, YAML_BYTES)
-    values = _yaml_numbers(text, (*YAML_MATRICES, *YAML_DISTORTIONS), file)
-    sizes: dict[str, Any] = {key: int(value) for key, value in YAML_SIZE.findall(text)}
-    polynomial = (_number(word) for word in YAML_POLYNOMIAL.findall(text))
-    distorted = any(polynomial) or any(any(values.get(key) or ()) for key in YAML_DISTORTIONS)
-    sizes["depth_scale"], notes = yaml_scale(text, file, of_bop="cam_K" in values)
-    sizes["notes"] = (*distortion_notes(file, distorted=distorted), *notes)
-    for key in (key for key in YAML_MATRICES if key in values):
-        numbers = values[key]
-        if numbers is None:  # text: a file name, or another program's settings
-            continue
-        if len(numbers) == len(NEEDED):
-            four = of_four_numbers(numbers, file)
-            return replace(four, **sizes | {"notes": (*sizes["notes"], *four.notes)})
-        shape = MATRIX_SHAPES.get(len(numbers))
-        if shape is not None:
-            K = pinhole(np.array(numbers).reshape(shape)[:3, :3], file)
-            return replace(K, **sizes)
-        if key not in LOOSE_KEYS or len(numbers) > len(NEEDED):
-            raise IntrinsicsError(
-                f"{file}: '{key}' holds {len(numbers)} numbers, not the nine of a pinhole matrix (or fx, fy, "
-                "cx, cy): correct it, or give fx, fy, cx, cy under `camera:`"
-            )
-    by_key: dict[str, Any] = {}
-    for key, word in YAML_FOCAL.findall(text):
-        number = _number(word)
-        if number is not None and by_key.setdefault(key, number) != number:
-            raise _two_cameras(file, key)
-    return Intrinsics(**by_key, **sizes) if all(key in by_key for key in NEEDED) else None
-
-
-def _number(word: str) -> float | None:
-    """Parse a number; return None if the word is not one."""
-    try:
-        return parse_floats([word], "")[0]
-    except RecordingError:
-        return None
-
-
-def _two_cameras(file: Path, key: str) -> RecordingError:
-    return IntrinsicsError(
-        f"{file}: holds '{key}' more than once, with other numbers: which camera is that of depth? Keep it "
-        "alone, or give fx, fy, cx, cy under `camera:`"
-    )
-
-
-def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, list[float] | None]:
-    """Read {key: numbers} of the wanted keys in a YAML text, from lists or from OpenCV's `data`.
-
-    A value that does not consist of numbers alone is None.
-
-    Raises:
-        RecordingError: the key of a matrix repeats with other numbers.
-    """
-    lines, by_key = text.splitlines(), dict[str, list[float] | None]()
-    for at, line in enumerate(lines):
-        match = YAML_KEY.fullmatch(line)
-        if match is None or match[1] not in wanted:
-            continue
-        parts = [match[2]]
-        for below in lines[at + 1 : at + 1 + YAML_LINES]:
-            key = YAML_KEY.fullmatch(below)
-            if key is None and not below.startswith(("---", "...")):
-                parts.append(below)
-            elif key is not None and key[1] == "data":
-                parts = [key[2]]
-            elif key is None or key[1] not in OPENCV_KEYS:
-                break
-        words = " ".join(YAML_SIGNS.sub(" ", part) for part in parts).replace(OPENCV_TAG, " ").split()
-        try:
-            numbers: list[float] | None = parse_floats(words, "")
-        except RecordingError:
-            numbers = None
-        before = by_key.setdefault(match[1], numbers)
-        if None not in (before, numbers) and before != numbers and match[1] in YAML_MATRICES:
-            raise _two_cameras(file, match[1])
-    return by_key

@@ -64,8 +64,7 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
     if not path.is_dir():
         return None
     listed = Listed.of(path, readable)
-    unread = _unread_kind(listed)
-    if unread is not None:
+    if (unread := _unread_kind(listed)) is not None:
         return unread
     images, samples, pictures = 0, list[Path](), list[Path]()
     for folder, inside in listed.files.items():
@@ -74,8 +73,6 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
         samples += _one_of_each_kind(files)
         of_depth = is_named_depth(folder.name) and folder != path
         pictures += [file for file in files if of_depth or DEPTH_WORD.fullmatch(file.stem)]
-    if (said := _disparity(listed)) is not None:
-        return said
     deep = next((file for file in samples if is_16_bit(file)), None)
     if deep is not None:
         place = deep.parent.relative_to(path).as_posix() if deep.parent != path else path.name
@@ -92,20 +89,6 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
             else None
         )
     )
-
-
-def _disparity(listed: Listed) -> str | None:
-    """Return an error message on images that are named disparity; None if there are none."""
-    for folder, inside in listed.files.items():
-        of_folder = folder != listed.path and DISPARITY.fullmatch(folder.name)
-        for file in inside:
-            kind = file.suffix.lower()
-            named = kind in SUFFIXES and (of_folder or DISPARITY.fullmatch(file.stem))
-            if named and (kind != ".png" or is_16_bit(file)):
-                name = printable(file.relative_to(listed.path).as_posix())
-                what = f"{listed.path}: {name} is disparity by its name, not depth"
-                return f"{what}: write depth = fx * baseline / disparity, {AS_READ}; then {MOVE}"
-    return None
 
 
 def _one_of_each_kind(files: list[Path]) -> list[Path]:
@@ -127,12 +110,16 @@ def _of_pictures(path: Path, pictures: list[Path]) -> str:
 
 
 def _unread_kind(listed: Listed) -> str | None:
-    """Return an error message on EXR depth images, which are not supported; None if there are none."""
-    every = (file for files in listed.files.values() for file in files)
-    first = next((file for file in every if file.suffix.lower() == ".exr"), None)
-    if first is None:
-        return None
-    return (
-        f"{listed.path}: {printable(str(first.relative_to(listed.path)))}: EXR images are not read; of "
-        f"Record3D export the .r3d file, else {conversion(listed, first)}; then {MOVE}"
-    )
+    """Return an error message on EXR images, or on disparity, by their names; None if there are none."""
+    for folder, inside in listed.files.items():
+        of_folder = folder != listed.path and DISPARITY.fullmatch(folder.name)
+        for file in inside:
+            kind, name = file.suffix.lower(), printable(file.relative_to(listed.path).as_posix())
+            if kind == ".exr":
+                what = f"{listed.path}: {name}: EXR images are not read; of Record3D export the .r3d file"
+                return f"{what}, else {conversion(listed, file)}; then {MOVE}"
+            named = kind in SUFFIXES and (of_folder or DISPARITY.fullmatch(file.stem))
+            if named and (kind != ".png" or is_16_bit(file)):
+                what = f"{listed.path}: {name} is disparity by its name, not depth"
+                return f"{what}: write depth = fx * baseline / disparity, {AS_READ}; then {MOVE}"
+    return None
