@@ -48,6 +48,7 @@ DISPARITY_ADVICE = (
     f"write 1000 / ({DISPARITY_SLOPE} * raw + {DISPARITY_OFFSET}) mm, and 0 for {NO_DISPARITY}; or record "
     "with FREENECT_DEPTH_REGISTERED, which is in mm"
 )
+SWAP_FIRST = "exchange the two bytes of every value; then "
 # 8-bit depth has few levels, evenly spaced. A Kinect has as few in a small room, but their spacing grows with
 # distance.
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
@@ -120,8 +121,9 @@ def check_depth(probe: Probe) -> Iterator[Finding]:
     yield from swapped
     yield from _levels(probe, measured)
     scaled = _scaled_by_own_maximum(probe)
-    yield from scaled or _codes(probe, measured)
-    if not (swapped or scaled):
+    codes = scaled or list(_codes(probe, measured))
+    yield from codes
+    if not (swapped or scaled or any(code.advice.startswith(SWAP_FIRST) for code in codes)):
         yield from _unit(probe, measured)
     yield from _valid(probe)
 
@@ -207,21 +209,31 @@ def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
 
 
 def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
-    """Detect a value that marks missing depth: the highest, if it is frequent and far above all others."""
+    """Detect a value that marks missing depth: the highest, if it is frequent and far above all others.
+
+    Raw disparity may have its bytes exchanged, as in NYU Depth V2; what it says is noise to `_byte_order`.
+    """
+    for values, first in ((measured, ""), (measured.byteswap(), SWAP_FIRST)):
+        below = values[values < NO_DISPARITY]
+        share = 1 - len(below) / len(values)
+        if share > CODE_SHARE and values.max() == NO_DISPARITY and _is_disparity(below):
+            what = (
+                f"{share:.1%} of the measured pixels are {NO_DISPARITY}, by which freenect marks no reading "
+            )
+            what += "in raw disparity, and no other value is above what raw disparity has: depth is not in mm"
+            yield Finding("invalid_code", "stops", what, probe.where, f"{first}{DISPARITY_ADVICE}")
+            return
     highest = int(measured.max())
     below = measured[measured < highest]
     share = 1 - len(below) / len(measured)
     if share > CODE_SHARE and len(below) and highest > CODE_BEYOND * float(np.quantile(below, 0.999)):
         what = f"{share:.1%} of the measured pixels are {highest}: that means none, but is read as depth"
-        if highest == NO_DISPARITY and float(np.quantile(below, 0.999)) < FARTHEST_DISPARITY:
-            what = (
-                f"{share:.1%} of the measured pixels are {highest}, by which freenect marks no reading in "
-                "raw disparity, and no other value is above what raw disparity has: depth is not in mm"
-            )
-            yield Finding("invalid_code", "stops", what, probe.where, DISPARITY_ADVICE)
-            return
         severity: Severity = "stops" if share > 0.02 else "warning"
         yield Finding("invalid_code", severity, what, probe.where, "write 0 there")
+
+
+def _is_disparity(values: NDArray[np.uint16]) -> bool:
+    return len(values) > 0 and float(np.quantile(values, 0.999)) < FARTHEST_DISPARITY
 
 
 def _scaled_by_own_maximum(probe: Probe) -> list[Finding]:

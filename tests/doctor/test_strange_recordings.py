@@ -68,6 +68,18 @@ def test_colour_on_its_side_is_said(folder: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_raw_disparity_is_known_in_either_order_of_bytes(folder: Path, swapped: bool) -> None:
+    for file in (folder / "depth").iterdir():
+        m = read_picture(file, cv2.IMREAD_UNCHANGED) / 1000
+        raw = np.where(m > 0, np.rint((1 / np.maximum(m, 0.3) - 3.3309495161) / -0.0030711016), 2047)
+        stored = raw.astype(np.uint16)
+        file.write_bytes(png(stored.byteswap() if swapped else stored))
+    found = findings(folder)
+    assert "depth_scale" not in found and "raw disparity" in found["invalid_code"].what
+    assert found["invalid_code"].advice.startswith("exchange the two bytes") == swapped
+
+
 @pytest.mark.parametrize("scale", [None, 10000.0])
 def test_the_bits_of_a_float16_are_named_without_poses(folder: Path, scale: float | None) -> None:
     for file in (folder / "depth").iterdir():

@@ -157,7 +157,9 @@ def test_the_line_for_hdf5_reads_an_array_of_any_name(
                 file["another" if key == "depth" else "dataset"] = np.zeros((2, 2))
                 if key == "depth":
                     file[key] = depth_image(i)
-        (line,) = re.findall(r"such as by `([^`]*)`", refused(folder))
+        said = refused(folder)
+        assert said.endswith("; of Hypersim, give `depth_code: ray_distance`")
+        (line,) = re.findall(r"such as by `([^`]*)`", said)
         (folder / "depth").mkdir()
         monkeypatch.chdir(folder)
         exec(line, {})
@@ -176,6 +178,14 @@ def test_disparity_is_not_called_depth(tmp_path: Path, name: str) -> None:
         file.with_name(f"im{i}.png").write_bytes(png(color_image(i)))
     said = refused(tmp_path / "r")
     assert f"{name.format(0)} is disparity by its name, not depth: write depth = fx * baseline" in said
+
+
+def test_depth_of_two_cameras_in_one_folder_is_told_apart(tmp_path: Path) -> None:
+    for camera in (0, 1):
+        frames(tmp_path / "r", f"depth/cam{camera}/{{:04d}}.png", f"color/cam{camera}/{{:04d}}.jpg")
+    said = refused(tmp_path / "r")
+    assert "depth/cam0/ holds 16-bit PNG images" in said
+    assert "known: depth/cam1 too: give each camera a folder of its own: there put depth" in said
 
 
 def test_several_recordings_in_a_folder_are_all_named(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+from kinectbench.core import listed as names_of
 from kinectbench.core import printable, read_head
 from kinectbench.core.encoded_images import PNG_MAGIC
 from kinectbench.stages.ingest.depth_files import SUFFIXES
@@ -73,11 +74,14 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
         samples += _one_of_each_kind(files)
         of_depth = is_named_depth(folder.name) and folder != path
         pictures += [file for file in files if of_depth or DEPTH_WORD.fullmatch(file.stem)]
-    deep = next((file for file in samples if is_16_bit(file)), None)
-    if deep is not None:
-        place = deep.parent.relative_to(path).as_posix() if deep.parent != path else path.name
-        where = f"{printable(place)}/ holds 16-bit PNG images that look like depth ({printable(deep.name)})"
-        return f"{path}: {where}, but in no layout that is known: {MOVE}"
+    deep = {file.parent: file for file in reversed(samples) if is_16_bit(file)}
+    if deep:
+        folder, first = min(deep.items())
+        place = folder.relative_to(path).as_posix() if folder != path else path.name
+        where = f"{printable(place)}/ holds 16-bit PNG images that look like depth ({printable(first.name)})"
+        others = names_of(printable(each.relative_to(path).as_posix()) for each in sorted(deep)[1:])
+        apart = f"{others} too: give each camera a folder of its own: there " if others else ""
+        return f"{path}: {where}, but in no layout that is known: {apart}{MOVE}"
     return (
         unread_files(listed)
         or stacked(listed)

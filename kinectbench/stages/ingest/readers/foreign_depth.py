@@ -37,6 +37,8 @@ AS_READ = "as 16-bit PNG in mm, or as .npy in metres"
 CONVERT = f"write it {AS_READ}"
 # How to read the array `depth` of an HDF5 file, or else its first.
 HDF5 = '(lambda f: f[max(f, key="depth".__eq__)][:])(h5py.File({f}))'
+# In Hypersim's names; its depth is the distance along the ray (github.com/apple/ml-hypersim).
+HYPERSIM = ".depth_meters."
 # Kind -> how to read a file {f} as an array in Python.
 READ_BY = {
     ".jp2": "cv2.imread({f}, -1)",
@@ -281,7 +283,8 @@ def _message(listed: Listed, kind: str, files: Sequence[Path], looks: str) -> st
         return f"{found}, but are clouds of points: export the depth images, and {CONVERT}; then {MOVE}"
     if kind == ZIPPED:
         return f"{found}, but {kind} is not read: unpack them; then {MOVE}"
-    return f"{found}, but {kind} is not read: {conversion(listed, files[0])}; then {MOVE}"
+    along = "; of Hypersim, give `depth_code: ray_distance`" if HYPERSIM in files[0].name else ""
+    return f"{found}, but {kind} is not read: {conversion(listed, files[0])}; then {MOVE}{along}"
 
 
 def _raw(listed: Listed, file: Path) -> str:
