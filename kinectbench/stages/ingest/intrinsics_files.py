@@ -251,9 +251,11 @@ def _in_text(file: Path) -> Intrinsics | None:
     text = read_text(file, YAML_BYTES)
     said = intrinsics_in_yaml(text, file) or intrinsics_in_words(text, file) or intrinsics_in_xml(text, file)
     words = (MVSNET.search(text) or [text, text])[1].split()
-    if said is None and len(words) in MATRIX_SHAPES:
-        return of_matrix_numbers(parse_floats(words, str(file)), file)
-    return said
+    if said is not None or len(words) not in MATRIX_SHAPES:
+        return said
+    K = of_matrix_numbers(parse_floats(words, str(file)), file)
+    # A pose without rotation looks like a pinhole matrix, too, but with its principal point at 0, 0.
+    return K if K is not None and K.cx and K.cy else None
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:

@@ -218,6 +218,7 @@ SHOWN = f"`camera: {{fx: {FX:g}, fy: {FY:g}, cx: {CX:g}, cy: {CY:g}}}`"
         ("cameras/{:04d}.json", json.dumps({"K": K.tolist()}), "cameras/0000.json, which holds "),
         ("cams/{:08d}_cam.txt", CAM, "cams/00000000_cam.txt holds the camera 00000000_cam: .* as "),
         ("labels2/{:04d}.txt", "1 2 3 4\n", "the files of each frame, such as labels2/0000.txt$"),
+        ("places/{:04d}.txt", IDENTITY, "the files of each frame, such as places/0000.txt$"),
     ],
 )
 def test_intrinsics_of_each_frame_are_printed(tmp_path: Path, name: str, text: str, words: str) -> None:
@@ -226,8 +227,8 @@ def test_intrinsics_of_each_frame_are_printed(tmp_path: Path, name: str, text: s
     for i in range(6):
         (folder / name.format(i)).parent.mkdir(exist_ok=True)
         (folder / name.format(i)).write_text(text)
-    shown = "" if "labels" in name else re.escape(SHOWN)
-    with raises(RecordingError, "recording.no-intrinsics", match=words.replace("$", "") + shown):
+    shown = "" if words.endswith("$") else re.escape(SHOWN)
+    with raises(RecordingError, "recording.no-intrinsics", match=words + shown):
         open_recording(folder)
 
 

@@ -164,10 +164,14 @@ def unread_color(path: Path) -> tuple[str, ...]:
 def folder_of_both(path: Path) -> Path | None:
     """Return the folder, `path` or its results/, with 16-bit depth beside colour; None if there is none."""
     for folder in (path, path / RESULTS):
-        depth = beside_each_other(folder, DEPTH_WORD).files if folder.is_dir() else ()
-        if any(file.suffix.lower() == ".png" and is_16_bit(file) for file in depth):
+        named = listed_paths(folder, wanted=_is_depth_png) if folder.is_dir() else ()
+        if any(map(is_16_bit, named)):
             return folder if _color_beside(folder).files else None
     return None
+
+
+def _is_depth_png(name: str) -> bool:
+    return _word(name, DEPTH_WORD, frozenset({".png"}))
 
 
 def _color_beside(folder: Path) -> NamedImages:
