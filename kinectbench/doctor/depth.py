@@ -11,7 +11,7 @@ from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.probe import Probe
 from kinectbench.settings.models import FusionSettings
 from kinectbench.stages.fuse.depth_range import depth_range, range_warnings, sample_depth
-from kinectbench.stages.ingest.depth_codes import Pattern, find_pattern
+from kinectbench.stages.ingest.depth_codes import Pattern, find_pattern, float16_m
 from kinectbench.stages.ingest.images import advice_on
 from kinectbench.stages.ingest.intrinsics import OFF_CENTRE, Intrinsics, ratio_by_centre
 from kinectbench.stages.ingest.plausibility import (
@@ -31,6 +31,8 @@ MAX_ASPECT = 1.1
 # tables, in the right unit, have medians down to 0.21 m (five data sets: 0.21, 0.31, 0.415, 0.42, 0.43 m).
 LIKELY_MEDIAN_M = (0.2, 6.0)
 LIKELY_FAR_M = 12.0
+# Depth as the bits of a float16: nearly all is farther, metres (chosen by hand), and none is infinite.
+NEAREST_M, NO_FLOAT16 = 0.1, 0x7C00
 # Where depth in mm would show a room, a median nearer than this is unlikely (chosen by hand).
 ROOM_UNITS, ROOM_MEDIAN_M, NEAR_MEDIAN_M = 1000.0, (0.9, 2.5), 0.45
 # With swapped bytes, neighbouring pixels differ by this factor more; smaller relative differences than the
@@ -46,6 +48,7 @@ DISPARITY_ADVICE = (
     f"write 1000 / ({DISPARITY_SLOPE} * raw + {DISPARITY_OFFSET}) mm, and 0 for {NO_DISPARITY}; or record "
     "with FREENECT_DEPTH_REGISTERED, which is in mm"
 )
+SWAP_FIRST = "exchange the two bytes of every value; then "
 # 8-bit depth has few levels, evenly spaced. A Kinect has as few in a small room, but their spacing grows with
 # distance.
 FEW_LEVELS, EVEN_LEVELS, LEAST_SPACING = 256, 300, 8
@@ -118,8 +121,9 @@ def check_depth(probe: Probe) -> Iterator[Finding]:
     yield from swapped
     yield from _levels(probe, measured)
     scaled = _scaled_by_own_maximum(probe)
-    yield from scaled or _codes(probe, measured)
-    if not (swapped or scaled):
+    codes = scaled or list(_codes(probe, measured))
+    yield from codes
+    if not (swapped or scaled or any(code.advice.startswith(SWAP_FIRST) for code in codes)):
         yield from _unit(probe, measured)
     yield from _valid(probe)
 
@@ -205,21 +209,31 @@ def _levels(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
 
 
 def _codes(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
-    """Detect a value that marks missing depth: the highest, if it is frequent and far above all others."""
+    """Detect a value that marks missing depth: the highest, if it is frequent and far above all others.
+
+    Raw disparity may have its bytes exchanged, as in NYU Depth V2; what it says is noise to `_byte_order`.
+    """
+    for values, first in ((measured, ""), (measured.byteswap(), SWAP_FIRST)):
+        below = values[values < NO_DISPARITY]
+        share = 1 - len(below) / len(values)
+        if share > CODE_SHARE and values.max() == NO_DISPARITY and _is_disparity(below):
+            what = (
+                f"{share:.1%} of the measured pixels are {NO_DISPARITY}, by which freenect marks no reading "
+            )
+            what += "in raw disparity, and no other value is above what raw disparity has: depth is not in mm"
+            yield Finding("invalid_code", "stops", what, probe.where, f"{first}{DISPARITY_ADVICE}")
+            return
     highest = int(measured.max())
     below = measured[measured < highest]
     share = 1 - len(below) / len(measured)
     if share > CODE_SHARE and len(below) and highest > CODE_BEYOND * float(np.quantile(below, 0.999)):
         what = f"{share:.1%} of the measured pixels are {highest}: that means none, but is read as depth"
-        if highest == NO_DISPARITY and float(np.quantile(below, 0.999)) < FARTHEST_DISPARITY:
-            what = (
-                f"{share:.1%} of the measured pixels are {highest}, by which freenect marks no reading in "
-                "raw disparity, and no other value is above what raw disparity has: depth is not in mm"
-            )
-            yield Finding("invalid_code", "stops", what, probe.where, DISPARITY_ADVICE)
-            return
         severity: Severity = "stops" if share > 0.02 else "warning"
         yield Finding("invalid_code", severity, what, probe.where, "write 0 there")
+
+
+def _is_disparity(values: NDArray[np.uint16]) -> bool:
+    return len(values) > 0 and float(np.quantile(values, 0.999)) < FARTHEST_DISPARITY
 
 
 def _scaled_by_own_maximum(probe: Probe) -> list[Finding]:
@@ -277,7 +291,12 @@ def _unit(probe: Probe, measured: NDArray[np.uint16]) -> Iterator[Finding]:
     # Some cameras record objects on a table from such a small distance.
     offers = probe.recording.float_scale is None and not math.isclose(better, scale)
     if offers and (median / scale > LIKELY_MEDIAN_M[0] or severity == "stops"):
-        advice += f"; at {better:g} the median would be {median / better:.2f} m, which nothing here proves"
+        at_units = f"at {better:g} the median would be {median / better:.2f} m"
+        nearest_m, median_m, far_m = np.quantile(float16_m(measured), [0.05, 0.5, 0.95]).tolist()
+        stored = isinstance(probe.recording, FileRecording) and probe.recording.depth_code == "plain"
+        if stored and nearest_m > NEAREST_M and is_likely(median_m, far_m) and measured.max() < NO_FLOAT16:
+            at_units += f", as the bits of a float16 (of CO3D: `depth_code: float16`) {median_m:.2f} m"
+        advice += f"; {at_units}, which nothing here proves"
     yield Finding("depth_scale", severity, what, probe.where, advice)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from kinectbench.doctor.color_place import ColorPlace, of_one_shape, place_color
 from kinectbench.doctor.finding import Finding, Registration
-from kinectbench.doctor.probe import Probe
+from kinectbench.doctor.probe import Probe, WholeFrame
 
 # Images are compared 320 wide, as the probe keeps grey images. Pixels whose neighbours' depth differs by this
 # share are at an edge; colour is looked for at shifts up to this many pixels (chosen by hand).
@@ -120,7 +120,11 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
     """
     if fit is None:
         shapes = (of_one_shape(frame.bgr, frame.depth) for frame in probe.whole if frame.bgr is not None)
-        if probe.recording.color_registered and not all(shapes):
+        if any(_on_its_side(frame) for frame in probe.whole):
+            what = "colour is upright and depth on its side, or the other way round"
+            advice = "turn one by 90 degrees (with depth its intrinsics and poses, too), or leave colour out"
+            yield Finding("color_mirrored", "warning", what, probe.where, advice)
+        elif probe.recording.color_registered and not all(shapes):
             what = "colour and depth images are of different shapes, but colour is taken to lie on depth"
             advice = "`color_registered: false` in camera.json"
             yield Finding("color_not_registered", "warning", what, probe.where, advice)
@@ -141,6 +145,13 @@ def check_edges(probe: Probe, fit: EdgeFit | None) -> Iterator[Finding]:
         lies = " although its edges are near those of depth" if fit.clear and not fit.off else ""
         what = f"colour does not lie on depth, or it is not known that it does{lies}: it is for display only"
         yield Finding("color_display_only", "note", what, probe.where)
+
+
+def _on_its_side(frame: WholeFrame) -> bool:
+    """Whether one of colour and depth is wider than high, and the other not."""
+    return frame.bgr is not None and (frame.bgr.shape[0] > frame.bgr.shape[1]) != (
+        frame.depth.shape[0] > frame.depth.shape[1]
+    )
 
 
 def _where(fit: EdgeFit) -> str:

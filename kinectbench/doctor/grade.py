@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from collections.abc import Sequence as Items
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from kinectbench.core.trajectory.association import poses_at
 from kinectbench.core.trajectory.compare import has_pose
 from kinectbench.doctor.finding import Finding, Severity
 from kinectbench.doctor.probe import Probe
+from kinectbench.doctor.still import wrong_at_one_place
 from kinectbench.settings.models import TrackingSettings, TrajectoryMode
 from kinectbench.stages.ingest.images import decode_color_bgr
 from kinectbench.stages.ingest.plausibility import check_color, check_size, trajectory_problem
@@ -53,7 +55,8 @@ def check_grade(
         health = track(sequence, "trust" if refined else mode, tracking).health
     except TrackingError as error:
         severity: Severity = "stops" if certain and not refined else "warning"
-        yield Finding("trajectory_wrong", severity, f"{error}{which}", probe.where)
+        general = Finding("trajectory_wrong", severity, f"{error}{which}", probe.where)
+        yield replace(next(wrong_at_one_place(probe), general), severity=severity)
         return
     except RecordingError as error:
         what = f"the given trajectory could not be graded here, only a build will: {error}"

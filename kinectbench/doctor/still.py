@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from kinectbench.core.sequence import Sequence
 from kinectbench.core.still_camera import Watched, some_of, watch, watch_some
 from kinectbench.doctor.color import in_no_order
@@ -14,6 +16,8 @@ OWN_MASKS = "put `segment_by: masks` of the recording into benchmark.yaml: it br
 WALK = "walk around the object, or let it turn"
 # Findings about a static camera: all its poses are the same.
 NO_MOTION = frozenset({"one_view", "turntable"})
+# Poses of one place: their positions differ by less than this share of the median depth (our own bound).
+ONE_PLACE = 0.01
 PLAIN = "nothing but the object gives depth, so that it does not matter whether it turned or the camera moved"
 
 
@@ -40,6 +44,20 @@ def check_still(probe: Probe) -> Iterator[Finding]:
     elif watched.camera_still and not in_no_order(probe):
         has_masks = probe.recording.frame(probe.frames[0].index).mask is not None
         yield Finding("turntable", "warning", _what(watched), probe.where, _advice(has_masks))
+
+
+def wrong_at_one_place(probe: Probe) -> Iterator[Finding]:
+    """Report given poses, known not to fit depth, that have one position: those of a mount or a turntable."""
+    given = probe.recording.given_trajectory
+    if given is None or not probe.frames:
+        return
+    measured = np.concatenate([frame.depth_m[frame.depth_m > 0] for frame in probe.frames])
+    spread = np.ptp(given.T_world_camera[:, :3, 3], axis=0).max()
+    if len(measured) and spread <= ONE_PLACE * np.median(measured):
+        what = (
+            "the given poses do not fit the depth, and all have one position, as a turntable's or a mount's"
+        )
+        yield Finding("trajectory_wrong", "stops", what, probe.where, f"`trajectory: ignore`; {TURNTABLE}")
 
 
 def turntable_warning(sequence: Sequence) -> str:

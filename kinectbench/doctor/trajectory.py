@@ -29,6 +29,7 @@ from kinectbench.doctor.fit import (
 from kinectbench.doctor.lengths import Lengths, check_lengths, fit_lengths, stated_scale
 from kinectbench.doctor.pose_delay import check_trajectory_delay, longest_gap_s, on_clock
 from kinectbench.doctor.probe import Probe
+from kinectbench.doctor.still import wrong_at_one_place
 from kinectbench.stages.ingest.depth_codes import ROTATED_SCALES
 from kinectbench.stages.ingest.readers.pose_files import TUM_ROWS, named_like_poses
 
@@ -286,6 +287,10 @@ def check_trajectory(probe: Probe, fit: PoseFit | None) -> Iterator[Finding]:
         what = "too few frames with poses see the same surface: the given trajectory could not be checked"
         yield Finding("trajectory_unchecked", "note", what, probe.where)
         return
+    wrong = not fit.fits if fit.convention.changes else fits_no_better(fit)
+    if wrong and (at_one_place := list(wrong_at_one_place(probe))):
+        yield from at_one_place
+        return
     yield from _convention(probe, fit)
     late = []
     if not fit.convention.changes or fit.fits:
@@ -342,20 +347,17 @@ def _other_time(probe: Probe, given: GivenTrajectory, unit: float | None) -> Fin
 
 def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
     if fit.convention.changes and not fit.fits:
-        left = f"({1000 * fit.residual_m:.0f} mm off, more than noise explains)"
-        if not math.isfinite(fit.residual_m):
-            left = "(even so no surface falls on another)"
+        left = "(even so no surface falls on another)"
+        if math.isfinite(fit.residual_m):
+            left = f"({1000 * fit.residual_m:.0f} mm off, more than noise explains)"
         what = (
             "the given poses fit the depth in no convention that was tried, the nearest being: "
             f"{fit.convention.text()} {left}"
         )
         advice = "look at the poses' convention, the depth's scale and the intrinsics"
         if fit.residual_m <= MOST_FITTING_M:
-            advice = (
-                "if they are meant so, write them again; else look at the depth's scale and the intrinsics"
-            )
-        advice += "; or `trajectory: ignore`"
-        yield Finding("trajectory_wrong", "stops", what, probe.where, advice)
+            advice = "if they are meant so, write them again; else look at depth's scale and the intrinsics"
+        yield Finding("trajectory_wrong", "stops", what, probe.where, f"{advice}; or `trajectory: ignore`")
     elif fit.convention.changes:
         what = (
             f"the given poses do not fit the depth as they are, but do if read as: {fit.convention.text()} "
@@ -365,11 +367,9 @@ def _convention(probe: Probe, fit: PoseFit) -> Iterator[Finding]:
         if fit.convention.changes == 1 and fit.convention.unit_m != 1:
             _, median_m, far_m = depth_quantiles_m(probe).tolist()
             scale = stated_scale(probe.recording) * fit.convention.unit_m
-            at_scale_m = median_m / fit.convention.unit_m
+            at_m = median_m / fit.convention.unit_m
             name = "depth_scale"
-            advice = (
-                f"or with `depth_scale: {scale:g}`, by which the median of the depth is {at_scale_m:.2f} m"
-            )
+            advice = f"or with `depth_scale: {scale:g}`, by which the median of the depth is {at_m:.2f} m"
             by_code = getattr(probe.recording, "depth_code", "plain") == "rotated"
             if is_likely(median_m, far_m) and not (by_code and scale in ROTATED_SCALES):
                 name, advice = "trajectory_scale", "write the poses in metres"

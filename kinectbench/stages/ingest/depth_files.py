@@ -8,7 +8,7 @@ from itertools import permutations
 from math import prod
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from kinectbench.core import MOST_PIXELS, UNPACKED_BYTES, RecordingError, is_too_large, open_plain, printable
 from kinectbench.core.encoded_images import PNG_MAGIC, image_head
 from kinectbench.core.types import MM_PER_M, Bools, Float32
-from kinectbench.core.voxels.npy import MAGIC, NpyError, read_npy, read_npy_header
+from kinectbench.core.voxels.npy import MAGIC, read_npy, read_npy_header
 from kinectbench.core.voxels.npz import UNREADABLE, arrays_of, open_npz
 from kinectbench.stages.ingest.images import (
     DamagedImageError,
@@ -35,6 +35,8 @@ UInt16 = NDArray[np.uint16]
 Channels = tuple[int, int]
 ZIP_MAGIC, KEY = b"PK", "depth"
 ARRAYS = frozenset({".npy", ".npz"})
+# Arrays whose headers alone are read may state this much (our own bound: 1 TB is no recording).
+MOST_ARRAY_BYTES = 1 << 40
 TIFF_MAGICS = {b"II*\x00": "<", b"MM\x00*": ">"}
 # Numbers of tags in TIFF 6.0, and how many tags to read at most: images have some thirty.
 TIFF_WIDTH, TIFF_HEIGHT, MOST_TIFF_TAGS = 256, 257, 1000
@@ -104,13 +106,28 @@ def depth_size_px(data: bytes, name: str) -> tuple[int, int]:
     return image_header(data, name)[1:]
 
 
-def shape_of_array(file: Path) -> tuple[int, ...]:
-    """Return the shape of the array in an .npy file, of which the header is read; () if damaged."""
-    with suppress(OSError, NpyError), open_plain(file) as opened:
-        header = read_npy_header(opened)
-        if header.data_offset + header.data_bytes == file.stat().st_size:
-            return header.shape
-    return ()
+def shapes_of_arrays(file: Path) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays in an .npz file, or of that in an .npy file under "", by their headers.
+
+    There are none if the file is damaged, or of another kind.
+    """
+    with suppress(*UNREADABLE), open_plain(file) as opened:
+        if opened.read(len(ZIP_MAGIC)) == ZIP_MAGIC:
+            opened.seek(0)
+            with open_npz(opened, MOST_ARRAY_BYTES) as archive:
+                return {
+                    entry.filename[:-4]: _shape(archive.open(entry), entry.file_size)
+                    for entry in archive.infolist()
+                }
+        opened.seek(0)
+        return {"": _shape(opened, file.stat().st_size)}
+    return {}
+
+
+def _shape(file: IO[bytes], size: int) -> tuple[int, ...]:
+    """Return the shape by the header of a .npy of `size` bytes; () if it has other bytes of data."""
+    header = read_npy_header(file)
+    return header.shape if header.data_offset + header.data_bytes == size else ()
 
 
 def _refuse_exr(data: bytes, name: str) -> None:

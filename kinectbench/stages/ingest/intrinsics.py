@@ -41,6 +41,7 @@ SLIGHTLY_OFF, SAME_SLIGHTLY = 0.06, 0.03
 SAME_AS = {"ppx": "cx", "ppy": "cy", "w": "width", "h": "height"}
 MATRIX_KEYS = ("intrinsic_matrix", "cam_K", "camera_matrix", "K", "k")
 HELD = "width, height, fx, fy, cx, cy"
+NICE_SLAM = "cam_params.json"
 
 
 @dataclass(frozen=True)
@@ -200,18 +201,22 @@ def scale_warnings(path: Path, said_scale: float | None, settings: CameraSetting
 
 
 def read_intrinsics_json(path: Path) -> Intrinsics:
-    """Read camera.json, intrinsics.json or Open3D's camera_intrinsic.json.
+    """Read camera.json, intrinsics.json, Open3D's camera_intrinsic.json or NICE-SLAM's cam_params.json.
 
     Keys: width, height, fx, fy, cx, cy (or w, h, ppx, ppy), color_registered, and a unit (`scale_of_keys`).
     Instead of fx, fy, cx and cy there may be a matrix under `intrinsic_matrix`, `cam_K`, `camera_matrix`, `K`
     or `k`: three rows, nine numbers, or an object with either as `data`. The zeros show whether nine numbers
-    are column-major (as in Open3D) or row-major.
+    are column-major (as in Open3D) or row-major. NICE-SLAM's keys are under `camera`; its unit is `scale`.
 
     Raises:
         RecordingError: not JSON, a value of the wrong type or out of range, no pinhole matrix, or values that
             contradict each other.
     """
-    return intrinsics_of_keys(read_json_object(path, HELD), path)
+    raw = read_json_object(path, HELD)
+    inside = raw.get("camera") if path.name == NICE_SLAM else None
+    if isinstance(inside, dict):
+        raw = {"depth_scale" if key == "scale" else key: value for key, value in inside.items()}
+    return intrinsics_of_keys(raw, path)
 
 
 def intrinsics_of_keys(raw: Mapping[str, object], path: Path) -> Intrinsics:
@@ -225,9 +230,10 @@ def intrinsics_of_keys(raw: Mapping[str, object], path: Path) -> Intrinsics:
         RecordingError: a value of the wrong type or out of range, no pinhole matrix, or values that
             contradict each other.
     """
-    known = {SAME_AS.get(key, key): value for key, value in raw.items() if value is not None}
+    names = {SAME_AS.get(key, key): key for key, value in raw.items() if value is not None}
+    known = {key: raw[name] for key, name in names.items()}
     keys = [key for key in (*NEEDED, "depth_scale", "depth_factor", "width", "height") if key in known]
-    values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{key}'") for key in keys}
+    values: dict[str, Any] = {key: number_of(known[key], f"{path}: '{names[key]}'") for key in keys}
     values |= {key: int(values[key]) for key in ("width", "height") if key in values}
     for stated in ("depth_scale", "depth_factor"):
         if values.pop(stated, 1.0) <= 0:
@@ -294,13 +300,19 @@ def read_intrinsics_matrix(path: Path) -> Intrinsics:
     numbers = read_numbers(path)
     if len(numbers) == len(NEEDED):
         return of_four_numbers(numbers, path)
-    shape = MATRIX_SHAPES.get(len(numbers))
-    if shape is None:
+    matrix = of_matrix_numbers(numbers, path)
+    if matrix is None:
         raise IntrinsicsError(
             f"{path}: holds {len(numbers)} numbers, not the 3x3 of a pinhole matrix (nor 3x4, 4x4, or fx fy "
             "cx cy)"
         )
-    return pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
+    return matrix
+
+
+def of_matrix_numbers(numbers: Sequence[float], path: Path) -> Intrinsics | None:
+    """Make intrinsics from the numbers of a pinhole matrix, row by row; None if they are not 9, 12 or 16."""
+    shape = MATRIX_SHAPES.get(len(numbers))
+    return None if shape is None else pinhole(np.array(numbers).reshape(shape)[:3, :3], path)
 
 
 def of_four_numbers(numbers: Sequence[float], path: Path) -> Intrinsics:
@@ -358,19 +370,7 @@ def rig_calibration(
     return ColorCalibration(camera, (), np.linalg.inv(T_rig_color) @ T_rig_depth)
 
 
-def read_matrix_json(path: Path, size_keys: tuple[str, str], key: str = "K") -> Intrinsics:
-    """Read JSON with a pinhole matrix under `key` (column- or row-major) and its images' width and height.
-
-    Raises:
-        RecordingError: not JSON, or a value is missing or invalid.
-    """
-    raw = read_json_object(path, ", ".join((key, *size_keys)))
-    width, height = (int(number_of(raw.get(name), f"{path}: '{name}'")) for name in size_keys)
-    matrix = pinhole(_open3d_matrix(raw.get(key), path, key), path)
-    return replace(matrix, width=width, height=height)
-
-
-def _open3d_matrix(value: object, path: Path, key: str = "intrinsic_matrix") -> Float64:
+def _open3d_matrix(value: object, path: Path, key: str) -> Float64:
     """Read a JSON matrix (3, 3): three rows, or nine numbers, column-major (row-major if 7th, 8th are 0)."""
     numbers = json_numbers(value.get("data") if isinstance(value, dict) else value)
     if numbers.shape == (3, 3):

@@ -9,8 +9,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kinectbench.core import IntrinsicsError, RecordingError, listed_paths, printable
 from kinectbench.core.trajectory.text_rows import parse_floats, read_text
 from kinectbench.settings.models import CameraSettings
@@ -19,24 +17,31 @@ from kinectbench.stages.ingest.intrinsics import (
     HELD,
     MATRIX_SHAPES,
     NEEDED,
+    NICE_SLAM,
     Intrinsics,
     gives_intrinsics,
     intrinsics_of_keys,
-    of_four_numbers,
-    pinhole,
+    of_matrix_numbers,
     read_color_calibration,
     read_intrinsics_json,
     read_intrinsics_matrix,
 )
 from kinectbench.stages.ingest.intrinsics_words import (
-    distortion_notes,
     intrinsics_in_words,
     intrinsics_in_xml,
 )
+from kinectbench.stages.ingest.intrinsics_yaml import intrinsics_in_yaml
 from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.known_names import first_named, in_any_case, in_order, is_like_poses, visible
 
-JSON_FILES = ("intrinsics.json", "camera.json", "camera_intrinsic.json", "intrinsic.json", "cam_K.json")
+JSON_FILES = (
+    "intrinsics.json",
+    "camera.json",
+    "camera_intrinsic.json",
+    "intrinsic.json",
+    "cam_K.json",
+    NICE_SLAM,
+)
 MATRIX_FILES = ("intrinsics.txt", "intrinsic.txt", "camera-intrinsics.txt", "cam_K.txt")
 # Files of these names with other content are ignored. ETH3D's calibration.txt has fx fy cx cy.
 LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt")
@@ -44,23 +49,6 @@ LOOSE_FILES = ("K.txt", "calibration.txt", "camera_intrinsics.txt", "camera.txt"
 YAML_FOLDERS, YAML_NAMES = ("", "calib"), "*.y*ml"
 # Limit in bytes of a camera's file, which has a few kB; and how many files to read of many, as of RTAB-Map.
 YAML_BYTES, MOST_YAML = 64 << 10, 200
-YAML_MATRICES = ("camera_matrix", "cam_K", "intrinsic_matrix", "K", "k", "intrinsics")
-# Other programs use these keys for other things: they count only with as many numbers as a camera has.
-LOOSE_KEYS = frozenset({"K", "k", "intrinsics"})
-YAML_DISTORTIONS = ("distortion_coefficients", "distortion_coeffs", "distortion", "dist_coeffs", "D", "d")
-# ORB-SLAM's k1, k2, p1, p2.
-YAML_POLYNOMIAL = re.compile(r"^[ \t]*Camera\d?\.[kp]\d[ \t]*:[ \t]*([-+.\deE]{1,30})", re.MULTILINE)
-YAML_SIZE = re.compile(r"^image_(width|height):\s*(\d{1,6})\s*$", re.MULTILINE)
-# Keys of focal lengths in ORB-SLAM (Camera.fx) and many other programs.
-YAML_FOCAL = re.compile(
-    r"^[ \t]*(?:Camera\d?\.)?(fx|fy|cx|cy)[ \t]*:[ \t]*([-+.\deE]{1,30})[ \t]*(?:#.*)?$", re.MULTILINE
-)
-# Keys that OpenCV and ROS write beside `data`.
-OPENCV_KEYS, OPENCV_TAG = frozenset({"rows", "cols", "dt"}), "!!opencv-matrix"
-# A key, and the number of lines after it to read: 4x4 numbers, one per line, after OpenCV's header lines.
-YAML_KEY, YAML_LINES = re.compile(r"[ \t]*([A-Za-z_][\w.]*)[ \t]*:(.*)"), 24
-# Characters that may stand between the numbers of a value.
-YAML_SIGNS = re.compile(r"#.*|[\[\],]|(?<!\S)-(?=\s)")
 # Files that may state a unit, and how many to read at most (chosen by hand): some programs write one for each
 # image.
 UNIT_NAMES, MOST_UNIT_FILES = re.compile(r"(?!\.).+\.(?:json|ya?ml)", re.IGNORECASE), 20
@@ -78,6 +66,8 @@ TRANSFORMS, NUMBER, COLMAP = "transforms.json", re.compile(r"\d+"), ("sparse/0",
 DATA, LEAST_OF_FRAMES = re.compile(r"(?!.*readme).+\.(?:json|txt|mat|ya?ml|xml|pincam)", re.IGNORECASE), 5
 OTHER_DATA = re.compile(r"(?:masks?|confidence|poses?|extrinsics?|labels?|annotations?)/", re.IGNORECASE)
 TEXTS = frozenset({".txt", ".yaml", ".yml", ".xml", ".ini", ".toml"})
+# The pinhole matrix in a camera's file of MVSNet's data, behind its pose.
+MVSNET = re.compile(r"^intrinsic\s+((?:[-+.\deE]{1,30}\s+){9})", re.MULTILINE)
 # Largest number of names in a message, and of entries of a folder to look at.
 MOST_NAMED, LOOKED_AT = 4, 20_000
 # Side of the largest image, pixels, of a camera whose file states none: the limit of JPEG.
@@ -162,7 +152,7 @@ def _scale_beside(path: Path, usual_scale: float) -> tuple[float | None, tuple[s
 
 def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, Path | None]:
     """Do as `find_intrinsics`, but without a unit of depth from a second file."""
-    file = first_named(path, (*JSON_FILES, *MATRIX_FILES))
+    file = camera_file(path)
     if file is not None:
         by_json = file.suffix.lower() == ".json"
         intrinsics = read_intrinsics_json(file) if by_json else _read_text(file)
@@ -176,6 +166,13 @@ def _camera_of_files(path: Path, settings: CameraSettings) -> tuple[Intrinsics, 
                 return _read_text(file), None
     files = [file for folder in YAML_FOLDERS for file in visible(in_any_case(path, folder), YAML_NAMES)]
     return _of_yaml(sorted(files)), None
+
+
+def camera_file(path: Path) -> Path | None:
+    """Return the file of intrinsics with a sure name, in a folder or beside NICE-SLAM's scene; or None."""
+    of_scene = (path / "results").is_dir()
+    above = first_named(path.parent, (NICE_SLAM,)) if of_scene else None
+    return first_named(path, (*JSON_FILES, *MATRIX_FILES)) or above
 
 
 def _read_text(file: Path) -> Intrinsics:
@@ -198,6 +195,8 @@ def named_like_intrinsics(path: Path) -> str:
         return ""
     files = [(file, _cameras_inside(path / file)) for file in _files_like(path, LIKE_INTRINSICS.fullmatch)]
     cameras = [each for _, inside in files for each in inside]
+    if len(files) == MOST_NAMED and len({line for _, line in cameras}) == 1:  # one file for each frame
+        cameras, files = cameras[:1], files[:1]
     if not cameras and (path / TRANSFORMS).is_file():
         return f"; {TRANSFORMS} may have them, and poses: write a depth_file_path into each of its frames"
     if not cameras:
@@ -219,6 +218,9 @@ def _of_each_frame(path: Path) -> str:
             kinds.setdefault(NUMBER.sub("#", file), []).append(file)
     firsts = [names[0] for names in kinds.values() if len(names) >= LEAST_OF_FRAMES][:MOST_NAMED]
     how = "; they may stand in the files of each frame, such as"
+    for first in firsts:
+        for _, line in _cameras_inside(path / first)[:1]:
+            return f"{how} {printable(first)}, which holds `{line}`"
     return f"{how} {printable(', '.join(firsts))}" if firsts else ""
 
 
@@ -247,7 +249,13 @@ def _cameras_inside(file: Path) -> list[tuple[str, str]]:
 
 def _in_text(file: Path) -> Intrinsics | None:
     text = read_text(file, YAML_BYTES)
-    return _read_yaml(file) or intrinsics_in_words(text, file) or intrinsics_in_xml(text, file)
+    said = intrinsics_in_yaml(text, file) or intrinsics_in_words(text, file) or intrinsics_in_xml(text, file)
+    words = (MVSNET.search(text) or [text, text])[1].split()
+    if said is not None or len(words) not in MATRIX_SHAPES:
+        return said
+    K = of_matrix_numbers(parse_floats(words, str(file)), file)
+    # A pose without rotation looks like a pinhole matrix, too, but with its principal point at 0, 0.
+    return K if K is not None and K.cx and K.cy else None
 
 
 def names_like(path: Path, wanted: Callable[[str], object], how: str, *, by_folder: bool = False) -> str:
@@ -298,7 +306,7 @@ def _of_yaml(files: list[Path]) -> Intrinsics:
     """
     first: tuple[Path, Intrinsics] | None = None
     for file in files[:MOST_YAML]:
-        intrinsics = _read_yaml(file)
+        intrinsics = intrinsics_in_yaml(read_text(file, YAML_BYTES), file)
         if intrinsics is None:
             continue
         if first is not None and _differ(first[1], intrinsics):
@@ -315,84 +323,3 @@ def _differ(first: Intrinsics, second: Intrinsics) -> bool:
     """Whether two files have different cameras or units; a file without a unit contradicts none."""
     no_unit: dict[str, Any] = {"depth_scale": None} if None in (first.depth_scale, second.depth_scale) else {}
     return replace(first, notes=(), **no_unit) != replace(second, notes=(), **no_unit)
-
-
-def _read_yaml(file: Path) -> Intrinsics | None:
-    """Read the pinhole camera from a YAML file of OpenCV, ROS or others; return None if it has none."""
-    text = read_text(file, YAML_BYTES)
-    values = _yaml_numbers(text, (*YAML_MATRICES, *YAML_DISTORTIONS), file)
-    sizes: dict[str, Any] = {key: int(value) for key, value in YAML_SIZE.findall(text)}
-    polynomial = (_number(word) for word in YAML_POLYNOMIAL.findall(text))
-    distorted = any(polynomial) or any(any(values.get(key) or ()) for key in YAML_DISTORTIONS)
-    sizes["depth_scale"], notes = yaml_scale(text, file, of_bop="cam_K" in values)
-    sizes["notes"] = (*distortion_notes(file, distorted=distorted), *notes)
-    for key in (key for key in YAML_MATRICES if key in values):
-        numbers = values[key]
-        if numbers is None:  # text: a file name, or another program's settings
-            continue
-        if len(numbers) == len(NEEDED):
-            four = of_four_numbers(numbers, file)
-            return replace(four, **sizes | {"notes": (*sizes["notes"], *four.notes)})
-        shape = MATRIX_SHAPES.get(len(numbers))
-        if shape is not None:
-            K = pinhole(np.array(numbers).reshape(shape)[:3, :3], file)
-            return replace(K, **sizes)
-        if key not in LOOSE_KEYS or len(numbers) > len(NEEDED):
-            raise IntrinsicsError(
-                f"{file}: '{key}' holds {len(numbers)} numbers, not the nine of a pinhole matrix (or fx, fy, "
-                "cx, cy): correct it, or give fx, fy, cx, cy under `camera:`"
-            )
-    by_key: dict[str, Any] = {}
-    for key, word in YAML_FOCAL.findall(text):
-        number = _number(word)
-        if number is not None and by_key.setdefault(key, number) != number:
-            raise _two_cameras(file, key)
-    return Intrinsics(**by_key, **sizes) if all(key in by_key for key in NEEDED) else None
-
-
-def _number(word: str) -> float | None:
-    """Parse a number; return None if the word is not one."""
-    try:
-        return parse_floats([word], "")[0]
-    except RecordingError:
-        return None
-
-
-def _two_cameras(file: Path, key: str) -> RecordingError:
-    return IntrinsicsError(
-        f"{file}: holds '{key}' more than once, with other numbers: which camera is that of depth? Keep it "
-        "alone, or give fx, fy, cx, cy under `camera:`"
-    )
-
-
-def _yaml_numbers(text: str, wanted: Collection[str], file: Path) -> dict[str, list[float] | None]:
-    """Read {key: numbers} of the wanted keys in a YAML text, from lists or from OpenCV's `data`.
-
-    A value that does not consist of numbers alone is None.
-
-    Raises:
-        RecordingError: the key of a matrix repeats with other numbers.
-    """
-    lines, by_key = text.splitlines(), dict[str, list[float] | None]()
-    for at, line in enumerate(lines):
-        match = YAML_KEY.fullmatch(line)
-        if match is None or match[1] not in wanted:
-            continue
-        parts = [match[2]]
-        for below in lines[at + 1 : at + 1 + YAML_LINES]:
-            key = YAML_KEY.fullmatch(below)
-            if key is None and not below.startswith(("---", "...")):
-                parts.append(below)
-            elif key is not None and key[1] == "data":
-                parts = [key[2]]
-            elif key is None or key[1] not in OPENCV_KEYS:
-                break
-        words = " ".join(YAML_SIGNS.sub(" ", part) for part in parts).replace(OPENCV_TAG, " ").split()
-        try:
-            numbers: list[float] | None = parse_floats(words, "")
-        except RecordingError:
-            numbers = None
-        before = by_key.setdefault(match[1], numbers)
-        if None not in (before, numbers) and before != numbers and match[1] in YAML_MATRICES:
-            raise _two_cameras(file, match[1])
-    return by_key

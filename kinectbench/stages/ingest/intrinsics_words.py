@@ -6,11 +6,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kinectbench.core import IntrinsicsError, RecordingError
 from kinectbench.core.trajectory.text_rows import parse_floats
-from kinectbench.stages.ingest.intrinsics import MATRIX_SHAPES, NEEDED, SAME_AS, Intrinsics, pinhole
+from kinectbench.stages.ingest.intrinsics import NEEDED, SAME_AS, Intrinsics, of_matrix_numbers
 
 # Names as librealsense's rs-enumerate-devices (Fx:, PPX:) and many scripts (fx = ) print them.
 NAMED_VALUE = re.compile(
@@ -90,8 +88,7 @@ def intrinsics_in_xml(text: str, file: Path) -> Intrinsics | None:
         RecordingError: the matrix is no pinhole matrix.
     """
     for _, words in XML_MATRIX.findall(text):
-        numbers = parse_floats(words.split(), str(file))
-        shape = MATRIX_SHAPES.get(len(numbers))
-        if shape is not None:
-            return pinhole(np.array(numbers).reshape(shape)[:3, :3], file)
+        matrix = of_matrix_numbers(parse_floats(words.split(), str(file)), file)
+        if matrix is not None:
+            return matrix
     return None

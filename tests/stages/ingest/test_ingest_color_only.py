@@ -108,9 +108,9 @@ np.save(NPY, np.ones((4, 4), np.float32))
     [
         # 16-bit PNG after colour in the order of names.
         (
-            "{:04d}_depth.png",
+            "{:04d}_depthcrop.png",
             png(depth_image(0)),
-            ("16-bit PNG images that look like depth (0000_depth", ALONE),
+            ("16-bit PNG images that look like depth (0000_depthcrop", ALONE),
         ),
         ("depth_left/{:04d}.npy", NPY.getvalue(), ("6 .npy files, such as depth_left/0000.npy, look", ALONE)),
         ("distance_to_plane_{:04d}.npy", NPY.getvalue(), ("such as distance_to_plane_0000.npy", ALONE)),

@@ -20,8 +20,8 @@ from rosbags.typesys.store import Typestore
 
 from kinectbench.core.geometry import Camera, quaternion_xyzw_from_rotation
 from kinectbench.lab.simulate.writers.frame import RecordedFrame, Rig, png_bytes
+from kinectbench.lab.simulate.writers.rvl_encoder import encode_rvl
 from kinectbench.stages.ingest.bags.message_decoding import Message
-from kinectbench.stages.ingest.bags.rvl import encode_rvl
 
 DepthCode = Literal["raw", "png", "rvl"]
 

@@ -73,18 +73,9 @@ class RealsenseRecording(Rosbag1Recording):
         return depth_units_scale(bag, depth)
 
     @classmethod
-    def color_place(
-        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
-    ) -> Float64 | None:
-        """Return `T_color_depth` (4, 4), depth to colour camera; None if their reference frames differ."""
-        return between_streams(bag, color.name, depth.name)
-
-    @classmethod
-    def imu_place(
-        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
-    ) -> Float64 | None:
-        """Return `T_depth_imu` (4, 4), IMU to depth camera; None if their reference frames differ."""
-        return between_streams(bag, depth.name, imu.name)
+    def between(cls, bag: RosBag, tree: TransformTree, to: ImageTopic, of: ImageTopic) -> Float64 | None:
+        """Return `T_to_of` (4, 4) between two streams; None if their reference frames differ."""
+        return between_streams(bag, to.name, of.name)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[tuple[str, CameraInfo]]:

@@ -49,8 +49,8 @@ from kinectbench.stages.ingest.pairing import pair_by_time
 from kinectbench.stages.ingest.recording import ColorCalibration, RawFrame, Recording, first_whole
 from kinectbench.stages.ingest.undistortion import Undistortion
 
-# Returns `T_depth_imu` (4, 4) for a topic and its messages' frame_id; None if the bag does not have it.
-PlaceOfImu = Callable[[BagTopic, str], Float64 | None]
+# Returns `T_depth_imu` (4, 4) for the topic of an accelerometer; None if the bag does not have it.
+PlaceOfImu = Callable[[ImageTopic], Float64 | None]
 
 
 class MessagePair(NamedTuple):
@@ -108,14 +108,12 @@ class RosRecording(Recording):
         cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
     ) -> Float64 | None:
         """Return `T_color_depth` (4, 4), depth camera to colour camera; None if the bag lacks it."""
-        return tree.fixed(color.frame_id, depth.frame_id)
+        return cls.between(bag, tree, color, depth)
 
     @classmethod
-    def imu_place(
-        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
-    ) -> Float64 | None:
-        """Return `T_depth_imu` (4, 4), accelerometer (frame `frame_id`) to depth camera; None if unknown."""
-        return tree.fixed(depth.frame_id, frame_id)
+    def between(cls, bag: RosBag, tree: TransformTree, to: ImageTopic, of: ImageTopic) -> Float64 | None:
+        """Return `T_to_of` (4, 4) between the frames of two topics, one of depth; None if unknown."""
+        return tree.fixed(to.frame_id, of.frame_id)
 
     @classmethod
     def camera_infos(cls, bag: RosBag) -> list[NamedInfo]:
@@ -165,7 +163,7 @@ class RosRecording(Recording):
             depth_scale=FLOAT_SCALE if is_float else scale or own_scale or INTEGER_SCALE,
             color_registered=registered,
             up_cameras=measured_up(
-                bag, [pair.stamp_ns for pair in pairs], partial(cls.imu_place, bag, tree, depth)
+                bag, [pair.stamp_ns for pair in pairs], partial(cls.between, bag, tree, depth)
             ),
             color_calibration=None if registered else calibration,
             given_trajectory=trajectory,
@@ -331,7 +329,7 @@ def measured_up(bag: RosBag, stamps_ns: Sequence[int], place: PlaceOfImu) -> tup
         # -1 means "no measurement", by the definition of the message.
         if first is None or first.linear_acceleration_covariance[0] == -1:
             continue
-        T_depth_imu = place(topic, first.header.frame_id.lstrip("/"))
+        T_depth_imu = place(ImageTopic(topic, "", first.header.frame_id.lstrip("/")))
         if T_depth_imu is None:
             continue
         times_ns = np.array([message.stamp_ns for message in topic.messages], np.int64)

@@ -63,25 +63,14 @@ class Rosbag2Recording(RosRecording):
         return depth_units_scale(bag, depth) if STREAM.fullmatch(depth.name) else None
 
     @classmethod
-    def color_place(
-        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, color: ImageTopic
-    ) -> Float64 | None:
-        """Return `T_color_depth` (4, 4), by the extrinsics in a bag by librealsense, by tf in any other bag.
+    def between(cls, bag: RosBag, tree: TransformTree, to: ImageTopic, of: ImageTopic) -> Float64 | None:
+        """Return `T_to_of` (4, 4), by the extrinsics in a bag by librealsense, by tf in any other bag.
 
         The result is None if the bag lacks them.
         """
-        if STREAM.fullmatch(depth.name):
-            return between_streams(bag, color.name, depth.name)
-        return super().color_place(bag, tree, depth, color)
-
-    @classmethod
-    def imu_place(
-        cls, bag: RosBag, tree: TransformTree, depth: ImageTopic, imu: BagTopic, frame_id: str
-    ) -> Float64 | None:
-        """Return `T_depth_imu` (4, 4), from the same sources as `color_place`; None if the bag lacks them."""
-        if STREAM.fullmatch(depth.name):
-            return between_streams(bag, depth.name, imu.name)
-        return super().imu_place(bag, tree, depth, imu, frame_id)
+        if any(STREAM.fullmatch(topic.name) for topic in (to, of)):
+            return between_streams(bag, to.name, of.name)
+        return super().between(bag, tree, to, of)
 
     @classmethod
     def walk(cls, path: Path) -> RosBag:

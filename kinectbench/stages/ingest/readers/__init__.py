@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kinectbench.core import RESULTS, IntrinsicsError, RecordingError, StorageError
+from kinectbench.core import RESULTS, IntrinsicsError, RecordingError, StorageError, listed, printable
 from kinectbench.core.artefacts.manifest import Manifest
 from kinectbench.core.even_choice import evenly
 from kinectbench.core.sequence import GivenTrajectory
@@ -23,9 +23,9 @@ from kinectbench.stages.ingest.depth_codes import (
     find_pattern,
 )
 from kinectbench.stages.ingest.images import FLOAT_SCALE, DamagedImageError, decode_depth_png
-from kinectbench.stages.ingest.known_names import misnamed
+from kinectbench.stages.ingest.known_names import misnamed, visible
 from kinectbench.stages.ingest.readers.color_only import without_depth
-from kinectbench.stages.ingest.readers.foreign_files import foreign_file
+from kinectbench.stages.ingest.readers.foreign_files import FOREIGN, foreign_file
 from kinectbench.stages.ingest.recording import OF_SOME_FORMATS, FileRecording, Recording, read_image_file
 from kinectbench.stages.ingest.sources import check_count, check_link, check_there, files_below
 
@@ -273,12 +273,17 @@ def _unknown(path: Path) -> str:
     above = next((folder for folder in path.parents[:2] if path.is_file() and format_of(folder)), None)
     if above is not None:
         return f"{path}: is one file of a recording; give its folder, {above}"
+    if len(inside) > 1:
+        names = listed(printable(str(found.relative_to(path))) for found, _ in inside)
+        return f"{path}: holds several recordings, {names}: each is a recording of its own: give its path"
     misspelt = "".join(f"; {line}" for line in misnamed(path, COMMON_NAMES))
     reason = None if inside else without_depth(path, name_suffixes())
     if reason is not None:
         return f"{reason}{misspelt}"
-    if path.is_file() and (reason := foreign_file(path)) is not None:
-        return reason
+    others = [path] if path.is_file() else [] if inside else visible(path, *FOREIGN)
+    for file in others:
+        if file.is_file() and (reason := foreign_file(file)) is not None:
+            return reason
     hint = f". Did you mean {inside[0][0]}?" if inside else misspelt
     return f"{path}: not a recording of a known format; {known}{hint}"
 

@@ -3,8 +3,10 @@
 import re
 from pathlib import Path
 
+from kinectbench.core import listed as names_of
 from kinectbench.core import printable, read_head
 from kinectbench.core.encoded_images import PNG_MAGIC
+from kinectbench.stages.ingest.depth_files import SUFFIXES
 from kinectbench.stages.ingest.readers.folder_images import (
     DEPTH_WORD,
     HEAD_BYTES,
@@ -14,6 +16,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     is_named_depth,
 )
 from kinectbench.stages.ingest.readers.foreign_depth import (
+    AS_READ,
     CONVERT,
     MOVE,
     PICTURES,
@@ -24,6 +27,8 @@ from kinectbench.stages.ingest.readers.foreign_depth import (
     unread_files,
 )
 
+# Names of disparity images and their folders, as Middlebury's disp0.pfm and KITTI's disp_occ_0/.
+DISPARITY = re.compile(r"(?:.*[-_. ])?disp(?:arity|arities|s)?(?:[-_. \d].*)?", re.IGNORECASE | re.DOTALL)
 KINDS = "16-bit PNG, .npy, .npz, TIFF"
 RAW = "export the raw 16-bit depth (of rs-convert: option -r), or copy the .bag itself"
 # One file is read of all names that differ only in numbers, for at most this many kinds (chosen by hand).
@@ -60,8 +65,7 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
     if not path.is_dir():
         return None
     listed = Listed.of(path, readable)
-    unread = _unread_kind(listed)
-    if unread is not None:
+    if (unread := _unread_kind(listed)) is not None:
         return unread
     images, samples, pictures = 0, list[Path](), list[Path]()
     for folder, inside in listed.files.items():
@@ -70,11 +74,14 @@ def without_depth(path: Path, readable: tuple[str, ...]) -> str | None:
         samples += _one_of_each_kind(files)
         of_depth = is_named_depth(folder.name) and folder != path
         pictures += [file for file in files if of_depth or DEPTH_WORD.fullmatch(file.stem)]
-    deep = next((file for file in samples if is_16_bit(file)), None)
-    if deep is not None:
-        place = deep.parent.relative_to(path).as_posix() if deep.parent != path else path.name
-        where = f"{printable(place)}/ holds 16-bit PNG images that look like depth ({printable(deep.name)})"
-        return f"{path}: {where}, but in no layout that is known: {MOVE}"
+    deep = {file.parent: file for file in reversed(samples) if is_16_bit(file)}
+    if deep:
+        folder, first = min(deep.items())
+        place = folder.relative_to(path).as_posix() if folder != path else path.name
+        where = f"{printable(place)}/ holds 16-bit PNG images that look like depth ({printable(first.name)})"
+        others = names_of(printable(each.relative_to(path).as_posix()) for each in sorted(deep)[1:])
+        apart = f"{others} too: give each camera a folder of its own: there " if others else ""
+        return f"{path}: {where}, but in no layout that is known: {apart}{MOVE}"
     return (
         unread_files(listed)
         or stacked(listed)
@@ -107,12 +114,16 @@ def _of_pictures(path: Path, pictures: list[Path]) -> str:
 
 
 def _unread_kind(listed: Listed) -> str | None:
-    """Return an error message on EXR depth images, which are not supported; None if there are none."""
-    every = (file for files in listed.files.values() for file in files)
-    first = next((file for file in every if file.suffix.lower() == ".exr"), None)
-    if first is None:
-        return None
-    return (
-        f"{listed.path}: {printable(str(first.relative_to(listed.path)))}: EXR images are not read; of "
-        f"Record3D export the .r3d file, else {conversion(listed, first)}; then {MOVE}"
-    )
+    """Return an error message on EXR images, or on disparity, by their names; None if there are none."""
+    for folder, inside in listed.files.items():
+        of_folder = folder != listed.path and DISPARITY.fullmatch(folder.name)
+        for file in inside:
+            kind, name = file.suffix.lower(), printable(file.relative_to(listed.path).as_posix())
+            if kind == ".exr":
+                what = f"{listed.path}: {name}: EXR images are not read; of Record3D export the .r3d file"
+                return f"{what}, else {conversion(listed, file)}; then {MOVE}"
+            named = kind in SUFFIXES and (of_folder or DISPARITY.fullmatch(file.stem))
+            if named and (kind != ".png" or is_16_bit(file)):
+                what = f"{listed.path}: {name} is disparity by its name, not depth"
+                return f"{what}: write depth = fx * baseline / disparity, {AS_READ}; then {MOVE}"
+    return None

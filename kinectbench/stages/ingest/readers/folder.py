@@ -37,6 +37,7 @@ from kinectbench.stages.ingest.intrinsics import (
 from kinectbench.stages.ingest.intrinsics_files import (
     JSON_FILES,
     MATRIX_FILES,
+    camera_file,
     find_intrinsics,
     named_like_intrinsics,
     passed_over,
@@ -56,7 +57,7 @@ from kinectbench.stages.ingest.readers.folder_images import (
     NamedImages,
     color_images,
     depth_images,
-    lie_beside_each_other,
+    folder_of_both,
     other_depth,
     unread_color,
     unread_depth,
@@ -177,7 +178,13 @@ class FolderRecording(ConfidenceRecording):
             sure = depth.name == "depth" or any(other.exists() for other in others)
             least = 1 if sure else LEAST_IMAGES
             return len(list(islice(images, least))) == least
-        return lie_beside_each_other(path)
+        return folder_of_both(path) is not None
+
+    @classmethod
+    def files_beside(cls, path: Path) -> tuple[Path, ...]:
+        """Return the file of intrinsics that NICE-SLAM's scenes share, if the folder has none; else ()."""
+        file = camera_file(path)
+        return () if file is None or file.parent == path else (file,)
 
     @classmethod
     def open(cls, path: Path, settings: CameraSettings) -> Self:
@@ -190,8 +197,8 @@ class FolderRecording(ConfidenceRecording):
         confidence, full_confidence, of_confidence = confidence_beside(
             path, files, size_px, settings.min_confidence
         )
-        said, camera_file = find_intrinsics(path, settings, DEPTH_SCALE)
-        if camera_file is None and said == Intrinsics() and not gives_intrinsics(settings):
+        said, json_file = find_intrinsics(path, settings, DEPTH_SCALE)
+        if json_file is None and said == Intrinsics() and not gives_intrinsics(settings):
             said = _usual_intrinsics(path, depth.stems, size_px)
         intrinsics = said.overridden_by(settings)
         registered = intrinsics.color_registered
@@ -211,7 +218,7 @@ class FolderRecording(ConfidenceRecording):
             channels=stored.channels,
             kind=stored.kind,
             color_registered=first_color_size(files) == size_px if registered is None else registered,
-            color_calibration=read_color_calibration(camera_file) if camera_file else None,
+            color_calibration=read_color_calibration(json_file) if json_file else None,
             recorded=recorded,
             confidence=confidence,
             min_confidence=settings.min_confidence,

@@ -35,6 +35,9 @@ VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".m4v", ".webm"})
 DEPTH_WORD = re.compile(r"(.*?)[-_. ]?depth(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 COLOR_WORD = re.compile(r"(.*?)[-_. ]?(?:colou?r|rgb)(?![a-z])[-_. ]?(.*)", re.IGNORECASE | re.DOTALL)
 LIKE_DEPTH = re.compile(r"depth|distance|disparity", re.IGNORECASE)
+# Words before the number of colour without a word of its own: Replica, as NICE-SLAM renders it, has
+# depth000000.png beside frame000000.jpg in results/; the RGB-D Object Dataset names colour by its number.
+FRAME_WORD, RESULTS = re.compile(r"(?:frame|image)?[-_. ]?(.+)", re.IGNORECASE | re.DOTALL), "results"
 # What librealsense's tools and DexYCB add to the name of an image that lies on the other camera's pixels.
 TO_OTHER = re.compile(r"(?:aligned[-_. ])?(depth|colou?r)[-_. ]to[-_. ](?:depth|colou?r)", re.IGNORECASE)
 # Arrays with a shorter side are no images of a room (our own bound); larger files are not opened for it.
@@ -77,7 +80,10 @@ def depth_images(path: Path) -> NamedImages:
 def _every_depth(path: Path) -> NamedImages:
     """List the depth images of all types; arrays that are too small are left out if there are others."""
     folder = in_any_case(path, "depth")
-    every = in_folder(folder, DEPTH_SUFFIXES) if folder.is_dir() else beside_each_other(path, DEPTH_WORD)
+    if folder.is_dir():
+        every = in_folder(folder, DEPTH_SUFFIXES)
+    else:
+        every = beside_each_other(folder_of_both(path) or path, DEPTH_WORD)
     large = [at for at, file in enumerate(every.files) if not _is_small_array(file)]
     if not large:
         return every
@@ -128,7 +134,7 @@ def color_images(path: Path) -> NamedImages:
     """Find the colour images: in the first of `COLOR_FOLDERS` that has any, or beside depth; may be empty."""
     folders = [folder for folder in in_order(path, COLOR_FOLDERS) if folder.is_dir()]
     if not (folders or in_any_case(path, "depth").is_dir()):
-        return beside_each_other(path, COLOR_WORD)
+        return _color_beside(folder_of_both(path) or path)
     every = (in_folder(folder, COLOR_SUFFIXES) for folder in folders)
     return next((images for images in every if images.files), NamedImages((), ()))
 
@@ -155,13 +161,28 @@ def unread_color(path: Path) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def lie_beside_each_other(path: Path) -> bool:
-    """Whether a folder itself contains 16-bit depth and colour images whose names contain these words."""
-    if not path.is_dir():
-        return False
-    depth = listed_paths(path, wanted=lambda name: _word(name, DEPTH_WORD, frozenset({".png"})))
-    color = listed_paths(path, wanted=lambda name: _word(name, COLOR_WORD, COLOR_SUFFIXES))
-    return any(_is_of(COLOR_WORD, file) for file in color) and any(map(is_16_bit, depth))
+def folder_of_both(path: Path) -> Path | None:
+    """Return the folder, `path` or its results/, with 16-bit depth beside colour; None if there is none."""
+    for folder in (path, path / RESULTS):
+        named = listed_paths(folder, wanted=_is_depth_png) if folder.is_dir() else ()
+        if any(map(is_16_bit, named)):
+            return folder if _color_beside(folder).files else None
+    return None
+
+
+def _is_depth_png(name: str) -> bool:
+    return _word(name, DEPTH_WORD, frozenset({".png"}))
+
+
+def _color_beside(folder: Path) -> NamedImages:
+    """List the colour images beside depth: those with a word for colour, or else those named as depth is."""
+    named = beside_each_other(folder, COLOR_WORD)
+    if named.files:
+        return named
+    frames, every = set(beside_each_other(folder, DEPTH_WORD).stems), in_folder(folder, COLOR_SUFFIXES)
+    stems = [FRAME_WORD.sub(r"\1", stem) for stem in every.stems]
+    kept = [at for at, stem in enumerate(stems) if stem in frames]
+    return NamedImages(tuple(every.files[at] for at in kept), tuple(stems[at] for at in kept))
 
 
 def in_folder(folder: Path, suffixes: frozenset[str]) -> NamedImages:

@@ -1,6 +1,6 @@
 """Name files that look like depth, but are of a kind or in a layout that is not read, and say what to do."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,7 +8,13 @@ from itertools import islice
 from pathlib import Path
 
 from kinectbench.core import printable, read_head, scanned
-from kinectbench.stages.ingest.depth_files import READ_EXR, SUFFIXES, depth_size_px, shape_of_array
+from kinectbench.stages.ingest.depth_files import (
+    ARRAYS,
+    READ_EXR,
+    SUFFIXES,
+    depth_size_px,
+    shapes_of_arrays,
+)
 from kinectbench.stages.ingest.images import DamagedImageError, image_header
 from kinectbench.stages.ingest.readers.folder_images import LEAST_IMAGES, LEAST_SIDE_PX, is_named_depth
 from kinectbench.stages.ingest.recording import read_image_file
@@ -29,13 +35,17 @@ MOVE = (
 )
 AS_READ = "as 16-bit PNG in mm, or as .npy in metres"
 CONVERT = f"write it {AS_READ}"
+# How to read the array `depth` of an HDF5 file, or else its first.
+HDF5 = '(lambda f: f[max(f, key="depth".__eq__)][:])(h5py.File({f}))'
+# In Hypersim's names; its depth is the distance along the ray (github.com/apple/ml-hypersim).
+HYPERSIM = ".depth_meters."
 # Kind -> how to read a file {f} as an array in Python.
 READ_BY = {
     ".jp2": "cv2.imread({f}, -1)",
     ".exr": READ_EXR,
     ".mat": 'scipy.io.loadmat({f})["depth"]',
-    ".h5": 'h5py.File({f})["depth"][:]',
-    ".hdf5": 'h5py.File({f})["depth"][:]',
+    ".h5": HDF5,
+    ".hdf5": HDF5,
     ".csv": 'numpy.loadtxt({f}, delimiter=",")',
     ".txt": "numpy.loadtxt({f})",
 }
@@ -126,27 +136,68 @@ def unread_files(listed: Listed) -> str | None:
 
 
 def stacked(listed: Listed) -> str | None:
-    """Return an error message on an array with the depth images of all frames; None if there is none."""
-    known = {tuple(sorted(size)) for size in (*listed.color_px, *SIZES_PX)}
+    """Return an error message on a file with the depth images of all frames; None if there is none."""
     for file in listed.files[listed.path]:
-        if file.suffix.lower() != ".npy" or not is_named_depth(file.stem) or "`" in file.name:
-            continue
-        shape = tuple(side for side in shape_of_array(file) if side != 1)
-        if len(shape) != 3:
-            continue
-        # The frames are along the first axis, or along the last if that is the shortest.
-        last = shape[2] < min(shape[:2]) and tuple(sorted(shape[1:])) not in known
-        count, *sides = shape[::-1] if last else shape
-        if count >= LEAST_IMAGES and min(sides) >= LEAST_SIDE_PX:
-            array = f"numpy.load({file.name!r}).squeeze()"
-            array = f"numpy.moveaxis({array}, -1, 0)" if last else array
-            line = (
-                "import numpy, os; os.makedirs('depth', exist_ok=True); "
-                f"[numpy.save(f'depth/{{i:06d}}.npy', a) for i, a in enumerate({array})]"
-            )
-            held = f"{printable(file.name)} holds {count} images in one array, which is not read"
-            return f"{listed.path}: {held}: write each to a file, such as by `{line}`; then {MOVE}"
+        named = is_named_depth(file.stem) or file.suffix.lower() == ".npz"
+        if named and file.suffix.lower() in ARRAYS and (said := stacked_in(file, listed.color_px)):
+            return f"{listed.path}: {said}"
     return None
+
+
+def stacked_in(file: Path, color_px: Sequence[tuple[int, int]] = ()) -> str | None:
+    """Return a message on an .npy or .npz file with the depth of all frames, with a line that divides it.
+
+    The line also writes colour, poses and intrinsics that an .npz holds, by the shapes of its arrays. If no
+    array can be the depth of all frames, or if several may be, the result is None.
+
+    Args:
+        file: the file.
+        color_px: width and height of colour images, if known.
+    """
+    known = {tuple(sorted(size)) for size in (*color_px, *SIZES_PX)}
+    shapes = {
+        key: tuple(side for side in shape if side != 1) for key, shape in shapes_of_arrays(file).items()
+    }
+    stacks = {key: stack for key, shape in shapes.items() if (stack := _frames_of(shape, known)) is not None}
+    depth = [key for key in stacks if is_named_depth(key)] or [*stacks]
+    if len(depth) != 1 or "`" in f"{file.name}{''.join(shapes)}":
+        return None
+    (key,), (count, last) = depth, stacks[depth[0]]
+    loaded = f"numpy.load({file.name!r})"
+    array = f"{loaded}[{key!r}].squeeze()" if key else f"{loaded}.squeeze()"
+    array = f"numpy.moveaxis({array}, -1, 0)" if last else array
+    line = (
+        "import numpy, os; os.makedirs('depth', exist_ok=True); "
+        f"[numpy.save(f'depth/{{i:06d}}.npy', a) for i, a in enumerate({array})]"
+    )
+    for other, shape in shapes.items():
+        if write := _line_of(f"{loaded}[{other!r}]", shape, count):
+            line += f"; {write}"
+    held = f"{printable(file.name)} holds {count} images in one array, which is not read"
+    then = "" if "intrinsics.txt" in line else f"; then {MOVE}"
+    return f"{held}: write each to a file, such as by `{line}`{then}"
+
+
+def _frames_of(shape: Sequence[int], known: Collection[tuple[int, ...]]) -> tuple[int, bool] | None:
+    """Return how many images an array of this shape holds, and whether along its last axis; None if none."""
+    if len(shape) != 3:
+        return None
+    # The frames are along the first axis, or along the last if that is the shortest.
+    last = shape[2] < min(shape[:2]) and tuple(sorted(shape[1:])) not in known
+    count, *sides = shape[::-1] if last else shape
+    return (count, last) if count >= LEAST_IMAGES and min(sides) >= LEAST_SIDE_PX else None
+
+
+def _line_of(array: str, shape: Sequence[int], count: int) -> str:
+    """Return Python that writes colour, poses or intrinsics from an array of this shape; "" if none fits."""
+    if len(shape) == 4 and shape[0] == count and shape[3] == 3:
+        each = f"[cv2.imwrite(f'color/{{i:06d}}.png', a[..., ::-1]) for i, a in enumerate({array})]"
+        return f"import cv2; os.makedirs('color', exist_ok=True); {each}"
+    if shape in ((count, 4, 4), (count, 3, 4)):
+        return f"numpy.savetxt('poses.txt', {array}.reshape({count}, -1))"
+    if shape in ((3, 3), (count, 3, 3)):
+        return f"numpy.savetxt('intrinsics.txt', {array}.reshape(-1, 3)[:3])"
+    return ""
 
 
 def if_depth(listed: Listed) -> str:
@@ -178,7 +229,7 @@ def conversion(listed: Listed, file: Path) -> str:
     if not template or "`" in name:
         return CONVERT
     read = template.format(f=repr(name))
-    imported = read.split(".")[0]
+    imported = "h5py" if template == HDF5 else read.split(".")[0]
     modules = "numpy" if imported == "numpy" else f"{imported.replace('scipy', 'scipy.io')}, numpy"
     line = f"import {modules}; numpy.save({f'depth/{file.stem}.npy'!r}, {read})"
     return f"{CONVERT}, such as by `{line}`"
@@ -232,7 +283,8 @@ def _message(listed: Listed, kind: str, files: Sequence[Path], looks: str) -> st
         return f"{found}, but are clouds of points: export the depth images, and {CONVERT}; then {MOVE}"
     if kind == ZIPPED:
         return f"{found}, but {kind} is not read: unpack them; then {MOVE}"
-    return f"{found}, but {kind} is not read: {conversion(listed, files[0])}; then {MOVE}"
+    along = "; of Hypersim, give `depth_code: ray_distance`" if HYPERSIM in files[0].name else ""
+    return f"{found}, but {kind} is not read: {conversion(listed, files[0])}; then {MOVE}{along}"
 
 
 def _raw(listed: Listed, file: Path) -> str:

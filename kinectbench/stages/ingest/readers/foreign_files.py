@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from kinectbench.core import open_plain
 from kinectbench.stages.ingest.readers.color_only import RECORD
-from kinectbench.stages.ingest.readers.foreign_depth import AS_READ, MOVE
+from kinectbench.stages.ingest.readers.foreign_depth import AS_READ, MOVE, stacked_in
 
 # A tar's first header block, and where its magic lies (POSIX ustar, pax(1)).
 HEAD_BYTES, TAR_AT, TAR_MAGIC = 512, 257, b"ustar"
@@ -63,6 +63,11 @@ KINDS = (
         (b"\x89PNG", b"\xff\xd8\xff", b"II*\0", b"MM\0*"),
     ),
 )
+# Names of files that may hold the whole recording of a folder, archives first.
+FOREIGN = (
+    *("*.zip", "*.tar", "*.tar.*", "*.tgz", "*.7z", "*.rar", "*.gz"),
+    *("*.oni", "*.xef", "*.svo", "*.svo2", "*.npz", "*.npy", "*.h5", "*.hdf5", "*.mat"),
+)
 
 
 def foreign_file(path: Path) -> str | None:
@@ -77,6 +82,8 @@ def foreign_file(path: Path) -> str | None:
         head = file.read(HEAD_BYTES)
     if not head:
         return f"{path}: the file is empty; copy it again"
+    if (said := stacked_in(path)) is not None:
+        return f"{path.parent}: {said}"
     suffix = path.suffix.lower()
     for kind in KINDS:
         by_bytes = not kind.magics or head.startswith(kind.magics)

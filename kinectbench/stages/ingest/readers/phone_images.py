@@ -86,11 +86,7 @@ class PhoneRecording(ConfidenceRecording):
         file = self.places[index].color
         if file is None:
             return None
-        data = read_image_file(file)
-        suffix, *size_px = image_header(data, str(file))
-        if size_px == [self.camera.width, self.camera.height]:
-            return suffix, data
-        return self.shrunk(decode_color_bgr(data, str(file)), str(file))
+        return at_size(read_image_file(file), (self.camera.width, self.camera.height), str(file))
 
     def shrunk(self, bgr: NDArray[np.uint8], name: str) -> tuple[str, bytes]:
         """Downsample colour (height, width, 3) to depth's size by averaging: (".png", encoded image)."""
@@ -132,6 +128,13 @@ def confidence_beside(
     levels = ", ".join(map(str, values[:4])) + (", ..." if len(values) > 4 else "")
     odd = f"holds the values {levels}, and not 0, 1, 2 (or 0, 50, 100 or 0, 127, 255) on depth's pixels"
     return (), 2, (f"{folder}: is not read, because it {odd}",)
+
+
+def at_size(data: bytes, size_px: tuple[int, int], name: str) -> tuple[str, bytes]:
+    """Return an image file of this size as it is, any other scaled: (suffix, encoded image)."""
+    suffix, *found_px = image_header(data, name)
+    whole = tuple(found_px) == size_px
+    return (suffix, data) if whole else shrunk_png(decode_color_bgr(data, name), size_px, name)
 
 
 def shrunk_png(bgr: NDArray[np.uint8], size_px: tuple[int, int], name: str) -> tuple[str, bytes]:

@@ -25,8 +25,6 @@ from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.images import (
     FLOAT_SCALE,
     DamagedImageError,
-    decode_color_bgr,
-    image_header,
     quantised,
 )
 from kinectbench.stages.ingest.json_values import json_numbers, number_of, object_of
@@ -34,9 +32,9 @@ from kinectbench.stages.ingest.readers.archive import Archive, holds
 from kinectbench.stages.ingest.readers.phone_images import (
     GRAVITY_UP,
     OPENGL_FROM_OPTICAL,
+    at_size,
     one_camera,
     scaled_to_depth,
-    shrunk_png,
     times_or_counted,
 )
 from kinectbench.stages.ingest.recording import RawFrame, Recording
@@ -130,21 +128,11 @@ class Record3dRecording(Recording):
         return RawFrame(name, place.stamp_ns, depth, self._color(f"{stem}.jpg"))
 
     def _color(self, member: str) -> tuple[str, bytes] | None:
-        """Return a frame's colour image at depth's size: (suffix, encoded image).
-
-        An image that already has depth's size is returned as it is. Any other is scaled and encoded as PNG.
-        The result is None if the archive lacks the image.
-        """
+        """Return a frame's colour at depth's size, as `at_size` does; None if the archive lacks it."""
         if member not in self.members:
             return None
-        data, size_px = self.archive.read(member), (self.camera.width, self.camera.height)
-        name = f"{self.path}: {member}"
-        suffix, *found_px = image_header(data, name)
-        return (
-            (suffix, data)
-            if tuple(found_px) == size_px
-            else shrunk_png(decode_color_bgr(data, name), size_px, name)
-        )
+        size_px = self.camera.width, self.camera.height
+        return at_size(self.archive.read(member), size_px, f"{self.path}: {member}")
 
 
 def _unpacked(data: bytes, size: int, name: str) -> bytes:

@@ -16,7 +16,7 @@ from kinectbench.core.trajectory.text_rows import parse_floats, text_rows
 from kinectbench.core.trajectory.trajectory_file import read_given, rigid_or_none, trajectory_from_matrices
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
-from kinectbench.stages.ingest.images import decode_depth_png
+from kinectbench.stages.ingest.depth_files import decode_depth_file
 from kinectbench.stages.ingest.intrinsics import (
     Intrinsics,
     check_focal_lengths,
@@ -55,7 +55,8 @@ INFO_FILES = ("_info.txt", "info.txt")
 # The data set's intrinsics, for its image size.
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 COLOR_KINDS = ("color.png", "color.jpg", "color.jpeg")
-DEPTH_NAME = re.compile(r"frame-(\d{1,9})\.depth\.png")
+# 3RScan's depth is PGM; RIO10's is rendered.
+DEPTH_NAME = re.compile(r"frame-(\d{1,9})\.(?:rendered\.)?depth\.(?:png|pgm)")
 # Key of depth's intrinsics in info.txt, as ScanNet's tools export it.
 DEPTH_INTRINSIC = "calibrationDepthIntrinsic"
 
@@ -93,7 +94,7 @@ class SevenScenesRecording(FileRecording):
 
     @classmethod
     def recognises(cls, path: Path) -> bool:
-        """Whether the folder contains a frame-XXXXXX.depth.png."""
+        """Whether the folder contains a frame-XXXXXX.depth.png or .pgm."""
         return path.is_dir() and any(listed_paths(path, wanted=DEPTH_NAME.fullmatch))
 
     @classmethod
@@ -196,7 +197,7 @@ def _marks_holes(files: Sequence[FrameFiles]) -> bool:
     """Whether 65535 marks missing depth, as in 7-Scenes itself; not in other data sets in its layout."""
 
     def marked(frame: FrameFiles) -> bool:
-        return bool((decode_depth_png(read_image_file(frame.depth), str(frame.depth)) == INVALID).any())
+        return bool((decode_depth_file(read_image_file(frame.depth), str(frame.depth)) == INVALID).any())
 
     with suppress(RecordingError):
         return first_whole(marked, files)
@@ -205,7 +206,7 @@ def _marks_holes(files: Sequence[FrameFiles]) -> bool:
 
 def _beside(depth: Path, kind: str) -> Path:
     """Return the file of a frame that ends in `kind`, such as "pose.txt", beside its depth image."""
-    return depth.with_name(f"{depth.name.removesuffix('depth.png')}{kind}")
+    return depth.with_name(f"{depth.name.partition('.')[0]}.{kind}")
 
 
 def is_info(file: Path) -> bool:

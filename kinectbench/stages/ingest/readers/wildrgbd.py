@@ -18,7 +18,8 @@ from kinectbench.core.trajectory.trajectory_file import read_given, trajectory_f
 from kinectbench.core.types import Float64
 from kinectbench.settings.models import CameraSettings
 from kinectbench.stages.ingest.image_names import FRAME_NUMBER
-from kinectbench.stages.ingest.intrinsics import read_matrix_json
+from kinectbench.stages.ingest.intrinsics import intrinsics_of_keys
+from kinectbench.stages.ingest.json_values import read_json_object
 from kinectbench.stages.ingest.known_names import first_file, visible
 from kinectbench.stages.ingest.recording import (
     FileRecording,
@@ -63,7 +64,9 @@ class WildRgbdRecording(FileRecording):
             for number in sorted(depth_files)
         )
         size_px = first_depth_size(files)
-        intrinsics = read_matrix_json(path / "metadata", ("w", "h")).overridden_by(settings)
+        said = read_json_object(path / "metadata", "K, w, h")
+        needed = {key: said.get(key) or "" for key in ("K", "w", "h")}
+        intrinsics = intrinsics_of_keys(needed, path / "metadata").overridden_by(settings)
         trajectory, warnings, error = read_given(lambda: _read_poses(path, sorted(depth_files)))
         return cls(
             path=path,
