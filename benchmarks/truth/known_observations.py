@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from kinectbench.core.geometry import transform_points
 from kinectbench.core.geometry.mesh import read_own_ply
 from kinectbench.core.types import Bools
-from kinectbench.core.voxels.observation import Observation, merge
+from kinectbench.core.voxels.observation import Observation, merge, ray_width_m
 from kinectbench.engine.steps import read_tracked
 from kinectbench.lab.evaluate.build import read_build, register_build
 from kinectbench.lab.evaluate.surface import ReferenceSurface
@@ -25,7 +25,8 @@ from kinectbench.stages.segment.solid.evidence import FloorLayers
 from kinectbench.stages.segment.solid.grids import (
     REFERENCE_VOXEL_M,
     floor_layers,
-    median_ray_width_m,
+    median_distance_m,
+    middle_world,
     object_grid,
 )
 
@@ -101,8 +102,10 @@ def _observed(build: Path, recording: Path, family: str) -> Observed:
         whole=merge(odd, even),
         neighbours=chosen.neighbours(grid),
         layers=floor_layers(chosen.floor, segmentation, REFERENCE_VOXEL_M),
-        ray_width_m=median_ray_width_m(
-            sequence.camera, trajectory, transform_points(grid.T_world_grid, grid.size_m / 2)
+        ray_width_m=ray_width_m(
+            sequence.camera,
+            trajectory.median_pose_sigma_m,
+            median_distance_m(trajectory, middle_world(grid)),
         ),
         true=mesh_occupancy(truth.mesh_world, in_truth),
         distance_m=distance_m.reshape(grid.shape),
