@@ -23,7 +23,7 @@ from kinectbench.release.publish.texts import release_facts, release_texts, stat
 from kinectbench.settings.models import BenchmarkSettings
 
 # A picture in a page.
-PICTURE = re.compile(r"data:image/[a-z]+;base64,[A-Za-z0-9+/=]*")
+PICTURE = re.compile(r"data:image/(?:jpeg|png);base64,[A-Za-z0-9+/=]*")
 # Keys of JSON files on the software that made them; not compared.
 OF_THIS_RUN = ("package_version", "packages", "fingerprint")
 # Characters of a line or value in a message.
