@@ -173,6 +173,16 @@ FORGED: dict[str, tuple[Forge, str]] = {
         packed_otherwise,
         "pairs/chair_01/001.npz: a copy of pairs/chair_01/000.npz; no camera gives one view twice",
     ),
+    "files elsewhere": (
+        edited(
+            "croissant.json", lambda content: content["distribution"].append({"contentUrl": "https://a.b"})
+        ),
+        "croissant.json: distribution is [",
+    ),
+    "no list of files": (
+        edited("croissant.json", lambda content: content.update(distribution=[])),
+        "croissant.json: distribution is []",
+    ),
     "volume": (
         edited(
             "benchmark.json",
