@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 from file_damage import edit_pair, seal
 
@@ -68,6 +69,13 @@ def packed_otherwise(folder: Path) -> None:
     for name in ("pairs/chair_01/{}.npz", "views/chair_01/{}.depth.png", "views/chair_01/{}.mask.png"):
         shutil.copyfile(folder / name.format("000"), folder / name.format("001"))
     (folder / PAIR).write_bytes(npz_bytes(load_arrays(folder / PAIR), level=1))
+
+
+def mask_of_ones(folder: Path) -> None:
+    path = str(folder / "views/chair_01/000.mask.png")
+    levels = cv2.imread(path, cv2.IMREAD_UNCHANGED)
+    assert levels is not None
+    cv2.imwrite(path, levels // 255)
 
 
 def of_this_stage(folder: Path) -> None:
@@ -173,6 +181,7 @@ FORGED: dict[str, tuple[Forge, str]] = {
         packed_otherwise,
         "pairs/chair_01/001.npz: a copy of pairs/chair_01/000.npz; no camera gives one view twice",
     ),
+    "a mask of ones": (mask_of_ones, "views/chair_01/000.mask.png: holds other values than 0 and 255"),
     "files elsewhere": (
         edited(
             "croissant.json", lambda content: content["distribution"].append({"contentUrl": "https://a.b"})

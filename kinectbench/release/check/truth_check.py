@@ -177,7 +177,7 @@ def _volume_faults(
 def _other_figures(
     grid: Grid, solid: Bools, labels: NDArray[np.integer], underside: Bools, quality: QualityFile
 ) -> Iterator[str]:
-    """Yield a message if figures that `quality` states are not those of the volume, rounded alike."""
+    """Yield a message if figures that `quality` states are not those of the volume."""
     if quality.labels is None:  # of no volume that this version made
         return
     cells, unknown = max(1, int(solid.sum())), labels == Label.UNKNOWN
