@@ -193,3 +193,12 @@ def test_object_category_and_split_are_those_that_benchmark_yaml_states(
         "benchmark.json: object of chair_01 is 'red_chair', which benchmark.yaml states as 'sofa'",
         "benchmark.json: split of chair_01 is 'test', which benchmark.yaml states as 'train'",
     ]
+
+
+def test_pages_say_which_splits_are_not_published(
+    analytic: Path, tmp_path: Path, sources: dict[str, LocalRecording]
+) -> None:
+    """Recordings that are left out are not made again, but pages speak of them."""
+    asked = ("chair_01", "chair_02", "table_01")
+    publish(synthetic_settings(RECORDINGS), analytic / "build", tmp_path / "benchmark", asked)
+    assert rebuilt(tmp_path / "benchmark", analytic / "build", sources) == []
