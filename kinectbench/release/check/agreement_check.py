@@ -11,7 +11,7 @@ from yaml import ScalarNode
 from kinectbench.core import KinectBenchError, ReleaseError, SettingsError, StorageError, printable, quoted
 from kinectbench.core.artefacts.benchmark import BENCHMARK_JSON, UNSPECIFIED, ReleaseInfo
 from kinectbench.core.artefacts.object import QualityFile
-from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage
+from kinectbench.core.artefacts.provenance import LINEAGE_JSON, Lineage, LineageRecording
 from kinectbench.core.artefacts.targets import (
     EARLIER_COLUMNS,
     SHA256SUMS,
@@ -27,6 +27,7 @@ from kinectbench.release.check.figure_check import (
     frame_problems,
     gate_problems,
     lineage_problems,
+    lineage_rows,
     own_problems,
     quality_problems,
     refused_problems,
@@ -119,7 +120,9 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     for name in sorted(whole):
         if name.endswith(".json") and name != BENCHMARK_JSON:
             try:
-                yield from _schema_problems(contents, name)
+                text = contents.text(name)
+                release_json(text, name)
+                yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
             except ReleaseError as error:
                 yield str(error)
                 whole.remove(name)
@@ -135,10 +138,13 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
     if stated.says_twice:
         yield from own_problems(stated.metadata)
         yield from gate_problems(stated.metadata)
-        checks[DATASHEET] = _datasheet_problems
+        lines = datasheet.datasheet_figures(stated.metadata.recordings)
+        checks[DATASHEET] = lambda text, _: _missing(text, lines, f"the line '{{}}' of {BENCHMARK_JSON}")
     checks |= {f"{PREVIEWS}/{split}/{ROWS}": partial(_rows_problems, split) for split in SPLITS}
+    lineage = lineage_rows(contents, whole)
     checks |= {
-        f"views/{name}/views.json": partial(_views_problems, name) for name in stated.metadata.recordings
+        f"views/{name}/views.json": partial(_views_problems, name, lineage.get(name))
+        for name in stated.metadata.recordings
     }
     limits = _limits(stated.metadata)
     for name, check in checks.items():
@@ -157,15 +163,8 @@ def agreement_problems(contents: Contents, stated: Stated, damaged: Mapping[str,
                     yield from quality_problems(file, contents.text(file), info)
                 except (KinectBenchError, ValueError) as error:
                     yield str(error)
-    yield from frame_problems(contents, stated.metadata, whole)
     yield from floor_problems(contents, stated.metadata, whole)
     yield from hidden_files(stated.metadata, contents.entries)
-
-
-def _schema_problems(contents: Contents, name: str) -> Iterator[str]:
-    text = contents.text(name)
-    release_json(text, name)
-    yield from (f"{name}: {fault}" for fault in schema_problems(name, text))
 
 
 def _limits(metadata: ReleaseInfo) -> dict[str, int]:
@@ -262,12 +261,6 @@ def _gate_missing(text: str, metadata: ReleaseInfo) -> Iterator[str]:
         # Advice may follow the expected text.
         if name not in wanted or not expected.get(name, "").startswith(wanted[name]):
             yield f"says otherwise than {BENCHMARK_JSON} whether {printable(name)} is left out or poor"
-
-
-def _datasheet_problems(text: str, stated: Stated) -> Iterator[str]:
-    yield from _missing(
-        text, datasheet.datasheet_figures(stated.metadata.recordings), f"the line '{{}}' of {BENCHMARK_JSON}"
-    )
 
 
 def _missing(text: str, wanted: str, subject: str) -> Iterator[str]:
@@ -371,7 +364,9 @@ def _rows_problems(split: str, text: str, stated: Stated) -> Iterator[str]:
         yield f"{printable(odd[0], 200)} and the pairs of {TARGETS_CSV} do not agree"
 
 
-def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
+def _views_problems(
+    recording: str, lineage: LineageRecording | None, text: str, stated: Stated
+) -> Iterator[str]:
     """Yield a message for each fault of a recording's views.json, whose content is `text`.
 
     Faults are: views with a pair that differ from targets.csv, a view that is there twice or lacks keys, a
@@ -379,6 +374,7 @@ def _views_problems(recording: str, text: str, stated: Stated) -> Iterator[str]:
     """
     views = ViewsFile.parse(text, ViewsFile.FILE)
     rows = views.views
+    yield from frame_problems(views, lineage)
     if stated.says_twice and not stated.metadata.hides(recording):
         yield from refused_problems(views, stated.metadata.recordings[recording])
     listed = {row.view for row in rows if row.pair is not False}

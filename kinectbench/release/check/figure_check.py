@@ -194,26 +194,21 @@ def _given(value: object) -> object:
     return {k: v for k, v in value.items() if v is not None} if isinstance(value, dict) else value
 
 
-def frame_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
-    """Yield a message for each view whose frame or timestamp differs between views.json and lineage.json.
-
-    Only files in `whole` are read: those whose bytes are the published ones.
-    """
-    recordings: Mapping[str, LineageRecording] = {}
+def lineage_rows(contents: Contents, whole: Collection[str]) -> Mapping[str, LineageRecording]:
+    """Return the recordings of lineage.json; {} if it is not in `whole`, or damaged."""
     with suppress(ReleaseError, StorageError):  # reported as not of its schema
         if LINEAGE_JSON in whole:
-            recordings = Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
-    for name in metadata.recordings:
-        file = f"views/{name}/{ViewsFile.FILE}"
-        of_lineage = recordings[name].views if name in recordings else None
-        if of_lineage is None or file not in whole:
-            continue
-        with suppress(ReleaseError, StorageError):  # reported as not of its schema
-            rows = {row.view: row for row in ViewsFile.parse(contents.text(file), file).views}
-            for view in of_lineage:
-                row = rows.get(view.view)
-                if row is not None and (row.frame, row.stamp_ns) != (view.frame, view.stamp_ns):
-                    yield f"{file}: another frame or stamp of {printable(view.view)} than in {LINEAGE_JSON}"
+            return Lineage.parse(contents.text(LINEAGE_JSON), LINEAGE_JSON).recordings
+    return {}
+
+
+def frame_problems(views: ViewsFile, lineage: LineageRecording | None) -> Iterator[str]:
+    """Yield a message for each view whose frame or timestamp in views.json differs from lineage.json."""
+    rows = {row.view: row for row in views.views}
+    for view in (lineage.views if lineage else None) or ():
+        row = rows.get(view.view)
+        if row is not None and (row.frame, row.stamp_ns) != (view.frame, view.stamp_ns):
+            yield f"another frame or stamp of {printable(view.view)} than in {LINEAGE_JSON}"
 
 
 def floor_problems(contents: Contents, metadata: ReleaseInfo, whole: Collection[str]) -> Iterator[str]:
